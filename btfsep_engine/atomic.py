@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files are written whole or not at all."""
+
+import os
+import tempfile
+from contextlib import contextmanager
+from pathlib import Path
+
+from btfsep_engine.errors import InputError
+
+
+@contextmanager
+def replacing(path):
+    """Yields a scratch path beside ``path`` (same suffix); on success it takes the place of ``path``.
+
+    On any error the scratch file is removed and an older ``path`` is left as it was.
+
+    Raises
+    ------
+    InputError
+        When the folder cannot be written or the disk is full.
+    """
+    path = Path(path)
+    scratch = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, scratch = tempfile.mkstemp(prefix=".writing-", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        yield Path(scratch)
+        umask = os.umask(0)
+        os.umask(umask)
+        os.chmod(scratch, 0o666 & ~umask)  # mkstemp makes private files
+        os.replace(scratch, path)
+        scratch = None
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path}", error.strerror or str(error), "free space or choose a folder that can be written"
+        ) from error
+    finally:
+        if scratch is not None and os.path.exists(scratch):
+            os.unlink(scratch)
+
+
+def write_bytes(path, data: bytes) -> None:
+    """Writes ``data`` to ``path``, whole or not at all."""
+    with replacing(path) as scratch:
+        scratch.write_bytes(data)
+
+
+def write_text(path, text: str) -> None:
+    """Writes ``text`` as UTF-8 to ``path``, whole or not at all."""
+    write_bytes(path, text.encode())

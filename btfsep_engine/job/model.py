@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A job in memory: plain data that every later stage reads and none changes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    Attributes
+    ----------
+    width, height : pixels
+    fx, fy, cx, cy : pixels; pixel (0, 0) has its centre at (0.5, 0.5)
+    to_world : (4, 4) float64, camera to world, rigid; the camera looks along its -Z with +Y up
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    to_world: np.ndarray
+
+    def rays(self, x, y):
+        """World-space rays through image positions.
+
+        Parameters
+        ----------
+        x, y : (n,) float, pixels; 0.5 is the centre of the first pixel
+
+        Returns
+        -------
+        origins : (n, 3) float64
+        directions : (n, 3) float64, unit
+        """
+        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+        local = np.stack([(x - self.cx) / self.fx, -(y - self.cy) / self.fy, -np.ones_like(x)], -1)
+        directions = local @ self.to_world[:3, :3].T
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        return np.broadcast_to(self.to_world[:3, 3], directions.shape).copy(), directions
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """Triangles in world space.
+
+    Attributes
+    ----------
+    vertices : (v, 3) float64, world units
+    faces : (f, 3) int32
+    corner_normals : (f, 3, 3) float32, unit, the shading normals at the corners
+    corner_uv : (f, 3, 2) float32, or None where the file has none
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    corner_normals: np.ndarray
+    corner_uv: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class JobObject:
+    """One object to fit. ``mask`` is (h, w) bool or None (all that the camera sees of it)."""
+
+    name: str
+    mesh: TriangleMesh
+    mask: np.ndarray | None = None
+    material: str | None = None
+    uv: str = "xatlas"
+
+
+@dataclass(frozen=True)
+class Photo:
+    """The photograph.
+
+    Attributes
+    ----------
+    radiance : (h, w, 3) float32, linear Rec.709, the exposure of the job applied
+    usable : (h, w) bool, false where a channel is saturated
+    saturated : number of saturated pixels
+    """
+
+    radiance: np.ndarray
+    usable: np.ndarray
+    saturated: int
+
+
+@dataclass(frozen=True)
+class Job:
+    """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from."""
+
+    folder: Path
+    photo: Photo
+    camera: Camera
+    objects: tuple[JobObject, ...]
+    occluders: tuple[TriangleMesh, ...]
+    metres_per_unit: float
+    exposure_ev: float
+    digest: str
