@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which Mitsuba variant and which libLLVM this machine gets.
+
+Some pairs of Dr.Jit and libLLVM abort the whole process, so a library is tried in a child process first and
+only then loaded here. The choice is remembered in the cache folder until a candidate or Mitsuba changes.
+"""
+
+import glob
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from platformdirs import user_cache_dir
+
+from btfsep_engine.atomic import write_text
+from btfsep_engine.errors import InputError
+
+LLVM_VARIANT, CUDA_VARIANT = "llvm_ad_rgb", "cuda_ad_rgb"
+TRIAL_SECONDS = 120
+LIBRARY_PATTERNS = (
+    "/usr/lib/*/libLLVM*.so*",
+    "/usr/lib/libLLVM*.so*",
+    "/usr/lib64/libLLVM*.so*",
+    "/usr/lib64/llvm*/lib*/libLLVM*.so*",
+    "/usr/lib/llvm-*/lib/libLLVM*.so*",
+    "/usr/local/lib/libLLVM*.so*",
+    "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+    "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+    "C:/Program Files/LLVM/bin/LLVM-C.dll",
+)
+# Renders a lit sphere: what Dr.Jit compiles, Embree traces and libLLVM must survive.
+TRIAL = """
+import json, sys
+import mitsuba as mi
+mi.set_variant(sys.argv[1])
+scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 3},
+    "light": {"type": "constant"}, "shape": {"type": "sphere", "bsdf": {"type": "diffuse"}},
+    "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
+               "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}}})
+import numpy as np
+image = np.array(mi.render(scene, spp=16))
+centre = float(image[8, 8].mean())
+assert np.isfinite(image).all() and 0.4 < centre < 0.6, centre
+import drjit as dr
+print(json.dumps({"ok": True, "centre": centre}))
+"""
+
+
+@dataclass(frozen=True)
+class Backend:
+    """A variant that was seen to render. ``library`` is the libLLVM's path, "" for CUDA."""
+
+    variant: str
+    library: str
+    llvm: str
+
+
+def llvm_version(path: str) -> tuple[int, ...]:
+    """The version that a library's file name carries, () where it has none."""
+    found = re.search(r"libLLVM[-.](?:so\.)?(\d+(?:\.\d+)*)", os.path.basename(path))
+    return tuple(int(part) for part in found.group(1).split(".")) if found else ()
+
+
+def candidates() -> list[str]:
+    """libLLVM files of this machine, newest first, one for each real file; DRJIT_LIBLLVM_PATH alone if it is set."""
+    named = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if named:
+        return [named]
+    by_real = {}
+    for pattern in LIBRARY_PATTERNS:
+        for path in sorted(glob.glob(pattern)):
+            real = os.path.realpath(path)
+            if os.path.isfile(real) and (real not in by_real or llvm_version(path) > llvm_version(by_real[real])):
+                by_real[real] = path
+    return sorted(by_real.values(), key=llvm_version, reverse=True)
+
+
+def try_backend(variant: str, library: str = "") -> str:
+    """Renders a sphere in a child process.
+
+    Returns
+    -------
+    str : "" when the image is right, else one line that says what happened
+    """
+    env = dict(os.environ)
+    if library:
+        env["DRJIT_LIBLLVM_PATH"] = library
+    try:
+        run = subprocess.run(
+            [sys.executable, "-c", TRIAL, variant], env=env, capture_output=True, text=True, timeout=TRIAL_SECONDS
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer in {TRIAL_SECONDS} s"
+    if run.returncode == 0 and '"ok": true' in run.stdout:
+        return ""
+    lines = [line for line in run.stderr.strip().splitlines() if line.strip()]
+    how = f"killed by signal {-run.returncode}" if run.returncode < 0 else f"exit status {run.returncode}"
+    return f"{how}: {lines[-1].strip()[:200]}" if lines else how
+
+
+def has_cuda_driver() -> bool:
+    """True where an NVIDIA driver's library and device are present."""
+    return os.path.exists("/dev/nvidiactl") or (platform.system() == "Windows" and bool(os.environ.get("CUDA_PATH")))
+
+
+def cache_folder() -> Path:
+    """Where everything that can be made again is kept; BTFSEP_CACHE names another."""
+    return Path(os.environ.get("BTFSEP_CACHE") or user_cache_dir("btfsep", appauthor=False))
+
+
+def _fingerprint() -> str:
+    """Changes whenever the choice may: Mitsuba, the libraries, their files, the CUDA driver."""
+    files = [(path, os.stat(path).st_size if os.path.exists(path) else -1) for path in candidates()]
+    versions = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
+    return json.dumps([versions, files, has_cuda_driver(), os.environ.get("BTFSEP_VARIANT"), sys.executable])
+
+
+@lru_cache(maxsize=1)
+def choose_backend() -> Backend:
+    """The newest libLLVM that renders (or CUDA, where a driver is present and BTFSEP_VARIANT does not say otherwise).
+
+    Raises
+    ------
+    InputError
+        When nothing on this machine can render; it names what was tried and how to mend it.
+    """
+    remembered = cache_folder() / "backend.json"
+    fingerprint = _fingerprint()
+    try:
+        stored = json.loads(remembered.read_text())
+        if stored["fingerprint"] == fingerprint:
+            return Backend(**stored["backend"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass  # absent, or not ours: try again
+    backend = _try_all()
+    try:
+        write_text(remembered, json.dumps({"fingerprint": fingerprint, "backend": asdict(backend)}))
+    except InputError:
+        pass  # a cache that cannot be written only costs the trial next time
+    return backend
+
+
+def _try_all() -> Backend:
+    wanted = os.environ.get("BTFSEP_VARIANT", "")
+    failures = []
+    if wanted == CUDA_VARIANT or (not wanted and has_cuda_driver()):
+        failure = try_backend(CUDA_VARIANT)
+        if not failure:
+            return Backend(CUDA_VARIANT, "", "")
+        failures.append(f"{CUDA_VARIANT} ({failure})")
+    if wanted in ("", LLVM_VARIANT):
+        for library in candidates():
+            failure = try_backend(LLVM_VARIANT, library)
+            if not failure:
+                return Backend(LLVM_VARIANT, library, ".".join(map(str, llvm_version(library))))
+            failures.append(f"{library} ({failure})")
+    raise InputError(
+        "the renderer cannot start",
+        "no libLLVM was found on this machine" if not failures else "tried " + ", ".join(failures),
+        "install one that works (Debian, Ubuntu: apt-get install libllvm19 or libllvm15; macOS: brew install llvm; "
+        "Windows: the LLVM installer) or set DRJIT_LIBLLVM_PATH to its file",
+    )
+
+
+@lru_cache(maxsize=1)
+def import_mitsuba():
+    """The mitsuba module with its variant set; the first call chooses the backend. Raises InputError as above."""
+    backend = choose_backend()
+    if backend.library:
+        os.environ["DRJIT_LIBLLVM_PATH"] = backend.library
+    import mitsuba
+
+    mitsuba.set_variant(backend.variant)
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    return mitsuba
