@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where a material lies on a surface: UV charts in millimetres and tangent frames."""
+
+import hashlib
+
+import numpy as np
+
+from btfsep_engine.atomic import replacing
+from btfsep_engine.errors import InputError
+from btfsep_engine.job.model import TriangleMesh
+from btfsep_engine.render.backend import cache_folder
+
+# xatlas charts about 20,000 faces a second; larger meshes are projected onto the axes' planes instead
+XATLAS_FACES = 200_000
+
+
+def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float, reporter=None) -> np.ndarray:
+    """Texture coordinates whose unit is a millimetre on the surface.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    method : "xatlas" (charts computed here) or "mesh" (the file's own, scaled to its mean texel size)
+    millimetres_per_unit : millimetres in a world unit
+
+    Returns
+    -------
+    (f, 3, 2) float32, millimetres
+
+    Raises
+    ------
+    InputError
+        When ``method`` is "mesh" and the file has no usable UVs.
+    """
+    if method == "mesh":
+        if mesh.corner_uv is None:
+            raise InputError("uv 'mesh'", "the mesh file has no texture coordinates", "unwrap it, or set uv to 'xatlas'")
+        uv = mesh.corner_uv.astype(np.float64)
+    elif len(mesh.faces) > XATLAS_FACES:
+        if reporter is not None:
+            reporter.warn(
+                f"a mesh of {len(mesh.faces)} faces is mapped by projection along the axes, not by charts "
+                f"(charts are computed up to {XATLAS_FACES} faces)"
+            )
+        return (_axis_projection(mesh) * millimetres_per_unit).astype(np.float32)
+    else:
+        uv = _xatlas_uv(mesh)
+    surface = _areas(mesh.vertices[mesh.faces])
+    chart = np.abs(_uv_areas(uv))
+    if not np.isfinite(uv).all() or chart.sum() <= 0:
+        raise InputError(f"uv '{method}'", "texture coordinates without area", "unwrap the mesh, or set uv to 'xatlas'")
+    scale = np.sqrt(surface.sum() / chart.sum()) * millimetres_per_unit
+    return (uv * scale).astype(np.float32)
+
+
+def _areas(triangles):
+    return np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
+
+
+def _uv_areas(uv):
+    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+
+
+def _axis_projection(mesh):
+    corners = mesh.vertices[mesh.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    axis = np.abs(normal).argmax(1)
+    others = np.array([[1, 2], [2, 0], [0, 1]])[axis]
+    return np.take_along_axis(corners, others[:, None, :].repeat(3, 1), axis=2)
+
+
+def _xatlas_uv(mesh):
+    """Charts of xatlas, kept by content: they depend on nothing but the triangles."""
+    import xatlas
+
+    key = hashlib.sha256(
+        b"xatlas1" + np.ascontiguousarray(mesh.vertices).tobytes() + np.ascontiguousarray(mesh.faces).tobytes()
+    ).hexdigest()
+    stored = cache_folder() / "charts" / f"{key[:32]}.npy"
+    try:
+        uv = np.load(stored, allow_pickle=False)
+        if uv.shape == (len(mesh.faces), 3, 2) and uv.dtype == np.float32:
+            return uv.astype(np.float64)
+    except (OSError, ValueError):
+        pass  # not there, or damaged: compute it
+    # charts must not break where a mesh file splits its vertices (seams of normals or of another UV)
+    scaled = mesh.vertices - mesh.vertices.mean(0)
+    scaled = (scaled / (np.abs(scaled).max() or 1.0)).astype(np.float32)
+    welded, inverse = np.unique(scaled, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[mesh.faces].astype(np.uint32)
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(np.ascontiguousarray(welded), np.ascontiguousarray(faces))
+    pack = xatlas.PackOptions()
+    pack.create_image = False
+    atlas.generate(xatlas.ChartOptions(), pack)
+    _, indices, coordinates = atlas[0]
+    uv = np.asarray(coordinates, np.float32)[np.asarray(indices, np.int64)]
+    try:
+        with replacing(stored) as scratch, open(scratch, "wb") as handle:
+            np.save(handle, uv)
+    except InputError:
+        pass  # a cache that cannot be written only costs time
+    return uv.astype(np.float64)
+
+
+def tangent_frames(triangles, uv, normals):
+    """Tangent and bitangent at surface points.
+
+    Parameters
+    ----------
+    triangles : (n, 3, 3) float, world corners of each point's face
+    uv : (n, 3, 2) float, its texture coordinates
+    normals : (n, 3) float, unit shading normals
+
+    Returns
+    -------
+    tangent, bitangent : (n, 3) float64, unit; the tangent follows +u, the bitangent +v (left-handed on mirrored charts)
+    """
+    normals = np.asarray(normals, np.float64)
+    e1, e2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    d1, d2 = (uv[:, 1] - uv[:, 0]).astype(np.float64), (uv[:, 2] - uv[:, 0]).astype(np.float64)
+    determinant = d1[:, 0] * d2[:, 1] - d2[:, 0] * d1[:, 1]
+    along_u = (d2[:, 1:2] * e1 - d1[:, 1:2] * e2) * np.sign(determinant)[:, None]
+    tangent = along_u - (along_u * normals).sum(1, keepdims=True) * normals
+    length = np.linalg.norm(tangent, axis=1, keepdims=True)
+    # where the chart has no area any tangent will do: the one furthest from the normal's largest axis
+    fallback = np.cross(normals, np.eye(3)[np.abs(normals).argmin(1)])
+    fallback /= np.linalg.norm(fallback, axis=1, keepdims=True)
+    good = length[:, 0] > 1e-12 * (np.linalg.norm(e1, axis=1) * np.linalg.norm(d1, axis=1) + 1e-30)
+    tangent = np.where(good[:, None], tangent / np.maximum(length, 1e-300), fallback)
+    handed = np.where(determinant < 0, -1.0, 1.0)[:, None]
+    return tangent, np.cross(normals, tangent) * handed

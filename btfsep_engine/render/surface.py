@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What each chosen pixel sees: the surface points that the transport works on."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+
+from btfsep_engine.errors import InputError
+from btfsep_engine.job.model import Job
+from btfsep_engine.render.parametrise import physical_uv, tangent_frames
+from btfsep_engine.render.tracer import Tracer
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """n surface points of one object, one for each pixel.
+
+    Attributes
+    ----------
+    pixels : (n, 2) int32, row and column
+    position : (n, 3) float64, world
+    normal : (n, 3) float64, shading normal, towards the camera's side
+    flat_normal : (n, 3) float64, normal of the face, on the camera's side; secondary rays start along it
+    to_eye : (n, 3) float64, unit
+    face : (n,) int32, barycentric : (n, 3) float32
+    footprint : (n,) float64, edge in world units of a pixel's patch of surface (geometric mean)
+    tangent, bitangent : (n, 3) float64, unit, and uv : (n, 2) float64, millimetres; None until `with_texture`
+    """
+
+    pixels: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    flat_normal: np.ndarray
+    to_eye: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    footprint: np.ndarray
+    tangent: np.ndarray | None = None
+    bitangent: np.ndarray | None = None
+    uv: np.ndarray | None = None
+
+    def __len__(self):
+        return len(self.pixels)
+
+    def take(self, index) -> "SurfacePoints":
+        """The chosen points, in the order of ``index``."""
+        return SurfacePoints(**{k: None if v is None else v[index] for k, v in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class View:
+    """What the camera sees: for every pixel the mesh, -1 where none, and where on it."""
+
+    mesh: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    distance: np.ndarray
+
+
+def camera_view(tracer: Tracer, job: Job) -> View:
+    """Nearest hits through every pixel centre, images of (height, width)."""
+    camera = job.camera
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    origins, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
+    hits = tracer.nearest(origins, directions)
+    shape = (camera.height, camera.width)
+    return View(
+        hits.mesh.reshape(shape), hits.face.reshape(shape), hits.barycentric.reshape(*shape, 3), hits.distance.reshape(shape)
+    )
+
+
+def object_region(view: View, job: Job, index: int) -> np.ndarray:
+    """Pixels (h, w) bool that show object ``index`` alone: its mask, away from silhouettes and mask edges.
+
+    Raises
+    ------
+    InputError
+        When no pixel shows the object.
+    """
+    obj = job.objects[index]
+    seen = view.mesh == index
+    if not seen.any():
+        hidden = "other geometry is in front of it, or it is outside the picture" if (view.mesh >= 0).any() else (
+            "no ray of the camera meets any geometry"
+        )
+        raise InputError(
+            f"object '{obj.name}'",
+            f"the camera does not see it ({hidden})",
+            "check camera.to_world (the camera looks along its -Z), the mesh's place and metres_per_unit",
+        )
+    region = seen if obj.mask is None else seen & obj.mask
+    if not region.any():
+        raise InputError(
+            f"object '{obj.name}'",
+            f"its mask leaves none of the {int(seen.sum())} pixels that show it",
+            "check that the mask belongs to this photo and is not inverted",
+        )
+    # pixels at an edge mix object and background
+    inner = binary_erosion(region, np.ones((3, 3), bool))
+    return inner if inner.sum() >= 0.2 * region.sum() else region
+
+
+def surface_points(view: View, job: Job, index: int, *, region=None) -> SurfacePoints:
+    """Surface points of object ``index`` in ``region`` ((h, w) bool; None: `object_region`)."""
+    region = object_region(view, job, index) if region is None else region
+    rows, columns = np.nonzero(region)
+    mesh, camera = job.objects[index].mesh, job.camera
+    face, weights = view.face[rows, columns], view.barycentric[rows, columns].astype(np.float64)
+    triangles = mesh.vertices[mesh.faces[face]]
+    position = (weights[..., None] * triangles).sum(1)
+    eye = camera.to_world[:3, 3]
+    to_eye = eye - position
+    distance = np.linalg.norm(to_eye, axis=1, keepdims=True)
+    to_eye /= distance
+    flat = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
+    side = np.where((flat * to_eye).sum(1, keepdims=True) < 0, -1.0, 1.0)
+    normal = (weights[..., None] * mesh.corner_normals[face]).sum(1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    # the shading normal belongs to the same side of the surface as the flat one
+    flat = flat * side
+    normal = normal * np.where((normal * flat).sum(1, keepdims=True) < 0, -1.0, 1.0)
+    slant = np.maximum((flat * to_eye).sum(1), 0.05)
+    footprint = distance[:, 0] / np.sqrt(camera.fx * camera.fy) / np.sqrt(slant)
+    return SurfacePoints(
+        np.stack([rows, columns], -1).astype(np.int32),
+        position,
+        normal,
+        flat,
+        to_eye,
+        face,
+        weights.astype(np.float32),
+        footprint,
+    )
+
+
+def with_texture(points: SurfacePoints, job: Job, index: int, *, reporter=None) -> SurfacePoints:
+    """The same points with tangent frames and texture coordinates in millimetres."""
+    obj = job.objects[index]
+    uv = physical_uv(obj.mesh, obj.uv, millimetres_per_unit=1000 * job.metres_per_unit, reporter=reporter)[points.face]
+    tangent, bitangent = tangent_frames(obj.mesh.vertices[obj.mesh.faces[points.face]], uv, points.normal)
+    at = (points.barycentric[..., None].astype(np.float64) * uv).sum(1)
+    return replace(points, tangent=tangent, bitangent=bitangent, uv=at)
+
+
+def with_any_tangent(points: SurfacePoints) -> SurfacePoints:
+    """The same points with tangents that follow the world's vertical: enough for isotropic materials."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], points.normal.shape)
+    tangent = np.cross(up, points.normal)
+    length = np.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = np.where(length > 1e-6, tangent / np.maximum(length, 1e-300), [1.0, 0.0, 0.0])
+    tangent -= (tangent * points.normal).sum(1, keepdims=True) * points.normal
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return replace(points, tangent=tangent, bitangent=np.cross(points.normal, tangent), uv=np.zeros((len(points), 2)))
+
+
+def spread(points: SurfacePoints, count: int, *, seed: int = 0) -> np.ndarray:
+    """Indices of about ``count`` points spread evenly over the picture.
+
+    Stratified along the Hilbert-like order of a space-filling (Morton) curve: every stretch of the curve gives
+    one pixel, at a random place in it.
+    """
+    n = len(points)
+    if count >= n:
+        return np.arange(n)
+    order = np.argsort(_morton(points.pixels[:, 0], points.pixels[:, 1]), kind="stable")
+    random = np.random.default_rng(seed).random(count)
+    return np.sort(order[((np.arange(count) + random) * n / count).astype(np.int64)])
+
+
+def _morton(row, column):
+    """Interleaved bits of two 16-bit coordinates."""
+    code = np.zeros(len(row), np.int64)
+    for bit in range(16):
+        code |= ((column.astype(np.int64) >> bit) & 1) << (2 * bit)
+        code |= ((row.astype(np.int64) >> bit) & 1) << (2 * bit + 1)
+    return code

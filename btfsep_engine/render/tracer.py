@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rays against a job's triangles: nearest hits and visibility, by Mitsuba's ray tracer.
+
+The scene is moved to its centre and scaled to radius 1, so that single precision serves any scene; positions
+and distances that leave this module are in world units again.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.errors import InputError
+from btfsep_engine.render.backend import import_mitsuba
+
+MISS = np.int32(-1)
+LANES = 1 << 22  # rays traced at once: bounds the memory of a pass to a few hundred MB
+OFFSET = 2e-4  # start of a secondary ray off its surface, in scene radii
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Nearest hits of n rays.
+
+    Attributes
+    ----------
+    mesh : (n,) int32, index of the mesh, -1 where nothing is hit
+    face : (n,) int32
+    barycentric : (n, 3) float32, weights of the face's corners
+    distance : (n,) float64, world units
+    """
+
+    mesh: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    distance: np.ndarray
+
+
+class Tracer:
+    """Ray queries against a list of triangle meshes (objects first, then occluders).
+
+    Parameters
+    ----------
+    meshes : sequence of job.model.TriangleMesh
+    """
+
+    def __init__(self, meshes):
+        self.mi = import_mitsuba()
+        import drjit
+
+        self.dr = drjit
+        self.meshes = tuple(meshes)
+        if not self.meshes:
+            raise InputError("the job", "no geometry", "export at least one object with faces")
+        used = [m.vertices[np.unique(m.faces)] for m in self.meshes]
+        low = np.min([v.min(0) for v in used], 0)
+        high = np.max([v.max(0) for v in used], 0)
+        self.centre = (low + high) / 2
+        self.radius = float(np.linalg.norm(high - low) / 2) or 1.0
+        shapes = {f"mesh{i:04d}": self._mitsuba_mesh(i, mesh) for i, mesh in enumerate(self.meshes)}
+        self.scene = self.mi.load_dict({"type": "scene", **shapes})
+        # a hit names its shape by registry id: the table back to our mesh numbers
+        ids = [self._shape_number(shape) for shape in self.scene.shapes()]
+        self._registry = {
+            int(number): ids[i] for i, number in enumerate(np.array(self.dr.reinterpret_array(self.mi.UInt32, self.scene.shapes_dr())))
+        }
+
+    def _mitsuba_mesh(self, number, mesh):
+        mi = self.mi
+        shape = mi.Mesh(f"mesh{number:04d}", len(mesh.vertices), len(mesh.faces), has_vertex_normals=False)
+        params = mi.traverse(shape)
+        params["vertex_positions"] = mi.Float(self.to_local(mesh.vertices).astype(np.float32).ravel())
+        params["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, np.uint32).ravel())
+        params.update()
+        return shape
+
+    @staticmethod
+    def _shape_number(shape) -> int:
+        return int(shape.id()[4:])
+
+    def to_local(self, points):
+        """World positions in the tracer's own, centred and scaled, space."""
+        return (np.asarray(points, np.float64) - self.centre) / self.radius
+
+    def vector(self, values):
+        """(n, 3) array to a Mitsuba vector of n lanes."""
+        return self.mi.Vector3f(np.ascontiguousarray(np.asarray(values, np.float32).T))
+
+    def nearest(self, origins, directions) -> Hits:
+        """Nearest hits of rays ``origins, directions : (n, 3) float``, world space, directions unit."""
+        n = len(origins)
+        mesh = np.full(n, MISS)
+        face = np.zeros(n, np.int32)
+        barycentric = np.zeros((n, 3), np.float32)
+        distance = np.full(n, np.inf)
+        for start in range(0, n, LANES):
+            part = slice(start, min(n, start + LANES))
+            ray = self.mi.Ray3f(
+                self.mi.Point3f(self.vector(self.to_local(origins[part]))), self.vector(directions[part])
+            )
+            hit = self.scene.ray_intersect_preliminary(ray, coherent=False)
+            valid = np.array(hit.is_valid())
+            shape = np.array(self.dr.reinterpret_array(self.mi.UInt32, hit.shape))
+            numbers = np.zeros(max(self._registry) + 1, np.int32)
+            numbers[list(self._registry)] = list(self._registry.values())
+            mesh[part] = np.where(valid, numbers[np.where(valid, shape, 0)], MISS)
+            face[part] = np.where(valid, np.array(hit.prim_index).astype(np.int32), 0)
+            u, v = np.array(hit.prim_uv.x), np.array(hit.prim_uv.y)
+            barycentric[part] = np.stack([1 - u - v, u, v], -1)
+            distance[part] = np.where(valid, np.array(hit.t, np.float64) * self.radius, np.inf)
+        return Hits(mesh, face, barycentric, distance)
+
+    def visible(self, positions, offset_normals, directions) -> np.ndarray:
+        """Which of the shared directions each point sees.
+
+        Parameters
+        ----------
+        positions : (p, 3) float, world
+        offset_normals : (p, 3) float, unit; rays start a little along them
+        directions : (n, 3) float, unit, world, the same for all points
+
+        Returns
+        -------
+        (p, n) bool, true where the ray leaves the scene; false below the horizon of ``offset_normals``
+        """
+        mi, dr = self.mi, self.dr
+        starts = self.to_local(positions) + OFFSET * np.asarray(offset_normals, np.float64)
+        p, n = len(starts), len(directions)
+        out = np.empty((p, n), bool)
+        shared = self.vector(directions)
+        step = max(1, LANES // n)
+        for start in range(0, p, step):
+            part = slice(start, min(p, start + step))
+            count = part.stop - start
+            lane = dr.arange(mi.UInt32, count * n)
+            point, direction = lane // n, lane % n
+            origin = dr.gather(mi.Point3f, mi.Point3f(self.vector(starts[part])), point)
+            normal = dr.gather(mi.Vector3f, self.vector(offset_normals[part]), point)
+            omega = dr.gather(mi.Vector3f, shared, direction)
+            above = dr.dot(normal, omega) > 0
+            blocked = self.scene.ray_test(mi.Ray3f(origin, omega), coherent=False, active=above)
+            out[part] = np.array(above & ~blocked).reshape(count, n)
+        return out
+
+    def sees_sky(self, positions, offset_normals, directions) -> np.ndarray:
+        """Whether each point (n, 3) sees the sky in its own direction (n, 3): (n,) bool."""
+        starts = np.asarray(positions, np.float64) + OFFSET * self.radius * np.asarray(offset_normals, np.float64)
+        above = (np.asarray(offset_normals) * directions).sum(1) > 0
+        return above & (self.nearest(starts, directions).mesh == MISS)
