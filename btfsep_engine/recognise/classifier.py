@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which material a VLAD vector shows: an RBF-SVM with grid search, or the nearest training vector.
+
+Both answer with one number per class in [-1, 1] for every vector. The numbers of an object's windows and of the
+whole object are averaged, and a softmax turns the mean into scores; its sharpness is fitted on lights that were
+held out. All squared distances between training vectors are computed once (one matrix product), so that a
+whole grid search works on small matrices.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from sklearn.svm import SVC
+
+C_GRID = (1.0, 10.0, 100.0)
+GAMMA_GRID = (0.25, 0.5, 1.0, 2.0, 4.0)  # in units of 1 / median squared distance
+FOLDS = 3
+SVM_CACHE_MB = 500
+
+
+def squared_distances(a, b) -> np.ndarray:
+    """(n, m) float32, squared L2 distances between the rows of a : (n, d) and b : (m, d), never below 0."""
+    a, b = np.asarray(a, np.float32), np.asarray(b, np.float32)
+    return np.maximum((a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * (a @ b.T), 0)
+
+
+def grouped_folds(groups, folds=FOLDS, *, seed=0) -> np.ndarray:
+    """The fold of each sample, such that all samples of a group (a light) share one fold.
+
+    Parameters
+    ----------
+    groups : (n,) of any hashable, the light of each sample
+
+    Returns
+    -------
+    (n,) int in [0, min(folds, number of groups))
+    """
+    names, number = np.unique(np.asarray(groups), return_inverse=True)
+    order = np.random.default_rng(seed).permutation(len(names))
+    return (order % min(folds, len(names)))[number]
+
+
+@dataclass(frozen=True)
+class Svm:
+    """A trained one-against-one RBF-SVM as plain arrays.
+
+    Attributes
+    ----------
+    classes : names, in order
+    vectors : (m, d) float16, support vectors
+    weights : (m, pairs) float32; decision of pair (i, j), i < j: positive says i
+    bias : (pairs,) float32
+    gamma, c : kernel and regularisation parameters
+    sharpness : of the softmax over pooled votes
+    held_out_accuracy : share of single vectors (windows) right on lights that were held out
+    """
+
+    classes: tuple[str, ...]
+    vectors: np.ndarray
+    weights: np.ndarray
+    bias: np.ndarray
+    gamma: float
+    c: float
+    sharpness: float = 10.0
+    held_out_accuracy: float = float("nan")
+    kind = "svm"
+
+    def votes(self, vectors) -> np.ndarray:
+        """(n, classes) in [-1, 1] for ``vectors : (n, d)``."""
+        kernel = np.exp(-self.gamma * squared_distances(vectors, self.vectors))
+        return pair_votes(kernel @ self.weights + self.bias, len(self.classes))
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """Nearest neighbour by L2 distance: the classes, all training vectors (m, d) float16 and their labels (m,)."""
+
+    classes: tuple[str, ...]
+    vectors: np.ndarray
+    labels: np.ndarray
+    sharpness: float = 10.0
+    held_out_accuracy: float = float("nan")
+    kind = "nearest"
+
+    def votes(self, vectors) -> np.ndarray:
+        """(n, classes) in [-1, 1] for ``vectors : (n, d)``: 1 minus the squared distance to the class's nearest."""
+        return nearest_votes(squared_distances(vectors, self.vectors), self.labels, len(self.classes))
+
+
+def pair_votes(decisions, class_count: int) -> np.ndarray:
+    """From decisions of pairs (n, pairs) to votes (n, classes): the mean, over the rivals, of the clipped decision."""
+    votes = np.zeros((len(decisions), class_count))
+    column = 0
+    for i in range(class_count):
+        for j in range(i + 1, class_count):
+            clipped = np.clip(decisions[:, column], -1, 1)
+            votes[:, i] += clipped
+            votes[:, j] -= clipped
+            column += 1
+    return votes / max(class_count - 1, 1)
+
+
+def nearest_votes(squared, labels, class_count: int) -> np.ndarray:
+    """Votes of the nearest neighbour; unit vectors lie at most 2 apart, so 1 - d^2 / 2 lies in [-1, 1]."""
+    votes = np.full((len(squared), class_count), -1.0)
+    for c in range(class_count):
+        if (own := labels == c).any():
+            votes[:, c] = 1 - squared[:, own].min(1) / 2
+    return votes
+
+
+def scores(votes, sharpness: float) -> np.ndarray:
+    """Softmax of ``sharpness * votes`` over the last axis; sums to 1."""
+    z = sharpness * np.asarray(votes, np.float64)
+    e = np.exp(z - z.max(-1, keepdims=True))
+    return e / e.sum(-1, keepdims=True)
+
+
+def _fit_pairs(kernel, labels, c, class_count):
+    """Trains on a kernel matrix; gives dense weights (n, pairs) and the bias (pairs,), in libsvm's pair order."""
+    pairs = class_count * (class_count - 1) // 2
+    weights = np.zeros((len(labels), pairs), np.float32)
+    bias = np.zeros(pairs, np.float32)
+    present = np.unique(labels)
+    if len(present) < 2:
+        return weights, bias
+    machine = SVC(C=c, kernel="precomputed", cache_size=SVM_CACHE_MB).fit(kernel, labels)
+    # libsvm keeps for a support vector of class i the coefficient against class j in row j - (j > i)
+    column_of = {}
+    for i in range(class_count):
+        for j in range(i + 1, class_count):
+            column_of[i, j] = len(column_of)
+    support, dual = machine.support_, machine.dual_coef_
+    own = np.searchsorted(present, labels[support])
+    number = 0
+    for a in range(len(present)):
+        for b in range(a + 1, len(present)):
+            column = column_of[present[a], present[b]]
+            first, second = own == a, own == b
+            sign = -1.0 if len(present) == 2 else 1.0  # scikit-learn turns the sign of the two-class case
+            weights[support[first], column] = sign * dual[b - 1, first]
+            weights[support[second], column] = sign * dual[a, second]
+            bias[column] = sign * machine.intercept_[number]
+            number += 1
+    return weights, bias
+
+
+def _best_sharpness(votes, labels, objects):
+    """The softmax sharpness with the best held-out likelihood of whole objects."""
+    pooled, truth = pool_objects(votes, labels, objects)
+
+    def loss(log_sharpness):
+        p = scores(pooled, np.exp(log_sharpness))[np.arange(len(truth)), truth]
+        return -np.log(np.maximum(p, 1e-12)).mean()
+
+    # few held-out objects, all right, would ask for certainty: a cap keeps the scores honest
+    return float(np.exp(minimize_scalar(loss, bounds=np.log((1.0, 40.0)), method="bounded").x))
+
+
+def pool_objects(votes, labels, objects):
+    """Mean votes (objects, classes) and label (objects,) of the vectors that belong to the same object."""
+    _, first, number = np.unique(objects, return_index=True, return_inverse=True)
+    pooled = np.zeros((len(first), votes.shape[1]))
+    np.add.at(pooled, number, votes)
+    return pooled / np.bincount(number)[:, None], labels[first]
+
+
+def train_svm(vectors, labels, lights, objects, classes, *, seed=0, step=lambda fraction: None) -> Svm:
+    """An RBF-SVM; C and gamma by grid search, cross-validated over lights.
+
+    Parameters
+    ----------
+    vectors : (n, d) float32, unit
+    labels : (n,) int into ``classes``
+    lights : (n,), the light of each; a light is never in both halves of a split
+    objects : (n,) int, the image each vector is a window of
+    step : called with the fraction done
+    """
+    squared = squared_distances(vectors, vectors)
+    unit = 1 / max(float(np.median(squared[~np.eye(len(squared), dtype=bool)])), 1e-9) if len(squared) > 1 else 1.0
+    fold = grouped_folds(lights, seed=seed)
+    best, best_votes, best_parameters = (-1.0, 0.0), None, (10.0, unit)
+    grid = [(c, g * unit) for g in GAMMA_GRID for c in C_GRID] if fold.max() > 0 and len(classes) > 1 else []
+    for done, (c, gamma) in enumerate(grid):
+        if done % len(C_GRID) == 0:
+            kernel = np.exp(-gamma * squared)
+        votes = np.zeros((len(labels), len(classes)))
+        for f in range(fold.max() + 1):
+            test, rest = fold == f, fold != f
+            weights, bias = _fit_pairs(kernel[np.ix_(rest, rest)], labels[rest], c, len(classes))
+            votes[test] = pair_votes(kernel[np.ix_(test, rest)] @ weights + bias, len(classes))
+        own = votes[np.arange(len(labels)), labels]
+        rival = np.where(np.arange(len(classes)) == labels[:, None], -np.inf, votes).max(1)
+        quality = (float((own > rival).mean()), float((own - rival).mean()))  # ties go to the wider margin
+        if quality > best:
+            best, best_votes, best_parameters = quality, votes, (c, gamma)
+        step((done + 1) / (len(grid) + 1))
+    c, gamma = best_parameters
+    weights, bias = _fit_pairs(np.exp(-gamma * squared), labels, c, len(classes))
+    used = np.abs(weights).sum(1) > 0
+    step(1.0)
+    return Svm(
+        tuple(classes),
+        vectors[used].astype(np.float16),
+        weights[used],
+        bias,
+        gamma,
+        c,
+        _best_sharpness(best_votes, labels, objects) if grid else 10.0,
+        best[0] if grid else float("nan"),
+    )
+
+
+def train_nearest(vectors, labels, lights, objects, classes, *, seed=0, step=lambda fraction: None) -> Nearest:
+    """Nearest neighbour; parameters as of :func:`train_svm`. Held-out lights fit only the sharpness of the scores."""
+    squared = squared_distances(vectors, vectors)
+    fold = grouped_folds(lights, seed=seed)
+    sharpness, accuracy = 10.0, float("nan")
+    if fold.max() > 0 and len(classes) > 1:
+        votes = np.zeros((len(labels), len(classes)))
+        for f in range(fold.max() + 1):
+            test, rest = fold == f, fold != f
+            votes[test] = nearest_votes(squared[np.ix_(test, rest)], labels[rest], len(classes))
+        sharpness, accuracy = _best_sharpness(votes, labels, objects), float((votes.argmax(1) == labels).mean())
+    step(1.0)
+    return Nearest(tuple(classes), vectors.astype(np.float16), labels.astype(np.int32), sharpness, accuracy)

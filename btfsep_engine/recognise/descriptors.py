@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Dense colour patches and dense SIFT over the masked region of one image (the paper, section 3.2).
+
+The exposure of a photo and the colour of its light are unknown, so both are normalised before anything is
+measured: radiance is divided by the region's mean luminance, its colour is moved part of the way to grey,
+and the logarithm makes shading an offset. Only whole patches inside the mask are used.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from btfsep_engine.conventions import REC709_LUMINANCE
+from btfsep_engine.errors import InputError
+
+TAPS = 3  # a colour patch has TAPS x TAPS samples
+SIFT_LENGTH = 128
+FALLBACK_BINS = (3, 2)  # pixels; tried one after the other where the object is too small for the usual ones
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an image is described. Stored with every recogniser.
+
+    Attributes
+    ----------
+    bins : pixels, edges of one of the 4 x 4 cells of a SIFT patch; one scale each
+    sift_sigma : pixels, blur before the gradients are taken, so that the sharpness of a photo matters little
+    target : number of descriptors wished for per scale; the grid's step (1 to ``max_step`` pixels) follows
+    max_step : pixels
+    minimum : fewest descriptors with which a region is described at all
+    white_balance : 0 to 1, how far the mean colour is moved to grey (0 keeps it, 1 is grey world)
+    floor : radiance, relative to the mean luminance, added before the logarithm, so that black stays finite
+    chroma : weight of the two colour-difference samples against lightness
+    contrast : standard deviation of the log2 luminance within a patch at which its SIFT counts half
+    """
+
+    bins: tuple[int, ...] = (4, 7)
+    sift_sigma: float = 1.0
+    target: int = 1200
+    max_step: int = 8
+    minimum: int = 40
+    white_balance: float = 0.5
+    floor: float = 0.03
+    chroma: float = 2.0
+    contrast: float = 0.05
+
+
+DEFAULT = Settings()
+
+
+@dataclass(frozen=True)
+class Descriptors:
+    """What was measured at n places (a place is a position and a scale).
+
+    Attributes
+    ----------
+    colour : (n, 27) float32, 3 x 3 samples of (lightness, red-green, yellow-blue), in log2 units
+    sift : (n, 128) uint8, upright SIFT of the log luminance, as OpenCV scales it
+    contrast : (n,) float32, standard deviation of the log2 luminance within the SIFT patch
+    xy : (n, 2) float32, pixels of the whole image, centres of the patches
+    """
+
+    colour: np.ndarray
+    sift: np.ndarray
+    contrast: np.ndarray
+    xy: np.ndarray
+
+    def __len__(self):
+        return len(self.xy)
+
+    def compact(self) -> "Descriptors":
+        """The same in half floats, to be kept."""
+        return Descriptors(
+            self.colour.astype(np.float16), self.sift, self.contrast.astype(np.float16), self.xy.astype(np.float32)
+        )
+
+
+def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
+    """Opponent colours of log radiance, with exposure and part of the light's colour taken out.
+
+    Parameters
+    ----------
+    radiance : (h, w, 3) float, linear Rec.709
+    valid : (h, w) bool, pixels that are finite and in the region
+
+    Returns
+    -------
+    (h, w, 3) float32, log2 units: lightness, red - green, (red + green) / 2 - blue; 0 where not ``valid``
+    """
+    out = np.zeros(radiance.shape, np.float32)
+    colours = np.maximum(radiance[valid], 0).astype(np.float64)
+    # a few highlights must not darken all the rest: the mean is taken below the 98th percentile
+    luminance = colours @ REC709_LUMINANCE
+    ordinary = luminance <= np.percentile(luminance, 98)
+    mean_luminance = luminance[ordinary].mean()
+    if not mean_luminance > 0:
+        raise InputError("the region to recognise", "is black in the photo", "use a photo in which it is lit")
+    mean = np.maximum(colours[ordinary].mean(0), 1e-3 * mean_luminance)
+    cast = (mean / mean_luminance) ** settings.white_balance
+    logs = np.log2(colours / (mean_luminance * cast) + settings.floor)
+    red, green, blue = logs.T
+    out[valid, 0] = logs @ REC709_LUMINANCE
+    out[valid, 1] = settings.chroma * (red - green)
+    out[valid, 2] = settings.chroma * ((red + green) / 2 - blue)
+    return out
+
+
+def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise") -> Descriptors:
+    """The descriptors of one masked image.
+
+    Pixels that are not finite (mark saturated ones as NaN) are filled from their neighbours; a patch is used
+    when all of it lies in the mask and nine tenths of it are finite.
+
+    Parameters
+    ----------
+    radiance : (h, w, 3) float32, linear Rec.709, any exposure
+    mask : (h, w) bool
+    what : names the region in errors, as in "object 'bunny'"
+
+    Raises
+    ------
+    InputError
+        Where the mask holds too few whole patches.
+    """
+    radiance, mask = np.asarray(radiance, np.float32), np.asarray(mask, bool)
+    if radiance.ndim != 3 or radiance.shape[2] != 3 or mask.shape != radiance.shape[:2]:
+        raise ValueError(f"radiance (h, w, 3) and mask (h, w) do not match: {radiance.shape}, {mask.shape}")
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if not len(rows):
+        raise InputError(what, "covers no pixel of the photo", "check the camera and the mask")
+    top, left = rows[0], columns[0]
+    window = np.s_[top : rows[-1] + 1, left : columns[-1] + 1]
+    radiance, mask = radiance[window], mask[window]
+    valid = mask & np.isfinite(radiance).all(-1)
+    if not valid.any():
+        raise InputError(what, "has no finite pixel in the photo", "export the image again")
+    image = _fill(normalise(radiance, valid, settings=settings), valid)
+    parts = [_at_scale(image, mask, valid, edge, settings) for edge in settings.bins]
+    for edge in FALLBACK_BINS:
+        if sum(map(len, parts)) >= settings.minimum:
+            break
+        parts.append(_at_scale(image, mask, valid, edge, settings))
+    if (count := sum(map(len, parts))) < settings.minimum:
+        raise InputError(
+            what,
+            f"covers only {int(mask.sum())} pixels, room for {count} of the {settings.minimum} patches needed",
+            "take a closer or larger photo, or name the material in the job",
+        )
+    fields = ("colour", "sift", "contrast", "xy")
+    joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
+    joined["xy"] += np.array([left, top], np.float32)
+    return Descriptors(**joined)
+
+
+def _fill(image, valid):
+    """Pixels that are not ``valid`` take the smooth mean of those around them, so that no edge arises there."""
+    if valid.all():
+        return image
+    weights = valid.astype(np.float32)
+    out, open_ = image.copy(), ~valid
+    for sigma in (1.5, 6.0, 24.0):
+        blurred = cv2.GaussianBlur(weights, (0, 0), sigma)
+        smooth = cv2.GaussianBlur(image * weights[..., None], (0, 0), sigma)
+        reached = open_ & (blurred > 0.02)
+        out[reached] = smooth[reached] / blurred[reached][:, None]
+        open_ &= ~reached
+    out[open_] = image[valid].mean(0)
+    return out
+
+
+def _places(mask, valid, half, settings):
+    """Centres (x, y) of a regular grid of patches of edge 2 half + 1 that lie in the mask whole."""
+    # with a border of zeros a patch cannot reach beyond the image either
+    inside = cv2.erode(mask.astype(np.uint8), np.ones((2 * half + 1,) * 2, np.uint8), borderValue=0) > 0
+    finite = cv2.blur(valid.astype(np.float32), (2 * half + 1,) * 2)
+    near = cv2.erode(valid.astype(np.uint8), np.ones((TAPS, TAPS), np.uint8), borderValue=0) > 0
+    inside &= (finite > 0.9) & near
+    step = int(np.clip(np.sqrt(inside.sum() / settings.target), 1, settings.max_step))
+    grid = np.zeros_like(inside)
+    grid[half % step :: step, half % step :: step] = True
+    y, x = np.nonzero(inside & grid)
+    return x, y
+
+
+def _at_scale(image, mask, valid, edge, settings) -> Descriptors:
+    """The descriptors of one scale; ``edge`` is the edge of a SIFT cell in pixels."""
+    half = 2 * edge
+    x, y = _places(mask, valid, half, settings)
+    n = len(x)
+    if not n:
+        empty = np.zeros((0, 2), np.float32)
+        return Descriptors(
+            np.zeros((0, 3 * TAPS * TAPS), np.float32),
+            np.zeros((0, SIFT_LENGTH), np.uint8),
+            np.zeros(0, np.float32),
+            empty,
+        )
+    # colour: taps a quarter of a cell apart, on an image blurred to match
+    spread = max(1, edge // 4)
+    smooth = cv2.GaussianBlur(image, (0, 0), 0.5 * spread)
+    h, w = mask.shape
+    offsets = spread * (np.arange(TAPS) - TAPS // 2)
+    taps = [smooth[np.clip(y + dy, 0, h - 1), np.clip(x + dx, 0, w - 1)] for dy in offsets for dx in offsets]
+    # SIFT is normalised for contrast, so a flat patch would be described by its noise: the contrast is kept beside
+    lightness = image[..., 0]
+    box = (2 * half + 1,) * 2
+    local_mean = cv2.blur(lightness, box)
+    variance = cv2.blur((lightness - local_mean) ** 2, box)[y, x]
+    low, high = np.percentile(lightness[valid], (0.5, 99.5))
+    coded = np.clip((lightness - low) * (255 / max(high - low, 1e-3)), 0, 255).round().astype(np.uint8)
+    size = edge / 1.5  # OpenCV's cells are 1.5 keypoint sizes wide
+    points = [cv2.KeyPoint(float(u), float(v), size, 0.0) for u, v in zip(x, y, strict=True)]
+    kept, sift = cv2.SIFT_create(nOctaveLayers=1, sigma=settings.sift_sigma).compute(coded, points)
+    if len(kept) != n:
+        raise RuntimeError(f"OpenCV described {len(kept)} of {n} given places")
+    return Descriptors(
+        np.concatenate(taps, 1).astype(np.float32),
+        sift.astype(np.uint8),
+        np.sqrt(variance).astype(np.float32),
+        np.stack([x, y], 1).astype(np.float32) + 0.5,
+    )

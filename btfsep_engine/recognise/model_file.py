@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A recogniser in one file, and the cache of recognisers.
+
+The file is a NumPy ``.npz`` without pickled objects: arrays, and one JSON text for names, numbers and settings.
+Whatever does not fit is refused with an InputError; the cache trains again in that case.
+"""
+
+import dataclasses
+import hashlib
+import json
+import logging
+import os
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import platformdirs
+
+from btfsep_engine import atomic
+from btfsep_engine.errors import InputError
+from btfsep_engine.recognise.classifier import Nearest, Svm
+from btfsep_engine.recognise.descriptors import Settings
+from btfsep_engine.recognise.recogniser import Recogniser
+from btfsep_engine.recognise.vlad import Encoder, Encoding
+
+log = logging.getLogger("btfsep")
+FORMAT = "btfsep-recogniser"
+VERSION = 1
+ENVIRONMENT = "BTFSEP_CACHE"  # names another folder for the cache
+
+
+def save(path, recogniser: Recogniser) -> None:
+    """Writes ``recogniser`` to ``path`` (.npz), whole or not at all. InputError where it cannot be written."""
+    model, encoder = recogniser.model, recogniser.encoder
+    arrays = {
+        "encoder.colour": encoder.colour,
+        "encoder.sift": encoder.sift,
+        "encoder.sift_mean": encoder.sift_mean,
+        "encoder.sift_axes": encoder.sift_axes,
+        "known": recogniser.known,
+        "model.vectors": model.vectors,
+    }
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "settings": dataclasses.asdict(recogniser.settings),
+        "encoding": dataclasses.asdict(encoder.encoding),
+        "half_contrast": encoder.half_contrast,
+        "known_distance": recogniser.known_distance,
+        "kind": model.kind,
+        "classes": list(model.classes),
+        "sharpness": model.sharpness,
+        "held_out_accuracy": model.held_out_accuracy,
+    }
+    if isinstance(model, Svm):
+        header |= {"gamma": model.gamma, "c": model.c}
+        arrays |= {"model.weights": model.weights, "model.bias": model.bias}
+    else:
+        arrays["model.labels"] = model.labels
+    with atomic.replacing(path) as scratch, open(scratch, "wb") as file:
+        np.savez(file, header=np.array(json.dumps(header)), **arrays)
+
+
+def load(path) -> Recogniser:
+    """Reads a recogniser.
+
+    Raises
+    ------
+    InputError
+        No such file, not one of ours, another version, damaged, or arrays that do not fit each other.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            header = json.loads(str(archive["header"][()]))
+            if header["format"] != FORMAT or header["version"] != VERSION:
+                raise _bad(path, f"is {header['format']} version {header['version']}, not {FORMAT} version {VERSION}")
+            arrays = {name: archive[name] for name in archive.files if name != "header"}
+        return _assemble(header, arrays)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}", "no such file", "run 'btfsep train' first") from error
+    except OSError as error:
+        raise _bad(path, error.strerror or "cannot be read") from error
+    except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise _bad(path, "is damaged or not a recogniser") from error
+
+
+def _bad(path, got):
+    return InputError(f"{path}", got, "delete it and run 'btfsep train' again")
+
+
+def _assemble(header, arrays) -> Recogniser:
+    """A Recogniser of what a file held; ValueError, KeyError or TypeError where it does not fit."""
+
+    def array(name, *shape):
+        a = arrays[name]
+        fits = a.ndim == len(shape) and all(want in (None, n) for want, n in zip(shape, a.shape, strict=True))
+        if not fits or a.dtype.kind not in "fi" or not np.isfinite(a).all():
+            raise ValueError(f"{name} has shape {a.shape} and type {a.dtype}")
+        return a
+
+    settings = Settings(**header["settings"] | {"bins": tuple(int(b) for b in header["settings"]["bins"])})
+    encoding = Encoding(**header["encoding"])
+    colour = array("encoder.colour", encoding.colour_words, None)
+    sift = array("encoder.sift", encoding.sift_words, None)
+    mean = array("encoder.sift_mean", None)
+    axes = array("encoder.sift_axes", len(mean), sift.shape[1])
+    encoder = Encoder(colour, sift, mean, axes, float(header["half_contrast"]), encoding)
+    classes = tuple(str(name) for name in header["classes"])
+    if not classes or len(set(classes)) < len(classes):
+        raise ValueError("names of materials are missing or repeat")
+    vectors = array("model.vectors", None, encoder.length)
+    common = {"sharpness": float(header["sharpness"]), "held_out_accuracy": float(header["held_out_accuracy"])}
+    if header["kind"] == "svm":
+        pairs = len(classes) * (len(classes) - 1) // 2
+        weights, bias = array("model.weights", len(vectors), pairs), array("model.bias", pairs)
+        model = Svm(classes, vectors, weights, bias, float(header["gamma"]), float(header["c"]), **common)
+    elif header["kind"] == "nearest":
+        labels = array("model.labels", len(vectors))
+        if len(labels) and not (0 <= labels.min() and labels.max() < len(classes)):
+            raise ValueError("labels out of range")
+        model = Nearest(classes, vectors, labels, **common)
+    else:
+        raise ValueError(f"unknown classifier {header['kind']}")
+    known = array("known", None, encoder.length)
+    if not len(known):
+        raise ValueError("no training vectors")
+    return Recogniser(settings, encoder, model, known, float(header["known_distance"]))
+
+
+def cache_folder() -> Path:
+    """Where recognisers are kept: $BTFSEP_CACHE, or the user's cache folder of this platform."""
+    named = os.environ.get(ENVIRONMENT)
+    return Path(named).expanduser() if named else Path(platformdirs.user_cache_dir("btfsep", appauthor=False))
+
+
+def digest(*parts) -> str:
+    """A key of content: texts, numbers, dataclasses, bytes, arrays, None, and lists and tuples of these."""
+    h = hashlib.sha256()
+
+    def feed(part):
+        if isinstance(part, np.ndarray):
+            data = np.ascontiguousarray(part)
+            h.update(f"array {data.dtype.str} {data.shape};".encode())
+            h.update(data.tobytes())
+        elif isinstance(part, bytes):
+            h.update(f"bytes {len(part)};".encode() + part)
+        elif isinstance(part, list | tuple):
+            h.update(f"list {len(part)};".encode())
+            for item in part:
+                feed(item)
+        elif part is None or isinstance(part, str | int | float | bool):
+            h.update(f"{type(part).__name__} {part!r};".encode())
+        elif dataclasses.is_dataclass(part):
+            h.update(f"{type(part).__name__};".encode())
+            feed([item for f in dataclasses.fields(part) for item in (f.name, getattr(part, f.name))])
+        else:
+            raise TypeError(f"no digest of a {type(part).__name__}")
+
+    feed(list(parts))
+    return h.hexdigest()
+
+
+def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recogniser:
+    """The recogniser of ``key``: from the cache, or made now and put there.
+
+    A damaged or older file is replaced silently. Two processes may do it at once: both may train, each file
+    appears whole, the last one stays. A cache that cannot be written is no error; the recogniser is made each time.
+
+    Parameters
+    ----------
+    key : says all that the recogniser depends on; see :func:`digest`
+    make : trains it
+    folder : instead of :func:`cache_folder`
+    """
+    name = digest(FORMAT, VERSION, Settings(), Encoding(), key)[:32]
+    path = Path(folder or cache_folder()) / f"recogniser-{name}.npz"
+    if path.exists():
+        try:
+            return load(path)
+        except InputError as error:
+            log.info("recogniser trained again: %s", error)
+    recogniser = make()
+    try:
+        save(path, recogniser)
+    except InputError as error:
+        log.info("recogniser not kept: %s", error)
+    return recogniser

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A trained recogniser and its answer."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.recognise import descriptors as dense
+from btfsep_engine.recognise.classifier import Nearest, Svm, scores, squared_distances
+from btfsep_engine.recognise.vlad import Encoder
+
+
+@dataclass(frozen=True)
+class Region:
+    """A local region (window) of an object.
+
+    Attributes
+    ----------
+    box : pixels, (x0, y0, x1, y1) around the centres of its patches
+    material : the most likely one, judged by this window alone
+    score : its score in [0, 1]
+    """
+
+    box: tuple[float, float, float, float]
+    material: str
+    score: float
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """What an object was recognised as.
+
+    Attributes
+    ----------
+    material : the best candidate's name
+    candidates : (name, score in [0, 1]) of every known material, best first; the scores sum to 1
+    unknown : whether the object looks like none of the known materials; ``material`` is then only the nearest
+    unknown_score : distance to the nearest training image over the largest that is usual between images of the
+        same library under different lights; above 1 is unknown
+    regions : the object's windows, each judged alone
+    """
+
+    material: str
+    candidates: tuple[tuple[str, float], ...]
+    unknown: bool
+    unknown_score: float
+    regions: tuple[Region, ...]
+
+
+@dataclass(frozen=True)
+class Recogniser:
+    """Everything needed to recognise.
+
+    Attributes
+    ----------
+    settings : how images are described
+    encoder : dictionaries
+    model : the classifier
+    known : (m, d) float16, the VLAD vectors of all whole training images
+    known_distance : L2 distance to the nearest of these from which on a material is judged unknown
+    """
+
+    settings: dense.Settings
+    encoder: Encoder
+    model: Svm | Nearest
+    known: np.ndarray
+    known_distance: float
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """The names it can answer with."""
+        return self.model.classes
+
+    def recognise(self, radiance, mask, *, what: str = "the region to recognise") -> Recognition:
+        """The material of the masked region of a photo.
+
+        Parameters
+        ----------
+        radiance : (h, w, 3) float, linear Rec.709, any exposure; NaN where a pixel is unusable (saturated)
+        mask : (h, w) bool
+        what : names the region in errors, as in "object 'bunny'"
+
+        Raises
+        ------
+        InputError
+            Where the region is too small, black or without finite pixels.
+        """
+        described = dense.extract(radiance, mask, settings=self.settings, what=what)
+        vectors, boxes = self.encoder.encode(described)
+        votes = self.model.votes(vectors)
+        pooled = scores(votes.mean(0), self.model.sharpness)
+        order = np.argsort(-pooled, kind="stable")
+        names = self.model.classes
+        alone = scores(votes[:-1], self.model.sharpness)
+        regions = tuple(
+            Region(tuple(float(v) for v in box), names[int(p.argmax())], float(p.max()))
+            for box, p in zip(boxes[:-1], alone, strict=True)
+        )
+        distance = float(np.sqrt(squared_distances(vectors[-1:], self.known).min()))
+        ratio = distance / self.known_distance if self.known_distance > 0 else float(distance > 0)
+        return Recognition(
+            names[order[0]], tuple((names[i], float(pooled[i])) for i in order), ratio > 1, ratio, regions
+        )

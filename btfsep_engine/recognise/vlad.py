@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Dictionaries of visual words and the VLAD vector (Jegou et al. 2010; the paper's eq. 2).
+
+    v_j = sum over the x_i whose nearest word is c_j of (x_i - c_j),   v = [v_1, ..., v_k]
+
+A region's vector joins the VLAD of its colour patches and of its SIFT, each normalised on its own so that
+neither outweighs the other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from sklearn.cluster import KMeans
+
+COLOUR_WORDS = 150
+SIFT_WORDS = 250
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How VLAD vectors are normalised and how many words there are. Stored with every recogniser.
+
+    Attributes
+    ----------
+    colour_words, sift_words : sizes of the dictionaries
+    sift_components : SIFT is projected to this many principal components first; 0 keeps all 128
+    power : the signed power each entry is raised to before the L2 normalisation; 1 is plain VLAD. The default,
+        1/2, keeps words that repeat ("bursty" texture) from outweighing the rest (Perronnin et al. 2010)
+    colour_weight : share, 0 to 1, of the colour part in the squared length of the joined vector
+    windows : local regions (windows) that an object is divided into, a power of two
+    """
+
+    colour_words: int = COLOUR_WORDS
+    sift_words: int = SIFT_WORDS
+    sift_components: int = 40
+    power: float = 0.5
+    colour_weight: float = 0.5
+    windows: int = 4
+
+
+DEFAULT = Encoding()
+
+
+def learn_words(points, count, *, seed=0) -> np.ndarray:
+    """A dictionary by k-means.
+
+    Parameters
+    ----------
+    points : (n, d) float
+    count : words wanted; where there are no more points than that, each is a word and the rest lie out of reach
+
+    Returns
+    -------
+    (count, d) float32
+    """
+    points = np.ascontiguousarray(points, np.float32)
+    if len(points) <= count:
+        words = np.full((count, points.shape[1]), 1e6, np.float32)
+        words[: len(points)] = points
+        return words
+    means = KMeans(count, init="random", n_init=1, max_iter=25, tol=1e-3, random_state=seed).fit(points)
+    return means.cluster_centers_.astype(np.float32)
+
+
+def nearest_word(points, words) -> np.ndarray:
+    """(n,) int, the index of the nearest of ``words : (k, d)`` for each of ``points : (n, d)``, by L2."""
+    return ((words * words).sum(1) - 2 * (points @ words.T)).argmin(1)
+
+
+def aggregate(points, words, groups, group_count: int) -> np.ndarray:
+    """Plain VLAD sums (eq. 2), one row per group.
+
+    Parameters
+    ----------
+    points : (n, d) float32
+    words : (k, d) float32
+    groups : (n,) int in [0, group_count)
+
+    Returns
+    -------
+    (group_count, k, d) float32
+    """
+    k, d = words.shape
+    word = nearest_word(points, words)
+    cells = np.asarray(groups, np.int64) * k + word
+    ones = np.ones(len(points), np.float32)
+    choose = csr_matrix((ones, (cells, np.arange(len(points)))), shape=(group_count * k, len(points)))
+    return np.asarray(choose @ (points - words[word]), np.float32).reshape(group_count, k, d)
+
+
+def normalise(vectors, power: float) -> np.ndarray:
+    """Signed power, then unit L2 length: (m, ...) to (m, d) float32; a zero vector stays zero."""
+    flat = vectors.reshape(len(vectors), -1)
+    flat = np.sign(flat) * np.abs(flat) ** power
+    return flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
+
+
+def split_windows(xy, count: int) -> np.ndarray:
+    """Divides an object into local regions holding about the same number of descriptors each.
+
+    The positions are halved at the median of their longer side again and again, so that windows follow the
+    object's shape and none is empty.
+
+    Parameters
+    ----------
+    xy : (n, 2) float
+    count : a power of two
+
+    Returns
+    -------
+    (n,) int, the window of each
+    """
+    window = np.zeros(len(xy), np.int64)
+    parts = [np.arange(len(xy))]
+    while len(parts) < count:
+        halves = []
+        for part in parts:
+            axis = int(np.ptp(xy[part], axis=0).argmax()) if len(part) else 0
+            order = part[np.argsort(xy[part, axis], kind="stable")]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        parts = halves
+    for number, part in enumerate(parts):
+        window[part] = number
+    return window
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """From descriptors to unit vectors: both dictionaries and the SIFT projection.
+
+    Attributes
+    ----------
+    colour : (150, 27) float32, words
+    sift : (250, c) float32, words, in the projected space
+    sift_mean : (128,) float32; sift_axes : (128, c) float32
+    half_contrast : log2 units, see ``descriptors.Settings.contrast``
+    """
+
+    colour: np.ndarray
+    sift: np.ndarray
+    sift_mean: np.ndarray
+    sift_axes: np.ndarray
+    half_contrast: float
+    encoding: Encoding
+
+    @property
+    def length(self) -> int:
+        """Entries of a VLAD vector."""
+        return self.colour.size + self.sift.size
+
+    def project_sift(self, sift, contrast) -> np.ndarray:
+        """(n, c) float32: square roots of L1-normalised SIFT, damped where there is little contrast, projected."""
+        return (root_sift(sift, contrast, self.half_contrast) - self.sift_mean) @ self.sift_axes
+
+    def encode(self, descriptors, *, windows: int | None = None):
+        """The VLAD vectors of an object: one per window, then that of the whole object.
+
+        Returns
+        -------
+        vectors : (windows + 1, length) float32, unit; the last row is the whole object
+        boxes : (windows + 1, 4) float32, pixels, x0 y0 x1 y1 around the centres of their patches
+        """
+        count = self.encoding.windows if windows is None else windows
+        window = split_windows(descriptors.xy, count)
+        parts = []
+        for points, words, weight in (
+            (np.asarray(descriptors.colour, np.float32), self.colour, self.encoding.colour_weight),
+            (self.project_sift(descriptors.sift, descriptors.contrast), self.sift, 1 - self.encoding.colour_weight),
+        ):
+            sums = aggregate(points, words, window, count)
+            sums = np.concatenate([sums, sums.sum(0, keepdims=True)])
+            parts.append(np.sqrt(weight) * normalise(sums, self.encoding.power))
+        boxes = [_box(descriptors.xy[window == i]) for i in range(count)] + [_box(descriptors.xy)]
+        return np.concatenate(parts, 1).astype(np.float32), np.array(boxes, np.float32)
+
+
+def _box(xy):
+    return (*xy.min(0), *xy.max(0)) if len(xy) else (0, 0, 0, 0)
+
+
+def root_sift(sift, contrast, half_contrast: float) -> np.ndarray:
+    """Square roots of L1-normalised SIFT (Arandjelovic and Zisserman 2012), weighted by contrast.
+
+    Parameters
+    ----------
+    sift : (n, 128) uint8; contrast : (n,) float
+
+    Returns
+    -------
+    (n, 128) float32, of length contrast / (contrast + half_contrast)
+    """
+    x = np.asarray(sift, np.float32)
+    c = np.asarray(contrast, np.float32)
+    scale = c / np.maximum(c + half_contrast, 1e-12)
+    return np.sqrt(x / np.maximum(x.sum(1, keepdims=True), 1e-12)) * scale[:, None]
+
+
+def learn_encoder(colour, sift, contrast, *, half_contrast, encoding=DEFAULT, seed=0) -> Encoder:
+    """Both dictionaries from a sample of descriptors.
+
+    Parameters
+    ----------
+    colour : (n, 27) float; sift : (n, 128) uint8; contrast : (n,) float
+    """
+    roots = root_sift(sift, contrast, half_contrast)
+    mean = roots.mean(0)
+    axes = np.eye(roots.shape[1], dtype=np.float32)
+    if encoding.sift_components:
+        centred = roots - mean
+        _, vectors = np.linalg.eigh(centred.T.astype(np.float64) @ centred)
+        axes = np.ascontiguousarray(vectors[:, ::-1][:, : encoding.sift_components], np.float32)
+    return Encoder(
+        learn_words(colour, encoding.colour_words, seed=seed),
+        learn_words((roots - mean) @ axes, encoding.sift_words, seed=seed),
+        mean.astype(np.float32),
+        axes,
+        float(half_contrast),
+        encoding,
+    )
