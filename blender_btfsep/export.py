@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A scene as a job folder: photo, camera, meshes, and job.json, which is written last (``docs/formats.md``)."""
+
+import json
+import re
+from pathlib import Path
+
+import bpy
+
+from . import camera as pinhole
+from . import meshes, photo, ply
+from .errors import InputError
+
+JOB_FILE = "job.json"
+
+
+def export_job(
+    context_or_scene, folder, *, image_path, camera=None, objects, occluders=None, materials=None, exposure_ev=0.0
+) -> Path:
+    """Writes a job.
+
+    Parameters
+    ----------
+    context_or_scene : bpy.types.Context or Scene
+    folder : the job's folder; made if need be; an earlier job there is replaced
+    image_path : path of the photo, or a bpy.types.Image
+    camera : camera object, None for the scene's
+    objects : list of objects to fit
+    occluders : list of objects that only cast shadows; None for all others that the render shows
+    materials : dict, object name -> name in the library; what is absent is to be recognised
+    exposure_ev : the photo's exposure in stops
+
+    Returns
+    -------
+    Path of ``job.json``.
+
+    Raises
+    ------
+    InputError
+    """
+    scene = context_or_scene if isinstance(context_or_scene, bpy.types.Scene) else context_or_scene.scene
+    view_layer = getattr(context_or_scene, "view_layer", None) or scene.view_layers[0]
+    camera = camera or scene.camera
+    if camera is None or camera.type != "CAMERA":
+        raise InputError("the camera", "the scene has none", "add the camera that took the photo")
+    objects = list(objects)
+    if not objects:
+        raise InputError("the objects", "none is chosen", "choose the objects that the photo shows")
+    for thing in objects:
+        if thing.type not in meshes.SURFACE_TYPES:
+            raise InputError(f"object '{thing.name}'", f"it is a {thing.type.lower()}", "choose objects with a surface")
+    folder = _prepare(folder)
+
+    touched = set(objects) | {o for o in scene.objects if occluders is None or o in occluders}
+    with meshes.render_modifiers(touched):
+        view_layer.update()
+        depsgraph = view_layer.depsgraph
+        size_name = photo.put(image_path, folder)
+        file_name, colorspace, size = size_name
+        evaluated = camera.evaluated_get(depsgraph)
+        lens = pinhole.for_photo(scene, evaluated, size)
+        lens["to_world"] = pinhole.to_world(evaluated).tolist()
+        shadowing = meshes.render_occluders(scene, depsgraph, objects) if occluders is None else list(occluders)
+        shadowing = [thing for thing in shadowing if thing not in objects]
+        gathered = meshes.gather(depsgraph, objects + shadowing)
+
+    names = _FileNames()
+    fitted = []
+    for thing in objects:
+        if thing.name_full not in gathered:
+            raise InputError(
+                f"object '{thing.name}'", "it has no faces that the view layer shows", "unhide it or choose another"
+            )
+        part = gathered[thing.name_full]
+        fitted.append(
+            {
+                "name": thing.name,
+                "mesh": _write(folder, names.of(thing.name), part),
+                "to_world": None,
+                "mask": None,
+                "material": (materials or {}).get(thing.name) or None,
+                "uv": "xatlas",
+            }
+        )
+    casting = [
+        {"mesh": _write(folder, names.of(thing.name), gathered[thing.name_full]), "to_world": None}
+        for thing in shadowing
+        if thing.name_full in gathered
+    ]
+    units = scene.unit_settings
+    job = {
+        "format": "btfsep-job",
+        "version": 1,
+        "image": file_name,
+        "image_colorspace": colorspace,
+        "exposure_ev": float(exposure_ev),
+        "camera": lens,
+        "objects": fitted,
+        "occluders": casting,
+        "depth": None,
+        "metres_per_unit": 1.0 if units.system == "NONE" else units.scale_length,
+    }
+    ply.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
+    return folder / JOB_FILE
+
+
+def _prepare(folder) -> Path:
+    """Makes the folder and takes an older job.json away, so that no half of a job can be taken for one."""
+    folder = Path(bpy.path.abspath(str(folder))).resolve()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / JOB_FILE).unlink(missing_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"the folder {folder}", error.strerror or str(error), "choose a folder that can be written"
+        ) from error
+    return folder
+
+
+class _FileNames:
+    """Names of files that any system can hold, each once."""
+
+    def __init__(self):
+        self.taken = set()
+
+    def of(self, name: str) -> str:
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:60] or "mesh"
+        unique, count = stem, 1
+        while unique.lower() in self.taken:
+            count += 1
+            unique = f"{stem}_{count}"
+        self.taken.add(unique.lower())
+        return f"{unique}.ply"
+
+
+def _write(folder: Path, name: str, part: dict) -> str:
+    ply.write(folder / name, part["positions"], part["normals"], part["vertex"], corner_uv=part["uv"])
+    return name

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads ``lighting.json`` in plain Python. The file may come from anywhere, so everything is checked."""
+
+import json
+import math
+from pathlib import Path
+
+from .errors import InputError
+from .harmonics import term_count
+
+FORMAT, VERSION = "btfsep-lighting", 1
+MAX_ORDER = 32
+MAX_BYTES = 8 << 20
+_REMEDY = "export the lighting again with BTFsep"
+
+
+def read(path) -> dict:
+    """The lighting in the file ``path``, validated.
+
+    Returns
+    -------
+    dict with "order" (int), "coefficients" ((order + 1)^2 rows of 3 floats, linear Rec.709 radiance),
+    "stddev" (same shape, or None), "determined" (list of bool, or None), "exposure_ev" (float)
+
+    Raises
+    ------
+    InputError
+    """
+    path = Path(path)
+    name = path.name
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(name, "the file is larger than any lighting", _REMEDY)
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(name, error.strerror or str(error), "choose a lighting.json that can be read") from None
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise InputError(name, f"not JSON ({error})", _REMEDY) from None
+    return validate(data, name)
+
+
+def validate(data, name: str = "the lighting") -> dict:
+    """``data`` as :func:`read` returns it. ``name`` stands in the error. Raises InputError."""
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        raise InputError(name, "this is not a BTFsep lighting", "choose the lighting.json that an estimate wrote")
+    if data.get("version") != VERSION:
+        raise InputError(name, f"version {data.get('version')!r} of the format", "update the BTFsep add-on")
+    if data.get("basis") != "real-sh":
+        raise InputError(name, f"the basis is {data.get('basis')!r}, not 'real-sh'", _REMEDY)
+    if data.get("frame", "blender-z-up") != "blender-z-up":
+        raise InputError(name, f"the frame is {data.get('frame')!r}, not 'blender-z-up'", _REMEDY)
+    order = data.get("order")
+    if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= MAX_ORDER:
+        raise InputError(name, f"the order is {order!r}, not a whole number from 0 to {MAX_ORDER}", _REMEDY)
+    coefficients = _rows(data.get("coefficients"), order, name, "coefficients")
+    stddev = data.get("stddev")
+    if stddev is not None:
+        stddev = _rows(stddev, order, name, "stddev")
+    determined = data.get("determined")
+    if determined is not None:
+        if not isinstance(determined, list) or len(determined) != term_count(order):
+            raise InputError(name, "'determined' does not have one entry a coefficient", _REMEDY)
+        determined = [bool(value) for value in determined]
+    exposure = data.get("exposure_ev", 0.0)
+    if not _is_number(exposure):
+        raise InputError(name, f"'exposure_ev' is {exposure!r}, not a number", _REMEDY)
+    return {
+        "order": order,
+        "coefficients": coefficients,
+        "stddev": stddev,
+        "determined": determined,
+        "exposure_ev": float(exposure),
+    }
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _rows(rows, order: int, name: str, key: str) -> list:
+    wanted = term_count(order)
+    if not isinstance(rows, list) or len(rows) != wanted:
+        got = f"{len(rows)} rows" if isinstance(rows, list) else "no list"
+        raise InputError(name, f"'{key}' has {got}, order {order} needs {wanted}", _REMEDY)
+    for index, row in enumerate(rows):
+        if not isinstance(row, list) or len(row) != 3 or not all(_is_number(value) for value in row):
+            raise InputError(name, f"row {index} of '{key}' is not three finite numbers", _REMEDY)
+    return [[float(value) for value in row] for row in rows]

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender objects as triangles in world space, modifiers applied as a render would apply them."""
+
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+
+SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+
+
+def triangles_of_mesh(mesh, matrix) -> dict | None:
+    """The triangles of an evaluated ``bpy.types.Mesh`` under ``matrix : (4, 4)``.
+
+    Returns
+    -------
+    dict with "positions" (f, 3, 3) float64, "normals" (f, 3, 3) float64 unit (smooth, flat or custom, as shown),
+    "vertex" (f, 3) int, "uv" (f, 3, 2) float32 or None (the UV map that is active for rendering); None if there
+    are no faces. Corners run counter-clockwise seen from outside, also under a mirroring matrix.
+    """
+    mesh.calc_loop_triangles()
+    faces = len(mesh.loop_triangles)
+    if not faces:
+        return None
+    loops = np.empty(3 * faces, np.int32)
+    mesh.loop_triangles.foreach_get("loops", loops)
+    vertex = np.empty(3 * faces, np.int32)
+    mesh.loop_triangles.foreach_get("vertices", vertex)
+    points = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", points)
+    normals = np.empty(3 * len(mesh.loops), np.float32)
+    mesh.corner_normals.foreach_get("vector", normals)
+
+    matrix = np.asarray(matrix, np.float64)
+    linear = matrix[:3, :3]
+    world = points.reshape(-1, 3).astype(np.float64) @ linear.T + matrix[:3, 3]
+    # Normals turn with the cofactor matrix, det(M) M^-T, without its sign: outward stays outward when mirrored.
+    cofactor = np.array([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+    mirrored = np.linalg.det(linear) < 0
+    turned = normals.reshape(-1, 3).astype(np.float64) @ (-cofactor if mirrored else cofactor).T
+    length = np.linalg.norm(turned, axis=1, keepdims=True)
+    turned = np.divide(turned, length, out=np.zeros_like(turned), where=length > 0)
+
+    uv = None
+    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    if layer is not None:
+        flat = np.empty(2 * len(mesh.loops), np.float32)
+        layer.uv.foreach_get("vector", flat)
+        uv = flat.reshape(-1, 2)[loops].reshape(-1, 3, 2)
+    result = {
+        "positions": world[vertex].reshape(-1, 3, 3),
+        "normals": turned[loops].reshape(-1, 3, 3),
+        "vertex": vertex.reshape(-1, 3).astype(np.int64),
+        "uv": uv,
+    }
+    if mirrored:
+        result = {key: None if value is None else value[:, ::-1] for key, value in result.items()}
+    return result
+
+
+def joined(parts: list[dict]) -> dict:
+    """Several meshes as one. Texture coordinates are kept only where all have them."""
+    if len(parts) == 1:
+        return parts[0]
+    offset, vertex = 0, []
+    for part in parts:
+        vertex.append(part["vertex"] + offset)
+        offset += int(part["vertex"].max()) + 1
+    whole = {key: np.concatenate([part[key] for part in parts]) for key in ("positions", "normals")}
+    whole["vertex"] = np.concatenate(vertex)
+    has_uv = all(part["uv"] is not None for part in parts)
+    whole["uv"] = np.concatenate([part["uv"] for part in parts]) if has_uv else None
+    return whole
+
+
+def gather(depsgraph, owners) -> dict:
+    """The triangles of each object in ``owners`` (original objects), with all that it instances.
+
+    Returns
+    -------
+    dict, object name -> dict as triangles_of_mesh gives; objects without faces are absent
+    """
+    wanted = {owner.name_full for owner in owners}
+    parts: dict[str, list] = {}
+    for instance in depsgraph.object_instances:
+        owner = (instance.parent if instance.is_instance else instance.object).original
+        if owner.name_full not in wanted or not instance.show_self:
+            continue
+        evaluated = instance.object
+        if evaluated.type not in SURFACE_TYPES:
+            continue
+        mesh = evaluated.to_mesh()
+        if mesh is None:
+            continue
+        part = triangles_of_mesh(mesh, instance.matrix_world)
+        evaluated.to_mesh_clear()
+        if part is not None:
+            parts.setdefault(owner.name_full, []).append(part)
+    return {name: joined(list_of) for name, list_of in parts.items()}
+
+
+def render_occluders(scene, depsgraph, excluded) -> list:
+    """The objects that a render shows and that cast shadows, without those in ``excluded``. Original objects."""
+    excluded = set(excluded)
+    found = {}
+    for instance in depsgraph.object_instances:
+        owner = (instance.parent if instance.is_instance else instance.object).original
+        if owner in excluded or owner.hide_render or not owner.visible_shadow:
+            continue
+        if instance.object.type in SURFACE_TYPES:
+            found[owner.name_full] = owner
+    return [found[name] for name in sorted(found)]
+
+
+@contextmanager
+def render_modifiers(objects):
+    """While it lasts, the viewport shows the modifiers of ``objects`` as a render would: switches and levels."""
+    changed = []
+
+    def put(modifier, name, value):
+        old = getattr(modifier, name)
+        if old != value:
+            changed.append((modifier, name, old))
+            setattr(modifier, name, value)
+
+    try:
+        for thing in objects:
+            if thing.library is not None:
+                continue  # linked from another file: as that file shows it
+            for modifier in thing.modifiers:
+                put(modifier, "show_viewport", modifier.show_render)
+                if isinstance(modifier, bpy.types.SubsurfModifier | bpy.types.MultiresModifier):
+                    put(modifier, "levels", modifier.render_levels)
+        yield
+    finally:
+        for modifier, name, old in reversed(changed):
+            setattr(modifier, name, old)

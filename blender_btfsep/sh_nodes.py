@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Builds the node group that evaluates a lighting in spherical harmonics, coefficients visible as its inputs."""
+
+import bpy
+
+from . import harmonics
+
+GROUP_NAME = "BTFsep SH Lighting"
+GROUP_TAG = "btfsep_sh_group"
+MAX_NODE_ORDER = 9
+"""Highest order that is written as nodes (100 coefficients); a test renders it with Cycles."""
+
+COLUMNS = 12  # nodes a row of the layout
+
+
+class _Builder:
+    """Makes nodes, left to right in rows, in the order in which they are to be computed.
+
+    Cycles generates code in the order of creation and frees a value after its last user, so creating each user
+    right after what it uses keeps its stack (255 floats) nearly empty. For the same reason no float is linked to
+    a vector socket: such links become hidden conversion nodes that Cycles computes all at once.
+    """
+
+    def __init__(self, tree):
+        self.tree, self.count = tree, 0
+
+    def node(self, kind: str, label: str = ""):
+        node = self.tree.nodes.new(kind)
+        node.location = (200 * (self.count % COLUMNS), -200 * (self.count // COLUMNS))
+        node.hide = True
+        node.label = label
+        self.count += 1
+        return node
+
+    def feed(self, socket, value) -> None:
+        """Links ``value`` (an output socket or a _Scalar) to ``socket``, or sets it there if it is a number."""
+        if isinstance(value, _Scalar):
+            value = value.socket
+        if isinstance(value, bpy.types.NodeSocket):
+            self.tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+
+    def math(self, operation: str, *operands, label: str = ""):
+        node = self.node("ShaderNodeMath", label)
+        node.operation = operation
+        for socket, operand in zip(node.inputs, operands, strict=False):
+            self.feed(socket, operand)
+        return _Scalar(self, node.outputs[0])
+
+    def vector(self, operation: str, *operands, scale=None, label: str = ""):
+        node = self.node("ShaderNodeVectorMath", label)
+        node.operation = operation
+        for socket, operand in zip(node.inputs, operands, strict=False):
+            self.feed(socket, operand)
+        if scale is not None:
+            self.feed(node.inputs["Scale"], scale)
+        return node.outputs["Vector"]
+
+
+class _Scalar:
+    """A float socket with arithmetic: harmonics.terms works on it as it does on arrays."""
+
+    def __init__(self, builder: _Builder, socket):
+        self.builder, self.socket = builder, socket
+
+    def __mul__(self, other):
+        if isinstance(other, float) and other == 1.0:
+            return self
+        return self.builder.math("MULTIPLY", self, other)
+
+    __rmul__ = __mul__
+
+    def __add__(self, other):
+        return self.builder.math("ADD", self, other)
+
+    def __sub__(self, other):
+        return self.builder.math("SUBTRACT", self, other)
+
+
+def coefficient_name(l: int, m: int) -> str:
+    """The name of a coefficient's input, as "Y 2 -1"."""
+    return f"Y {l} {m:+d}" if m else f"Y {l} 0"
+
+
+def build_group(order: int) -> bpy.types.ShaderNodeTree:
+    """A new node group of ``order`` (0 to MAX_NODE_ORDER).
+
+    Inputs: Strength; Rotation (radians, turns the light counter-clockwise about +Z as seen from above);
+    Clamp Negative; one vector a coefficient (red, green, blue; may be negative). Output: Color, linear radiance
+    along the direction in which the World is looked at.
+    """
+    if not 0 <= order <= MAX_NODE_ORDER:
+        raise ValueError(f"order {order} is not in 0 to {MAX_NODE_ORDER}")
+    tree = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
+    tree[GROUP_TAG] = order
+    _interface(tree, order)
+    build = _Builder(tree)
+
+    inputs = build.node("NodeGroupInput")
+    generated = build.node("ShaderNodeTexCoord").outputs["Generated"]
+    unit = build.vector("NORMALIZE", generated, label="direction")
+    turn = build.math("MULTIPLY", inputs.outputs["Rotation"], -1.0)
+    rotate = build.node("ShaderNodeVectorRotate", "turned back")
+    rotate.rotation_type = "Z_AXIS"
+    build.feed(rotate.inputs["Vector"], unit)
+    build.feed(rotate.inputs["Angle"], turn)
+    separate = build.node("ShaderNodeSeparateXYZ", "x, y, z")
+    build.feed(separate.inputs[0], rotate.outputs[0])
+    x, y, z = (_Scalar(build, socket) for socket in separate.outputs)
+
+    total = None
+    for l, m, value in harmonics.terms(order, x, y, z):
+        name = coefficient_name(l, m)
+        if isinstance(value, _Scalar):
+            value.socket.node.label = name
+        term = build.vector("SCALE", inputs.outputs[name], scale=value)
+        total = term if total is None else build.vector("ADD", total, term)
+
+    above = build.vector("MAXIMUM", total, (0.0, 0.0, 0.0), label="not negative")
+    clamp = build.node("ShaderNodeMix", "clamp negative")
+    clamp.data_type = "VECTOR"
+    by_kind = {(socket.name, socket.type): socket for socket in clamp.inputs}
+    build.feed(by_kind["Factor", "VALUE"], inputs.outputs["Clamp Negative"])
+    build.feed(by_kind["A", "VECTOR"], total)
+    build.feed(by_kind["B", "VECTOR"], above)
+    mixed = next(socket for socket in clamp.outputs if socket.type == "VECTOR")
+    strong = build.vector("SCALE", mixed, scale=inputs.outputs["Strength"], label="strength")
+    build.feed(build.node("NodeGroupOutput").inputs["Color"], strong)
+    return tree
+
+
+def _interface(tree, order: int) -> None:
+    face = tree.interface
+    face.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor", description="Linear Rec.709 radiance")
+    strength = face.new_socket("Strength", in_out="INPUT", socket_type="NodeSocketFloat")
+    strength.default_value, strength.min_value = 1.0, 0.0
+    strength.description = "Factor on the whole light"
+    rotation = face.new_socket("Rotation", in_out="INPUT", socket_type="NodeSocketFloat")
+    rotation.subtype = "ANGLE"
+    rotation.description = "Turns the light about the vertical, counter-clockwise as seen from above"
+    clamp = face.new_socket("Clamp Negative", in_out="INPUT", socket_type="NodeSocketBool")
+    clamp.default_value = True
+    clamp.description = "Black where the sum of the harmonics is negative: no surface gets negative light"
+    for l in range(order + 1):
+        panel = face.new_panel(f"Order {l}", default_closed=l > 1)
+        panel.description = "Coefficients of the real spherical harmonics: red, green and blue of each"
+        for m in range(-l, l + 1):
+            socket = face.new_socket(
+                coefficient_name(l, m), in_out="INPUT", socket_type="NodeSocketVector", parent=panel
+            )
+            socket.hide_value = False
+            socket.description = "Red, green and blue; negative values are meaningful"
