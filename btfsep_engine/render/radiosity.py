@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Interreflection between surfaces: the light that a pixel receives from the scene itself.
+
+Only the receiving pixel needs the full BTF; what other surfaces send is smooth, so they are treated as diffuse
+with their material's albedo (radiosity; Goral et al. 1984). The radiosity of a few thousand surface samples is
+found under all M lightings at once; it is linear in the light, as everything else.
+"""
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from btfsep_engine.btf.directions import interpolator
+from btfsep_engine.btf.model import Lambertian, Material, Mirror
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.render.tracer import Tracer
+
+SAMPLES = 3000  # surface samples over the whole scene, each with two sides
+DIRECTIONS = 256  # directions of a sample's gathering
+NEIGHBOURS = 3
+NORMAL_SCALE = 0.5  # weight of a normal's difference against a distance in scene radii, in the neighbour search
+
+
+def diffuse_albedo(material: Material) -> np.ndarray:
+    """Fraction of diffuse light that a material reflects: (3,), bihemispherical, in [0, 1]."""
+    if isinstance(material, Lambertian):
+        return np.asarray(material.albedo, np.float64)
+    if isinstance(material, Mirror):
+        return np.asarray(material.reflectance, np.float64)
+    d = fibonacci_sphere(1024)
+    d = d[d[:, 2] > 0]
+    cosine = d[:, 2] / d[:, 2].sum()
+
+    def mean_over(directions):
+        taps, weights = interpolator(directions).weights(d)
+        return np.bincount(taps.ravel(), (weights * cosine[:, None]).ravel(), len(directions))
+
+    # (1 / pi) int int f cos_i cos_o = pi * mean over cosine-weighted directions of both sides
+    albedo = np.pi * np.einsum("v,l,vlc->c", mean_over(material.views), mean_over(material.lights), material.mean_abrdf)
+    return np.clip(albedo, 0, 0.98)
+
+
+class Indirect:
+    """Radiosity of a scene's surfaces under M lightings.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    albedos : one (3,) per mesh of the tracer; zeros for what reflects nothing or is not known
+    lightings : light.lightings.Lightings
+    bounces : number of reflections between surfaces that are followed, >= 1
+    """
+
+    def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, seed: int = 0):
+        self.tracer = tracer
+        position, normal, mesh = self._samples(np.random.default_rng(seed))
+        self.tree = cKDTree(self._feature(position, normal))
+        directions = fibonacci_sphere(DIRECTIONS)
+        solid_angle = 4 * np.pi / DIRECTIONS
+        light = np.asarray(lightings.radiance(directions, solid_angle), np.float64)
+        light = np.broadcast_to(light, (*light.shape[:2], 3))
+        cosine = np.maximum(normal @ directions.T, 0) * solid_angle
+        seen = tracer.visible(position, normal, directions)
+        direct = np.einsum("sd,dmc->smc", cosine * seen, light, optimize=True)
+        rows, columns, weights = self._gather(position, normal, directions, (cosine > 0) & ~seen)
+        n = len(position)
+        gather = csr_matrix((weights * cosine.ravel()[rows] / np.pi, (rows // DIRECTIONS, columns)), (n, n))
+        albedo = np.asarray(albedos, np.float64)[mesh][:, None, :]
+        self.radiosity = albedo * direct
+        for _ in range(bounces - 1):
+            received = (gather @ self.radiosity.reshape(n, -1)).reshape(direct.shape)
+            self.radiosity = albedo * (direct + received)
+
+    def _samples(self, random):
+        """Points on all triangles by area, each with both sides: positions, normals, mesh numbers."""
+        meshes = self.tracer.meshes
+        corners = np.concatenate([m.vertices[m.faces] for m in meshes])
+        owner = np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes])
+        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = np.linalg.norm(cross, axis=1)
+        cumulative = np.cumsum(area) / area.sum()
+        face = np.searchsorted(cumulative, (np.arange(SAMPLES) + random.random(SAMPLES)) / SAMPLES)
+        face = np.minimum(face, len(area) - 1)
+        a, b = random.random((2, SAMPLES))
+        a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+        chosen = corners[face]
+        position = chosen[:, 0] + a[:, None] * (chosen[:, 1] - chosen[:, 0]) + b[:, None] * (chosen[:, 2] - chosen[:, 0])
+        normal = cross[face] / np.maximum(area[face], 1e-300)[:, None]
+        return np.concatenate([position] * 2), np.concatenate([normal, -normal]), np.concatenate([owner[face]] * 2)
+
+    def _feature(self, position, normal):
+        return np.concatenate([(position - self.tracer.centre) / self.tracer.radius, normal * NORMAL_SCALE], 1)
+
+    def _gather(self, position, normal, directions, wanted):
+        """Where the wanted (point, direction) rays arrive, as taps of the samples.
+
+        Returns
+        -------
+        rows : (t,) flat (point, direction) numbers
+        columns : (t,) sample numbers
+        weights : (t,) sum to 1 over the taps of a ray that arrives; rays that leave the scene have none
+        """
+        flat = np.flatnonzero(wanted)
+        point, direction = flat // len(directions), flat % len(directions)
+        starts = position[point] + 2e-4 * self.tracer.radius * normal[point]
+        omega = directions[direction]
+        hits = self.tracer.nearest(starts, omega)
+        arrived = np.flatnonzero(hits.mesh >= 0)
+        arrival = starts[arrived] + hits.distance[arrived, None] * omega[arrived]
+        facing = np.empty_like(arrival)
+        for number, mesh in enumerate(self.tracer.meshes):
+            mine = hits.mesh[arrived] == number
+            corners = mesh.vertices[mesh.faces[hits.face[arrived][mine]]]
+            facing[mine] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
+        facing *= -np.sign((facing * omega[arrived]).sum(1, keepdims=True))
+        distance, sample = self.tree.query(self._feature(arrival, facing), k=NEIGHBOURS)
+        weights = 1 / (distance + 1e-3)
+        weights /= weights.sum(1, keepdims=True)
+        return np.repeat(flat[arrived], NEIGHBOURS), sample.ravel(), weights.ravel()
+
+    def reflected(self, transport, material) -> np.ndarray:
+        """Radiance (p, M, 3) float32 of a `Transport`'s points by the light that other surfaces send them."""
+        points, directions = transport.points, transport.directions
+        out = np.zeros((len(points), *self.radiosity.shape[1:]), np.float32)
+        step = max(1, (1 << 20) // len(directions))
+        for start in range(0, len(points), step):
+            part = slice(start, min(len(points), start + step))
+            blocked = ~transport.visible[part] & (points.flat_normal[part] @ directions.T > 0)
+            blocked &= points.normal[part] @ directions.T > 0
+            rows, columns, taps = self._gather(points.position[part], points.flat_normal[part], directions, blocked)
+            weights = transport.weights(material, part, blocked)
+            shape = (part.stop - start, len(self.radiosity))
+            for c in range(3):
+                values = weights[c].ravel()[rows] * taps / np.pi
+                matrix = csr_matrix((values, (rows // len(directions), columns)), shape)
+                out[part, :, c] = matrix @ self.radiosity[:, :, c]
+        return out
