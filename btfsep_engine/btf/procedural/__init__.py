@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fourteen procedural materials, two for each class of UBO2014: colour, height and roughness maps of a periodic patch.
+
+The physical definition, shared by the virtual gonioreflectometer (:mod:`btfsep_engine.render.patch`) and by anyone
+who displaces real geometry with the same maps: a height field over the patch; at each point a dielectric with a
+diffuse base of colour ``base_colour`` under a GGX specular layer of ``roughness`` (alpha = roughness squared) and
+normal-incidence reflectance ``f0``.
+"""
+
+import difflib
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.btf.procedural import hard, woven
+from btfsep_engine.btf.procedural.noise import grid
+from btfsep_engine.errors import InputError
+
+WORK_PIXELS = 512  # patterns are made with at least so many pixels an edge, then averaged down
+MAX_ALBEDO = 0.85
+
+
+@dataclass(frozen=True)
+class Maps:
+    """One periodic patch of a material.
+
+    Attributes
+    ----------
+    name : "class/material"
+    base_colour : (n, n, 3) float32, linear RGB, in (0, 0.85]; row 0 is the smallest v
+    height_mm : (n, n) float32, mm; the mean is 0
+    roughness : (n, n) float32, in [0.15, 1]; alpha of GGX is its square
+    size_mm : edge of the patch, mm
+    f0 : float, specular reflectance at normal incidence
+    """
+
+    name: str
+    base_colour: np.ndarray
+    height_mm: np.ndarray
+    roughness: np.ndarray
+    size_mm: float
+    f0: float = 0.04
+
+    @property
+    def material_class(self) -> str:
+        """The part of the name before the slash."""
+        return self.name.split("/")[0]
+
+
+# name -> (function of u, v, rng, size; edge of the patch in mm; f0)
+RECIPES = {
+    "carpet/loop-sand": (woven.carpet_loop, 32.0, 0.03),
+    "carpet/cut-wine": (woven.carpet_cut, 28.0, 0.03),
+    "fabric/linen-plain": (woven.linen, 22.0, 0.03),
+    "fabric/denim-twill": (woven.denim, 20.0, 0.03),
+    "felt/grey-melange": (woven.felt_grey, 22.0, 0.03),
+    "felt/green-coarse": (woven.felt_green, 26.0, 0.03),
+    "leather/brown-grain": (hard.leather_brown, 28.0, 0.04),
+    "leather/black-nappa": (hard.leather_black, 26.0, 0.04),
+    "stone/granite-grey": (hard.granite, 44.0, 0.04),
+    "stone/sandstone-yellow": (hard.sandstone, 40.0, 0.04),
+    "wallpaper/woodchip-white": (hard.woodchip, 44.0, 0.04),
+    "wallpaper/damask-teal": (hard.damask, 48.0, 0.04),
+    "wood/oak-boards": (hard.oak, 60.0, 0.04),
+    "wood/walnut-lacquered": (hard.walnut, 56.0, 0.04),
+}
+NAMES = tuple(RECIPES)
+
+
+def maps(name: str, resolution: int = 256, *, variation: int = 0) -> Maps:
+    """The maps of a material.
+
+    Parameters
+    ----------
+    name : one of :data:`NAMES`
+    resolution : pixels an edge
+    variation : 0 is the instance in the library; any other number is another instance of the same material,
+        laid out anew and of slightly different colour (about 4 % a channel)
+
+    Raises
+    ------
+    InputError
+        An unknown name.
+    """
+    if name not in RECIPES:
+        near = difflib.get_close_matches(name, NAMES, 1, 0.0)[0]
+        raise InputError(f"material '{name}'", "no procedural material has this name", f"did you mean '{near}'?")
+    recipe, size, f0 = RECIPES[name]
+    rng = np.random.default_rng([zlib.crc32(name.encode()), variation])
+    tint = np.exp(rng.normal(0, 0.04, 3) + rng.normal(0, 0.05)) if variation else np.ones(3)
+    factor = -(-WORK_PIXELS // resolution)
+    u, v = grid(resolution * factor)
+    base, height, roughness = recipe(u, v, rng, size)
+
+    def reduced(a):
+        shape = (resolution, factor, resolution, factor, *a.shape[2:])
+        return a.reshape(shape).mean((1, 3)).astype(np.float32)
+
+    height = reduced(height)
+    return Maps(
+        name=name,
+        base_colour=reduced(np.clip(base * tint, 0.002, MAX_ALBEDO)),
+        height_mm=height - height.mean(),
+        roughness=reduced(np.clip(roughness, 0.15, 1.0)),
+        size_mm=size,
+        f0=f0,
+    )
