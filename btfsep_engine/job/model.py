@@ -80,8 +80,8 @@ class Photo:
 
     Attributes
     ----------
-    radiance : (h, w, 3) float32, linear Rec.709, the exposure of the job applied
-    usable : (h, w) bool, false where a channel is saturated
+    radiance : (h, w, 3) float32, linear Rec.709, finite, in the image's own scale (``exposure_ev`` is not applied)
+    usable : (h, w) bool, false where a channel is saturated or the pixel is not opaque
     saturated : number of saturated pixels
     """
 
@@ -92,7 +92,10 @@ class Photo:
 
 @dataclass(frozen=True)
 class Job:
-    """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from."""
+    """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
+
+    ``warnings`` says in words what was left out while reading.
+    """
 
     folder: Path
     photo: Photo
@@ -102,3 +105,4 @@ class Job:
     metres_per_unit: float
     exposure_ev: float
     digest: str
+    warnings: tuple[str, ...] = ()

@@ -1,0 +1,348 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reading and writing images: everything becomes linear Rec.709, with the pixels that cannot be trusted marked.
+
+The stored orientation is kept (EXIF rotation is not applied): a camera in pixels refers to the pixels as stored.
+"""
+
+import contextlib
+import io
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+
+from btfsep_engine import atomic
+from btfsep_engine.conventions import REC709_LUMINANCE
+from btfsep_engine.errors import InputError
+
+MAX_SIDE = 20000  # pixels; more than any camera has, and a guard against files that claim absurd sizes
+MAX_PIXELS = 2**28
+SATURATED = 0.999  # of the largest code of an integer format
+OPAQUE = 0.999
+COLORSPACES = ("auto", "srgb", "linear")
+_KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
+
+with contextlib.suppress(AttributeError):  # OpenCV would write its own complaints to stderr beside ours
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+
+@dataclass(frozen=True)
+class Image:
+    """An image as read.
+
+    Attributes
+    ----------
+    pixels : (h, w, 3) float32, linear Rec.709; floats may be NaN, infinite or negative, as in the file
+    saturated : (h, w) bool, a channel stands at the largest code (integer formats only)
+    usable : (h, w) bool, not saturated, opaque, and within the data of the file
+    """
+
+    pixels: np.ndarray
+    saturated: np.ndarray
+    usable: np.ndarray
+
+
+def srgb_to_linear(values) -> np.ndarray:
+    """IEC 61966-2-1 decoding of ``values`` (any shape, nominally 0 to 1), float64."""
+    v = np.asarray(values, np.float64)
+    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(values) -> np.ndarray:
+    """IEC 61966-2-1 encoding of ``values`` (any shape, linear), float64, not clipped."""
+    v = np.asarray(values, np.float64)
+    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def luminance(pixels) -> np.ndarray:
+    """(...,) luminance of ``pixels : (..., 3) float, linear Rec.709``."""
+    return np.asarray(pixels) @ REC709_LUMINANCE.astype(np.asarray(pixels).dtype)
+
+
+def read_linear(path, *, colorspace: str = "auto") -> Image:
+    """Reads EXR, HDR, PNG, JPEG, TIFF or WebP as linear Rec.709. Grey images become three equal channels.
+
+    Parameters
+    ----------
+    path : file
+    colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb" or "linear"
+
+    Raises
+    ------
+    InputError
+        The file is missing, unreadable, truncated, no image, of no size or of an absurd one.
+    """
+    if colorspace not in COLORSPACES:
+        raise ValueError(colorspace)
+    path = Path(path)
+    data = _read_bytes(path)
+    if data[:4] == b"\x76\x2f\x31\x01":
+        stored, alpha, inside = _read_exr(path)
+        peak = None
+    else:
+        stored, alpha, peak = _decode(path, data)
+        inside = np.ones(stored.shape[:2], bool)
+    saturated = np.zeros(stored.shape[:2], bool)
+    if peak is not None:
+        saturated = (stored >= SATURATED * peak).any(-1)
+    coded = peak is not None if colorspace == "auto" else colorspace == "srgb"
+    if peak is not None:
+        codes = np.arange(peak + 1) / peak
+        pixels = (srgb_to_linear(codes) if coded else codes).astype(np.float32)[stored]
+    else:
+        pixels = stored.astype(np.float32, copy=False)
+        if coded:
+            pixels = srgb_to_linear(pixels).astype(np.float32)
+    if pixels.shape[-1] == 1:
+        pixels = np.repeat(pixels, 3, -1)
+    usable = inside & ~saturated
+    if alpha is not None:
+        usable &= alpha >= OPAQUE
+    return Image(np.ascontiguousarray(pixels), saturated, usable)
+
+
+def read_mask(path) -> np.ndarray:
+    """Reads a mask: (h, w) bool, true where any colour channel is not zero and, if there is alpha, it is not zero."""
+    path = Path(path)
+    data = _read_bytes(path)
+    if data[:4] == b"\x76\x2f\x31\x01":
+        stored, alpha, _ = _read_exr(path)
+    else:
+        stored, alpha, _ = _decode(path, data)
+    mask = (stored != 0).any(-1)
+    return mask if alpha is None else mask & (alpha > 0)
+
+
+def read_depth(path) -> np.ndarray:
+    """Reads the depth channel of an EXR: (h, w) float32, as stored (Z, depth, V, Y, or an only channel).
+
+    Raises
+    ------
+    InputError
+        As :func:`read_linear`, or no channel looks like depth.
+    """
+    path = Path(path)
+    if _read_bytes(path)[:4] != b"\x76\x2f\x31\x01":
+        raise InputError(path.name, "this is not an OpenEXR file", "save the depth as EXR")
+    for channels, header in _exr_parts(path):
+        names = list(channels)
+        wanted = [n for n in names if n.split(".")[-1].lower() in ("z", "depth")]
+        wanted += [n for n in names if "depth" in n.lower()] + [n for n in ("V", "Y") if n in names]
+        if not wanted and (len(names) == 1 or {"R", "G", "B"} <= set(names)):
+            wanted = ["R"] if len(names) > 1 else names  # a depth saved as a grey picture
+        if wanted:
+            return _placed(path, header, [channels[wanted[0]].pixels])[0][..., 0].astype(np.float32)
+    raise InputError(path.name, "no channel in it is a depth", "save the depth as channel Z or as the only one")
+
+
+def write_exr(path, array, *, half: bool = False) -> None:
+    """Writes ``array : (h, w), (h, w, 1), (h, w, 3) or (h, w, 4) float`` as a ZIP-compressed EXR, whole or not at all.
+
+    One channel is named Y (shown as grey), three RGB, four RGBA. ``half`` stores 16-bit floats.
+    """
+    a = np.asarray(array, np.float16 if half else np.float32)
+    if a.ndim == 2:
+        a = a[..., None]
+    name = {1: "Y", 3: "RGB", 4: "RGBA"}[a.shape[2]]
+    channels = {name: np.ascontiguousarray(a[..., 0] if name == "Y" else a)}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic.replacing(path) as scratch, contextlib.redirect_stdout(io.StringIO()):
+        try:
+            OpenEXR.File(header, channels).write(str(scratch))
+        except RuntimeError as error:
+            raise OSError(str(error)) from error
+
+
+def write_png(path, array, *, coded: bool = False) -> None:
+    """Writes an 8-bit PNG, whole or not at all.
+
+    Parameters
+    ----------
+    path : file
+    array : (h, w), (h, w, 3) float linear Rec.709 (encoded to sRGB and clipped), or uint8 or bool as it is
+    coded : floats are sRGB values in [0, 1] already
+    """
+    a = np.asarray(array)
+    if a.dtype == bool:
+        a = a.astype(np.uint8) * 255
+    elif a.dtype != np.uint8:
+        a = np.nan_to_num(a.astype(np.float64), nan=0.0, posinf=1.0, neginf=0.0)
+        a = np.round(np.clip(a if coded else linear_to_srgb(a), 0, 1) * 255).astype(np.uint8)
+    done, data = cv2.imencode(".png", a[..., ::-1] if a.ndim == 3 else a)
+    if not done:
+        raise ValueError(f"cannot encode an array of shape {a.shape}")
+    atomic.write_bytes(path, data.tobytes())
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(path.name, f"there is no such file in {path.parent}", "check the name") from None
+    except OSError as error:
+        reason = "it is a folder" if path.is_dir() else (error.strerror or str(error))
+        raise InputError(path.name, f"it cannot be read: {reason}", "check the file") from error
+    if not data:
+        raise InputError(path.name, "the file is empty", "export it again")
+    return data
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width < 1 or height < 1:
+        raise InputError(path.name, f"the image has no pixels ({width} x {height})", "export it again")
+    if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS:
+        raise InputError(
+            path.name,
+            f"it claims {width} x {height} pixels; the limit is {MAX_SIDE} a side, {MAX_PIXELS // 10**6} million",
+            "make it smaller",
+        )
+
+
+def _decode(path: Path, data: bytes):
+    """(h, w, 1 or 3) RGB as stored, (h, w) alpha in [0, 1] or None, and the largest code (None for floats)."""
+    size = _declared_size(data)
+    if size is not None:
+        _check_size(path, *size)
+    try:
+        a = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        a = None
+    if a is None or a.size == 0:
+        if size is None:
+            raise InputError(path.name, "this is not an image of a known kind", _KINDS)
+        raise InputError(path.name, "the image is truncated or damaged", "export it again")
+    _check_size(path, a.shape[1], a.shape[0])
+    if a.dtype == np.float64:
+        a = a.astype(np.float32)
+    if a.dtype not in (np.uint8, np.uint16, np.float32):
+        raise InputError(path.name, f"its pixels are of the kind {a.dtype}", "save 8-bit, 16-bit or float pixels")
+    peak = None if a.dtype == np.float32 else int(np.iinfo(a.dtype).max)
+    if a.ndim == 2:
+        a = a[..., None]
+    alpha = None
+    if a.shape[2] in (2, 4):
+        alpha = a[..., -1].astype(np.float32) / (peak or 1)
+    rgb = a[..., 2::-1] if a.shape[2] >= 3 else a[..., :1]
+    return rgb, alpha, peak
+
+
+def _declared_size(data: bytes):
+    """(width, height) that the header of a PNG, JPEG, TIFF, WebP or HDR claims, before anything is decoded, or None."""
+    with contextlib.suppress(struct.error, IndexError):
+        if data[:8] == b"\x89PNG\r\n\x1a\n":
+            return struct.unpack(">II", data[16:24])
+        if data[:2] == b"\xff\xd8":
+            return _jpeg_size(data)
+        if data[:4] in (b"II*\0", b"MM\0*"):
+            return _tiff_size(data)
+        if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+            return _webp_size(data)
+        if data[:2] == b"#?":
+            found = re.search(rb"\n-Y (\d{1,9}) \+X (\d{1,9})\s", data[:65536])
+            return (int(found[2]), int(found[1])) if found else None
+    return None
+
+
+def _jpeg_size(data: bytes):
+    at = 2
+    while at < len(data):
+        if data[at] != 0xFF:
+            return None
+        marker = data[at + 1]
+        if marker == 0xFF:  # padding
+            at += 1
+        elif 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack(">HH", data[at + 5 : at + 9])
+            return width, height
+        else:
+            at += 2 + struct.unpack(">H", data[at + 2 : at + 4])[0]
+    return None
+
+
+def _tiff_size(data: bytes):
+    order = "<" if data[:2] == b"II" else ">"
+    (at,) = struct.unpack(order + "I", data[4:8])
+    (count,) = struct.unpack(order + "H", data[at : at + 2])
+    size = {}
+    for i in range(count):
+        entry = data[at + 2 + 12 * i : at + 14 + 12 * i]
+        tag, kind = struct.unpack(order + "HH", entry[:4])
+        if tag in (256, 257):
+            size[tag] = struct.unpack(order + ("H" if kind == 3 else "I"), entry[8 : 10 if kind == 3 else 12])[0]
+    return (size[256], size[257]) if len(size) == 2 else None
+
+
+def _webp_size(data: bytes):
+    kind = data[12:16]
+    if kind == b"VP8X":
+        return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
+    if kind == b"VP8L":
+        bits = int.from_bytes(data[21:25], "little")
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    width, height = struct.unpack("<HH", data[26:30])
+    return width & 0x3FFF, height & 0x3FFF
+
+
+def _exr_parts(path: Path):
+    """The parts of an EXR as (channels by name, header), flat images only.
+
+    The library prints its complaints about damaged parts and leaves the part out; they are caught here.
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said):
+            header_only = OpenEXR.File(str(path), header_only=True)
+            for part in header_only.parts:
+                low, high = part.header["displayWindow"]
+                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)))
+                low, high = part.header["dataWindow"]
+                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)))
+            count = len(header_only.parts)
+            parts = OpenEXR.File(str(path), separate_channels=True).parts if count else []
+    except (RuntimeError, ValueError, TypeError, KeyError, MemoryError) as error:
+        raise InputError(path.name, "the EXR is truncated or damaged", "export it again") from error
+    if len(parts) != count or not parts:
+        raise InputError(path.name, "the EXR is truncated or damaged", "export it again")
+    return [(part.channels, part.header) for part in parts if "deep" not in str(part.header.get("type", ""))]
+
+
+def _read_exr(path: Path):
+    """(h, w, 1 or 3) floats, alpha or None, and where the data window is, of the first part with colours."""
+    for channels, header in _exr_parts(path):
+        names = set(channels)
+        layers = ["", *sorted((n[:-1] for n in names if n.endswith(".R")), key=lambda n: ("ombined" not in n, n))]
+        for layer in layers:
+            if {layer + c for c in "RGB"} <= names:
+                alpha = [layer + "A"] if layer + "A" in names else []
+                planes = [channels[layer + c].pixels for c in "RGB"] + [channels[a].pixels for a in alpha]
+                a, inside = _placed(path, header, planes)
+                return a[..., :3], a[..., 3] if alpha else None, inside
+        if "Y" in names:
+            if "RY" in names or "BY" in names:
+                raise InputError(path.name, "the EXR is coded as luminance and chroma", "save it as RGB")
+            a, inside = _placed(path, header, [channels[n].pixels for n in ("Y", "A") if n in names])
+            return a[..., :1], a[..., 1] if a.shape[2] == 2 else None, inside
+    raise InputError(path.name, "the EXR has no channels R, G, B or Y", "save the picture's colours in it")
+
+
+def _placed(path: Path, header: dict, planes):
+    """The planes as (h, w, n) float32 over the display window, and (h, w) bool: where the data window covers it."""
+    (x0, y0), (x1, y1) = header["displayWindow"]
+    (u0, v0), (u1, v1) = header["dataWindow"]
+    x0, y0, x1, y1, u0, v0, u1, v1 = (int(n) for n in (x0, y0, x1, y1, u0, v0, u1, v1))
+    shape = (v1 - v0 + 1, u1 - u0 + 1)
+    if any(p is None or p.shape != shape for p in planes):
+        raise InputError(path.name, "its channels have different sizes", "save it with full-size channels")
+    out = np.zeros((y1 - y0 + 1, x1 - x0 + 1, len(planes)), np.float32)
+    inside = np.zeros(out.shape[:2], bool)
+    left, right, top, bottom = max(x0, u0), min(x1, u1), max(y0, v0), min(y1, v1)
+    if left <= right and top <= bottom:
+        target = np.s_[top - y0 : bottom - y0 + 1, left - x0 : right - x0 + 1]
+        inside[target] = True
+        for i, plane in enumerate(planes):
+            out[(*target, i)] = plane[top - v0 : bottom - v0 + 1, left - u0 : right - u0 + 1]
+    return out, inside

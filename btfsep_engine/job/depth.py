@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A surface from a depth image."""
+
+import numpy as np
+
+from btfsep_engine.job.model import Camera, TriangleMesh
+
+STEEP = 2.0  # a step of more pixel footprints than this may be a discontinuity …
+JUMP = 4.0  # … if it is also this many times its neighbours' steps
+CLIFF = 25.0  # beyond it, it is one always (88 degrees)
+REACH = 2  # pixels; normals come from windows of 5 x 5
+
+
+def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
+    """Triangles between the centres of neighbouring pixels that belong to one surface.
+
+    Parameters
+    ----------
+    depth : (h, w) float, z-depth along the view axis, world units; 0 or inf where nothing is
+    camera : of the same size
+
+    Returns
+    -------
+    TriangleMesh without uv, or None where no three neighbouring pixels make a triangle. Normals are those of planes
+    fitted to the inverse depth around each pixel: on a plane 1/z is linear in the image, so a slanted plane has
+    exact normals however noisy steps between single pixels are.
+    """
+    z = np.asarray(depth, np.float64)
+    h, w = z.shape
+    valid = np.isfinite(z) & (z > 0)
+    inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
+    across = _connected(z, inverse, valid, 1, camera.fx)
+    down = _connected(z, inverse, valid, 0, camera.fy)
+
+    x, y = np.meshgrid((np.arange(w) + 0.5 - camera.cx) / camera.fx, -(np.arange(h) + 0.5 - camera.cy) / camera.fy)
+    local = np.where(valid, z, 0)[..., None] * np.stack([x, y, -np.ones_like(x)], -1)
+    normals = _normals(x, y, inverse, valid, across, down)
+
+    number = np.arange(h * w).reshape(h, w)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]  # a b over c d
+    top, bottom, left, right = across[:-1], across[1:], down[:, :-1], down[:, 1:]
+    whole = top & bottom & left & right
+    # the diagonal that spans the smaller step in depth
+    falling = np.abs(inverse[:-1, :-1] - inverse[1:, 1:]) <= np.abs(inverse[:-1, 1:] - inverse[1:, :-1])
+    first, second = ~whole & left & bottom, ~whole & top & right  # of a broken square one triangle at most
+    spare = ~(whole | first | second)
+    faces = []
+    for chosen, corners in (
+        ((whole & falling) | first, (a, c, d)),
+        ((whole & falling) | second, (a, d, b)),
+        ((whole & ~falling) | (spare & left & top), (a, c, b)),
+        ((whole & ~falling) | (spare & right & bottom), (b, c, d)),
+    ):
+        faces.append(np.stack([k[chosen] for k in corners], -1))
+    faces = np.concatenate(faces)
+    if not len(faces):
+        return None
+    used, faces = np.unique(faces, return_inverse=True)
+    faces = faces.reshape(-1, 3).astype(np.int32)
+    rotation, origin = camera.to_world[:3, :3], camera.to_world[:3, 3]
+    vertices = local.reshape(-1, 3)[used] @ rotation.T + origin
+    normals = normals.reshape(-1, 3)[used] @ rotation.T
+    return TriangleMesh(vertices, faces, normals[faces].astype(np.float32), None)
+
+
+def _connected(z, inverse, valid, axis: int, focal: float):
+    """Whether neighbours along an axis are on one surface: bool, one shorter along that axis."""
+    ahead = [slice(None)] * 2
+    behind = [slice(None)] * 2
+    ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+    ahead, behind = tuple(ahead), tuple(behind)
+    both = valid[ahead] & valid[behind]
+    nearer = np.minimum(np.where(valid[ahead], z[ahead], np.inf), np.where(valid[behind], z[behind], np.inf))
+    with np.errstate(invalid="ignore", over="ignore"):
+        # in pixel footprints: the tangent of the slope against the image plane
+        step = np.where(both, np.abs(z[ahead] - z[behind]) / np.where(both, nearer, 1) * focal, np.inf)
+        change = np.where(both, np.abs(inverse[ahead] - inverse[behind]), np.inf)
+    pad = [(0, 0), (0, 0)]
+    pad[axis] = (1, 1)
+    around = np.pad(change, pad, constant_values=np.inf)
+    before, after = (
+        around[tuple(slice(s, s + change.shape[i]) if i == axis else slice(None) for i in (0, 1))] for s in (0, 2)
+    )
+    around = np.where(np.isinf(before), after, np.where(np.isinf(after), before, np.maximum(before, after)))
+    sudden = ~np.isinf(around) & (change > JUMP * around)
+    return both & (step < CLIFF) & ((step < STEEP) | ~sudden)
+
+
+def _normals(x, y, inverse, valid, across, down):
+    """(h, w, 3) camera-space unit normals towards the camera, from planes fitted to 1/z in a window.
+
+    With P = z (X, Y, -1), a plane n . P = 1 means 1/z = n . (X, Y, -1): least squares for n, linear in the image.
+    Neighbours count where a chain of connected pixels leads to them, columns first or rows first.
+    """
+    h, w = valid.shape
+    dx, dy = x[0, 1] - x[0, 0] if w > 1 else 1.0, y[1, 0] - y[0, 0] if h > 1 else 1.0
+    moments = np.zeros((h, w, 3, 3))
+    values = np.zeros((h, w, 3))
+    for j in range(-REACH, REACH + 1):
+        for i in range(-REACH, REACH + 1):
+            weight = _reached(valid, across, down, i, j).astype(np.float64)
+            there = _shifted(inverse, i, j) - inverse
+            f = np.array([i, j, 1.0])
+            moments += weight[..., None, None] * np.outer(f, f)
+            values += (weight * there)[..., None] * f
+    moments += 1e-9 * np.eye(3)
+    slope = np.linalg.solve(moments, values[..., None])[..., 0]  # change of 1/z per pixel right, per pixel down
+    nx, ny = slope[..., 0] / dx, slope[..., 1] / dy
+    nz = nx * x + ny * y - (inverse + slope[..., 2])  # so that n . (X, Y, -1) is 1/z here
+    normals = -np.stack([nx, ny, nz], -1)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(length > 0, normals / np.where(length > 0, length, 1), np.array([0.0, 0.0, 1.0]))
+
+
+def _shifted(array, i: int, j: int):
+    """The array whose element (y, x) is that at (y + j, x + i), zero (or false) outside."""
+    out = np.zeros_like(array)
+    h, w = array.shape
+    if abs(i) < w and abs(j) < h:
+        out[max(0, -j) : h - max(0, j), max(0, -i) : w - max(0, i)] = array[
+            max(0, j) : h - max(0, -j), max(0, i) : w - max(0, -i)
+        ]
+    return out
+
+
+def _reached(valid, across, down, i: int, j: int):
+    """(h, w) bool: whether the pixel (i, j) away is connected to this one, going one way or the other."""
+    h, w = valid.shape
+    wide = np.zeros((h, w), bool)
+    wide[:, :-1] = across
+    tall = np.zeros((h, w), bool)
+    tall[:-1] = down
+
+    def run(links, steps, horizontal, offset):
+        ok = valid
+        for k in range(abs(steps)):
+            at = k if steps > 0 else -k - 1
+            ok = ok & (_shifted(links, at, offset) if horizontal else _shifted(links, offset, at))
+        return ok
+
+    return (run(wide, i, True, 0) & run(tall, j, False, i)) | (run(tall, j, False, 0) & run(wide, i, True, j))

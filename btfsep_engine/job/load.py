@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads a job folder: everything in it is checked here, so that later stages can trust it."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from btfsep_engine import images
+from btfsep_engine.errors import InputError
+from btfsep_engine.job.depth import mesh_from_depth
+from btfsep_engine.job.meshes import load_mesh
+from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
+from btfsep_engine.job.schema import CameraSchema, JobSchema, parse
+
+RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
+
+
+def load_job(folder) -> Job:
+    """Reads ``folder/job.json`` and all that it names.
+
+    Parameters
+    ----------
+    folder : the job folder, or the path of the job.json in it
+
+    Returns
+    -------
+    Job; ``warnings`` has, in words, what was left out on the way
+
+    Raises
+    ------
+    InputError
+        The first thing that is wrong, in one sentence.
+    """
+    folder = Path(folder)
+    if folder.name == "job.json" and folder.is_file():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(f"job {folder}", "there is no such folder", "give the folder that has the job.json")
+    reader = _Folder(folder)
+    schema = parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
+    camera = _camera(schema.camera)
+    notes: list[str] = []
+    photo = _photo(reader, schema, camera, notes)
+    names = [o.name for o in schema.objects]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError("job.json: objects", f"two objects have the name '{name}'", "give them different names")
+    if schema.depth is None and not schema.objects:
+        raise InputError("job.json", "it has neither objects nor depth", "give the geometry of what is in the photo")
+    if schema.depth is None:
+        for o in schema.objects:
+            if o.mesh is None:
+                raise InputError(f"object '{o.name}'", "it has no mesh, and the job has no depth", "name its mesh file")
+        objects = tuple(_object(reader, o, camera, notes) for o in schema.objects)
+    else:
+        objects = (_depth_object(reader, schema, camera),)
+    occluders = []
+    for i, o in enumerate(schema.occluders):
+        occluders.append(_mesh(reader, o, f"occluders[{i}]", notes))
+    return Job(
+        folder=folder,
+        photo=photo,
+        camera=camera,
+        objects=objects,
+        occluders=tuple(occluders),
+        metres_per_unit=schema.metres_per_unit,
+        exposure_ev=schema.exposure_ev,
+        digest=reader.digest(),
+        warnings=tuple(notes),
+    )
+
+
+class _Folder:
+    """Files inside a folder, none outside it, and a hash of all that were used."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.root = folder, folder.resolve()
+        self.used: dict[str, Path] = {}
+
+    def path(self, relative: str, what: str) -> Path:
+        """The path of a file that job.json names. InputError unless it is a file inside the folder."""
+        inside = InputError(
+            what, f"'{relative}' is not inside the job folder", "put the file there and name it relatively"
+        )
+        plain = relative.replace("\\", "/")
+        if plain.startswith("/") or plain[1:2] == ":" or "\0" in plain:
+            raise inside
+        path = self.folder / plain
+        try:
+            if not path.resolve().is_relative_to(self.root):
+                raise inside
+            found, folder = path.is_file(), path.is_dir()
+        except (OSError, RuntimeError, ValueError):
+            found = folder = False
+        if not found:
+            got = f"'{relative}' is a folder" if folder else f"there is no file '{relative}' in the job folder"
+            raise InputError(what, got, "check the name, or export the job again")
+        self.used[plain] = path
+        return path
+
+    def read(self, relative: str, what: str) -> bytes:
+        path = self.path(relative, what)
+        try:
+            return path.read_bytes()
+        except OSError as error:
+            raise InputError(what, f"it cannot be read: {error.strerror or error}", "check the file") from error
+
+    def digest(self) -> str:
+        """sha256 over the names and the bytes of all files used, hexadecimal."""
+        total = hashlib.sha256()
+        for name, path in sorted(self.used.items()):
+            with path.open("rb") as file:
+                total.update(f"{name}\0{hashlib.file_digest(file, 'sha256').hexdigest()}\n".encode())
+        return total.hexdigest()
+
+
+def _camera(schema: CameraSchema) -> Camera:
+    to_world = np.array(schema.to_world, np.float64)
+    what = "job.json: camera.to_world"
+    if not np.array_equal(to_world[3], [0, 0, 0, 1]):
+        raise InputError(what, "its last row is not 0 0 0 1", "write it row by row, camera to world")
+    axes = to_world[:3, :3]
+    determinant = np.linalg.det(axes) if np.abs(axes).max() < 1e9 else np.inf
+    if abs(determinant) < 1e-9:
+        raise InputError(what, "the matrix is singular", "give the camera's position and rotation")
+    if np.abs(axes.T @ axes - np.eye(3)).max() > RIGID:
+        raise InputError(what, "its axes are not of length 1 and at right angles", "leave out scale and shear")
+    if determinant < 0:
+        raise InputError(what, "it mirrors the scene", "the camera looks along its -Z with +X right and +Y up")
+    if np.abs(to_world[:3, 3]).max() > 1e15:
+        raise InputError(what, "the camera is absurdly far away", "check its position")
+    return Camera(schema.width, schema.height, schema.fx, schema.fy, schema.cx, schema.cy, to_world)
+
+
+def _photo(reader: _Folder, schema: JobSchema, camera: Camera, notes: list) -> Photo:
+    path = reader.path(schema.image, "job.json: image")
+    image = images.read_linear(path, colorspace=schema.image_colorspace)
+    height, width = image.pixels.shape[:2]
+    if (width, height) != (camera.width, camera.height):
+        got = f"it has {width} x {height} pixels and the camera {camera.width} x {camera.height}"
+        raise InputError(schema.image, got, "export the photo and the camera at the same size")
+    finite = np.isfinite(image.pixels).all(-1)
+    if not finite.all():
+        rows, columns = np.nonzero(~finite)
+        got = f"{len(rows)} pixels are NaN or infinite, first x {columns[0]}, y {rows[0]}"
+        raise InputError(schema.image, got, "render or export the photo again")
+    if not image.usable.any():
+        raise InputError(
+            schema.image, "every pixel is saturated or transparent", "give a photo with a shorter exposure"
+        )
+    saturated = int(image.saturated.sum())
+    if saturated:
+        notes.append(f"{schema.image}: {saturated} of {width * height} pixels are saturated and left out")
+    hidden = int((~image.usable & ~image.saturated).sum())
+    if hidden:
+        notes.append(f"{schema.image}: {hidden} of {width * height} pixels are transparent and left out")
+    return Photo(image.pixels, image.usable, saturated)
+
+
+def _to_world(matrix, what: str):
+    if matrix is None:
+        return None
+    matrix = np.array(matrix, np.float64)
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise InputError(f"{what}: to_world", "its last row is not 0 0 0 1", "write it row by row, object to world")
+    size = np.abs(matrix[:3, :3]).max()
+    if not 0 < size < 1e15 or abs(np.linalg.det(matrix[:3, :3] / size)) < 1e-12:
+        raise InputError(f"{what}: to_world", "the matrix is singular", "no axis may be scaled to zero")
+    return matrix
+
+
+def _mesh(reader: _Folder, schema, what: str, notes: list) -> TriangleMesh:
+    path = reader.path(schema.mesh, f"{what}: mesh")
+    mesh, dropped = load_mesh(path, to_world=_to_world(schema.to_world, what), name=schema.mesh)
+    if dropped:
+        notes.append(f"{schema.mesh}: {dropped} of {dropped + len(mesh.faces)} triangles have no area and are left out")
+    return mesh
+
+
+def _mask(reader: _Folder, schema, camera: Camera):
+    if schema.mask is None:
+        return None
+    mask = images.read_mask(reader.path(schema.mask, f"object '{schema.name}': mask"))
+    if mask.shape != (camera.height, camera.width):
+        got = f"the mask has {mask.shape[1]} x {mask.shape[0]} pixels and the photo {camera.width} x {camera.height}"
+        raise InputError(schema.mask, got, "export the mask at the size of the photo")
+    if not mask.any():
+        raise InputError(schema.mask, "the mask is empty", "paint what may be used white, or set it to null")
+    return mask
+
+
+def _object(reader: _Folder, schema, camera: Camera, notes: list) -> JobObject:
+    mesh = _mesh(reader, schema, f"object '{schema.name}'", notes)
+    if schema.uv == "mesh" and mesh.corner_uv is None:
+        raise InputError(schema.mesh, "it has no usable UV map, and uv is 'mesh'", "export its UV map or use 'xatlas'")
+    return JobObject(schema.name, mesh, _mask(reader, schema, camera), schema.material, schema.uv)
+
+
+def _depth_object(reader: _Folder, schema: JobSchema, camera: Camera) -> JobObject:
+    if any(o.mesh is not None for o in schema.objects):
+        raise InputError("job.json", "it has both depth and meshes of objects", "keep one of them")
+    if len(schema.objects) > 1:
+        raise InputError("job.json: objects", "a job with depth has one surface", "keep one object")
+    depth = images.read_depth(reader.path(schema.depth, "job.json: depth"))
+    if depth.shape != (camera.height, camera.width):
+        got = f"it has {depth.shape[1]} x {depth.shape[0]} pixels and the photo {camera.width} x {camera.height}"
+        raise InputError(schema.depth, got, "export the depth at the size of the photo")
+    bad = np.isnan(depth) | (depth < 0)
+    if bad.any():
+        rows, columns = np.nonzero(bad)
+        got = f"{len(rows)} depths are NaN or negative, first x {columns[0]}, y {rows[0]}"
+        raise InputError(schema.depth, got, "write 0 or inf where nothing is")
+    mesh = mesh_from_depth(depth, camera)
+    if mesh is None:
+        raise InputError(schema.depth, "there is no surface in it", "write the z-depth in world units")
+    if not schema.objects:
+        return JobObject("surface", mesh)
+    o = schema.objects[0]
+    if o.to_world is not None or o.uv == "mesh":
+        raise InputError(f"object '{o.name}'", "a surface from depth takes no to_world and no uv 'mesh'", "remove them")
+    return JobObject(o.name, mesh, _mask(reader, o, camera), o.material)

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The schema of ``job.json``, and validation errors in words.
+
+``parse`` is also what reads other JSON files (``lighting.json``): one way to say what is wrong.
+"""
+
+import difflib
+import json
+from typing import Annotated, Literal, TypeVar, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from btfsep_engine.errors import InputError
+
+MAX_OBJECTS = 1000
+MAX_BYTES = 2**24
+
+Row = Annotated[list[float], Field(min_length=4, max_length=4)]
+Matrix = Annotated[list[Row], Field(min_length=4, max_length=4)]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+RelativePath = Annotated[str, Field(min_length=1, max_length=1000)]
+Length = Annotated[float, Field(gt=0, lt=1e9)]
+Pixels = Annotated[int, Field(gt=0, le=20000)]
+Position = Annotated[float, Field(gt=-1e9, lt=1e9)]
+
+
+class Strict(BaseModel):
+    """No unknown keys, no conversions, no NaN, not changeable."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class CameraSchema(Strict):
+    width: Pixels
+    height: Pixels
+    fx: Length
+    fy: Length
+    cx: Position
+    cy: Position
+    to_world: Matrix
+
+
+class ObjectSchema(Strict):
+    """``mesh`` may be null only where the job has ``depth``: the object is then the surface of the depth."""
+
+    name: Name
+    mesh: RelativePath | None
+    to_world: Matrix | None = None
+    mask: RelativePath | None = None
+    material: Name | None = None
+    uv: Literal["xatlas", "mesh"] = "xatlas"
+
+
+class OccluderSchema(Strict):
+    mesh: RelativePath
+    to_world: Matrix | None = None
+
+
+class JobSchema(Strict):
+    format: Literal["btfsep-job"]
+    version: Literal[1]
+    image: RelativePath
+    image_colorspace: Literal["auto", "srgb", "linear"] = "auto"
+    exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    camera: CameraSchema
+    objects: Annotated[list[ObjectSchema], Field(max_length=MAX_OBJECTS)] = []
+    occluders: Annotated[list[OccluderSchema], Field(max_length=MAX_OBJECTS)] = []
+    depth: RelativePath | None = None
+    metres_per_unit: Length = 1.0
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def parse(model: type[Model], name: str, data: bytes, *, kind: str) -> Model:
+    """Validates the bytes of a JSON file.
+
+    Parameters
+    ----------
+    model : the schema; has ``format`` and ``version`` as literals
+    name : what to call the file in an error
+    data : the file
+    kind : the file in words, "a BTFsep job"
+
+    Raises
+    ------
+    InputError
+        No JSON, another format or version, or the first thing in it that is wrong, in words.
+    """
+    if len(data) > MAX_BYTES:
+        raise InputError(name, f"the file has {len(data) // 2**20} MB", f"check that this is {kind}")
+    try:
+        tree = json.loads(data.decode("utf-8-sig"), object_pairs_hook=_no_twins)
+    except json.JSONDecodeError as error:
+        got = f"line {error.lineno} is not valid JSON ({error.msg})"
+        raise InputError(name, got, "correct the line") from None
+    except _Twins as error:
+        raise InputError(name, f"the key '{error}' stands there twice", "keep one of them") from None
+    except (UnicodeDecodeError, ValueError, RecursionError):
+        raise InputError(name, "this is not a JSON file", f"check that this is {kind}") from None
+    if not isinstance(tree, dict):
+        raise InputError(name, "the file does not hold a JSON object", f"check that this is {kind}")
+    for key in ("format", "version"):
+        wanted = get_args(model.model_fields[key].annotation)[0]
+        got = tree.get(key)
+        if type(got) is not type(wanted) or got != wanted:
+            found = f"its {key} is {_show(got)}" if key in tree else f"it has no '{key}'"
+            newer = key == "version" and isinstance(got, int) and not isinstance(got, bool) and got > wanted
+            do = "use a newer BTFsep" if newer else f'it has to say "{key}": {json.dumps(wanted)}'
+            raise InputError(name, found, do)
+    try:
+        return model.model_validate(tree)
+    except ValidationError as error:
+        raise _in_words(model, name, error) from None
+
+
+class _Twins(Exception):
+    pass
+
+
+def _no_twins(pairs):
+    out = dict(pairs)
+    if len(out) != len(pairs):
+        keys = [k for k, _ in pairs]
+        raise _Twins(next(k for k in keys if keys.count(k) > 1)[:60])
+    return out
+
+
+def _show(value) -> str:
+    text = json.dumps(value, ensure_ascii=True)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def _place(location) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else ("." if text else "") + str(part)[:60]
+    return text
+
+
+def _annotation_at(model, location):
+    """The annotation at a location inside the schema."""
+    annotation = model
+    for part in location:
+        annotation = _bare(annotation)
+        is_list = get_origin(annotation) is list
+        annotation = get_args(annotation)[0] if is_list else annotation.model_fields[part].annotation
+    return _bare(annotation)
+
+
+def _bare(annotation):
+    """An annotation without its optional and annotated wrappers: a schema, a list, a literal or a plain type."""
+    while get_origin(annotation) not in (None, list, Literal):
+        annotation = get_args(annotation)[0]
+    return annotation
+
+
+def nearest(word: str, choices) -> str:
+    """ "did you mean 'x'?", or the choices where none is near."""
+    choices = list(choices)
+    near = difflib.get_close_matches(str(word).lower(), choices, 1, 0.5)
+    if near:
+        return f"did you mean '{near[0]}'?"
+    return _list(choices)
+
+
+_WANTED = {
+    "string_type": "a text",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "model_type": "an object { }",
+    "dict_type": "an object { }",
+    "model_attributes_type": "an object { }",
+}
+
+
+def _in_words(model, name: str, error: ValidationError) -> InputError:
+    first = error.errors(include_url=False)[0]
+    kind, location, got, context = first["type"], first["loc"], first["input"], first.get("ctx", {})
+    what = f"{name}: {_place(location)}"
+    if kind == "missing":
+        return InputError(f"{name}: {_place(location)}", "it is missing", "add it")
+    if kind == "extra_forbidden":
+        known = _annotation_at(model, location[:-1]).model_fields
+        return InputError(what, "this key is not known", nearest(str(location[-1]), known))
+    if kind == "literal_error":
+        choices = [str(c) for c in get_args(_annotation_at(model, location))]
+        return InputError(
+            what, f"it is {_show(got)}", nearest(got, choices) if isinstance(got, str) else _list(choices)
+        )
+    if kind in _WANTED:
+        return InputError(what, f"it is {_show(got)}", f"it has to be {_WANTED[kind]}")
+    if kind == "finite_number":
+        return InputError(what, f"it is {got}", "it has to be a finite number")
+    for key, words in (("gt", "greater than"), ("ge", "at least"), ("lt", "less than"), ("le", "at most")):
+        if key in context:
+            return InputError(what, f"it is {_show(got)}", f"it has to be {words} {context[key]:g}")
+    if kind in ("too_short", "too_long"):
+        limit = context.get("min_length" if kind == "too_short" else "max_length")
+        do = f"it needs {'at least' if kind == 'too_short' else 'at most'} {limit}"
+        return InputError(what, f"it has {context.get('actual_length')} entries", do)
+    if kind == "string_too_short":
+        return InputError(what, "it is empty", "fill it in")
+    if kind == "string_too_long":
+        return InputError(what, f"it has {len(got)} characters", f"it may have {context.get('max_length')}")
+    return InputError(what, f"it is {_show(got)}", first["msg"])
+
+
+def _list(choices) -> str:
+    return "choose one of " + ", ".join(f"'{c}'" for c in choices)
