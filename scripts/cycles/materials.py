@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials of the photographed objects: white matte, or meso-structure as true geometry.
+
+A displaced material is a dense mesh whose vertices stand at the height of the map, with the map's colour and
+roughness on a Principled BSDF: what the engine's tables stand for, made in another way.
+"""
+
+import bpy
+import numpy as np
+
+from scripts.cycles import objects
+
+FACE_MM = 0.45  # edge of a face of the displaced mesh, at most ...
+MOST_FACES = 1_300_000  # ... unless that takes more faces than this
+WHITE_ALBEDO = 0.8
+
+
+def image(name: str, values, *, colour_space: str = "Non-Color") -> bpy.types.Image:
+    """A float image of ``values : (h, w) or (h, w, 3) float``, row 0 the smallest v (Blender's bottom row)."""
+    values = np.asarray(values, np.float32)
+    if values.ndim == 2:
+        values = np.repeat(values[..., None], 3, -1)
+    h, w = values.shape[:2]
+    result = bpy.data.images.new(name, w, h, alpha=False, float_buffer=True)
+    result.colorspace_settings.name = colour_space
+    rgba = np.ones((h, w, 4), np.float32)
+    rgba[..., :3] = values
+    result.pixels.foreach_set(rgba.ravel())
+    result.update()
+    return result
+
+
+def clear_nodes(tree) -> None:
+    """Empties a node tree."""
+    for node in list(tree.nodes):
+        tree.nodes.remove(node)
+
+
+def node_tree(owner):
+    """The shader nodes of a material or a World, emptied. (Blender 5 has them always on.)"""
+    if bpy.app.version < (5, 0, 0):
+        owner.use_nodes = True
+    clear_nodes(owner.node_tree)
+    return owner.node_tree
+
+
+def white(albedo: float = WHITE_ALBEDO) -> bpy.types.Material:
+    """A perfectly diffuse material."""
+    material = bpy.data.materials.new("white matte")
+    tree = node_tree(material)
+    bsdf = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    bsdf.inputs["Color"].default_value = (albedo, albedo, albedo, 1)
+    bsdf.inputs["Roughness"].default_value = 0
+    out = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
+    return material
+
+
+def surface(name: str, maps) -> bpy.types.Material:
+    """Colour and roughness of ``maps`` by the mesh's UV (one unit a tile), on a Principled BSDF of the maps' f0."""
+    material = bpy.data.materials.new(name)
+    tree = node_tree(material)
+    bsdf = tree.nodes.new("ShaderNodeBsdfPrincipled")
+    root = np.sqrt(float(maps.f0))
+    bsdf.inputs["IOR"].default_value = (1 + root) / (1 - root)
+    for field, socket in (("base_colour", "Base Color"), ("roughness", "Roughness")):
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image = image(f"{name} {field}", getattr(maps, field))
+        tree.links.new(node.outputs["Color"], bsdf.inputs[socket])
+    out = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
+    return material
+
+
+def smoothed(height, sigma_texels: float) -> np.ndarray:
+    """A periodic map (n, m) under a Gaussian, so that a mesh can carry it without aliasing."""
+    fy, fx = np.fft.fftfreq(height.shape[0])[:, None], np.fft.rfftfreq(height.shape[1])[None, :]
+    low = np.exp(-2 * (np.pi * sigma_texels) ** 2 * (fx * fx + fy * fy))
+    return np.fft.irfft2(np.fft.rfft2(height) * low, s=height.shape)
+
+
+def sample_periodic(values, uv) -> np.ndarray:
+    """Bilinear look-up in a periodic map (h, w), row 0 at the smallest v; ``uv : (n, 2)``, one unit a tile."""
+    h, w = values.shape
+    x, y = uv[:, 0] * w - 0.5, uv[:, 1] * h - 0.5
+    x0, y0 = np.floor(x), np.floor(y)
+    fx, fy = x - x0, y - y0
+    x0, y0 = x0.astype(np.int64) % w, y0.astype(np.int64) % h
+    x1, y1 = (x0 + 1) % w, (y0 + 1) % h
+    return (values[y0, x0] * (1 - fx) + values[y0, x1] * fx) * (1 - fy) + (
+        values[y1, x0] * (1 - fx) + values[y1, x1] * fx
+    ) * fy
+
+
+def displaced(base: bpy.types.Object, name: str, maps, *, face_mm: float = FACE_MM) -> bpy.types.Object:
+    """A copy of ``base`` that carries ``maps`` as geometry, linked to the current scene.
+
+    The base is subdivided to faces of ``face_mm`` and its welded vertices move along their smooth normals by the
+    map's height (its mean taken off). Where charts of the UV map meet, a vertex takes the mean of its corners'
+    heights: the surface has no cracks.
+
+    Parameters
+    ----------
+    base : its UV map in metres, scene units metres
+    maps : base_colour (n, n, 3) linear, height_mm (n, n), roughness (n, n), size_mm, f0
+    """
+    vertex, _ = objects.triangles(base.data)
+    corners = objects.vertex_positions(base.data)[vertex]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    faces = len(base.data.polygons)
+    wanted = min(area / (face_mm * 1e-3) ** 2, MOST_FACES)
+    levels = max(int(np.round(np.log(wanted / faces) / np.log(4))), 0)
+    mesh = objects.subdivided(base.data, levels)
+    uv = objects.corner_uv(mesh) * (1e3 / maps.size_mm)
+    objects.set_corner_uv(mesh, uv)
+
+    edge_mm = 1e3 * np.sqrt(area / (faces * 4**levels))
+    height = np.asarray(maps.height_mm, np.float64)
+    height = smoothed(height - height.mean(), 0.5 * edge_mm / maps.size_mm * len(height))
+    vertex_of_corner = np.empty(len(mesh.loops), np.int32)
+    mesh.loops.foreach_get("vertex_index", vertex_of_corner)
+    count = np.bincount(vertex_of_corner, minlength=len(mesh.vertices))
+    lift = np.bincount(vertex_of_corner, sample_periodic(height, uv), len(mesh.vertices)) / np.maximum(count, 1)
+    normals = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertex_normals.foreach_get("vector", normals)
+    objects.move(mesh, objects.vertex_positions(mesh) + 1e-3 * lift[:, None] * normals.reshape(-1, 3))
+
+    mesh.shade_smooth()
+    mesh.name = f"{base.name} in {name}"
+    mesh.materials.clear()
+    mesh.materials.append(surface(name, maps))
+    result = bpy.data.objects.new(mesh.name, mesh)
+    bpy.context.scene.collection.objects.link(result)
+    return result
+
+
+def load_maps(material_name: str, *, resolution: int = 512, variation: int = 1):
+    """The procedural maps of a library material; a ``variation`` other than the library's 0 gives other texels."""
+    from btfsep_engine.btf import procedural
+
+    return procedural.maps(material_name, resolution, variation=variation)

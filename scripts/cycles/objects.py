@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The objects that are photographed, built by Blender itself: no outside data.
+
+Each is a welded quad mesh, its largest side 150 mm (scene unit: metre), its bounding box centred at the origin,
+smooth shaded, with a low-distortion UV map in **metres on the surface** (a later scale gives tiles).
+"""
+
+import bmesh
+import bpy
+import numpy as np
+
+LARGEST_SIDE = 0.15  # metres
+ISLAND_ANGLE = np.radians(50.0)  # the most that a chart's faces lean from its projection: stretch below 1 / cos
+
+
+def _mesh(name: str, vertices, quads) -> bpy.types.Mesh:
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(np.asarray(vertices, float).tolist(), [], np.asarray(quads).tolist())
+    mesh.validate()
+    return mesh
+
+
+def _grid_quads(rows: int, columns: int, *, wrap_rows: bool, wrap_columns: bool) -> np.ndarray:
+    """Quads of a (rows, columns) vertex grid, counter-clockwise seen from du x dv with u along columns, v along rows."""
+    r = np.arange(rows if wrap_rows else rows - 1)[:, None]
+    c = np.arange(columns if wrap_columns else columns - 1)[None, :]
+    r1, c1 = (r + 1) % rows, (c + 1) % columns
+    return np.stack(
+        np.broadcast_arrays(r * columns + c, r * columns + c1, r1 * columns + c1, r1 * columns + c), -1
+    ).reshape(-1, 4)
+
+
+def subdivided(mesh: bpy.types.Mesh, levels: int) -> bpy.types.Mesh:
+    """Catmull-Clark to the limit surface, so that every level lies on the same surface."""
+    scratch = bpy.data.objects.new("subdivide", mesh)
+    bpy.context.scene.collection.objects.link(scratch)
+    modifier = scratch.modifiers.new("Subdivision", "SUBSURF")
+    modifier.levels = modifier.render_levels = levels
+    modifier.use_limit_surface = True
+    modifier.uv_smooth = "NONE"
+    graph = bpy.context.evaluated_depsgraph_get()
+    result = bpy.data.meshes.new_from_object(scratch.evaluated_get(graph), depsgraph=graph)
+    bpy.data.objects.remove(scratch)
+    return result
+
+
+def _suzanne(_rng) -> bpy.types.Mesh:
+    mesh = bpy.data.meshes.new("suzanne")
+    bm = bmesh.new()
+    bmesh.ops.create_monkey(bm)
+    bm.to_mesh(mesh)
+    bm.free()
+    return subdivided(mesh, 3)
+
+
+def _blob(rng) -> bpy.types.Mesh:
+    """A ball swollen by a sum of smooth waves."""
+    mesh = bpy.data.meshes.new("blob")
+    bm = bmesh.new()
+    bmesh.ops.create_cube(bm, size=2.0)
+    bmesh.ops.subdivide_edges(bm, edges=bm.edges, cuts=63, use_grid_fill=True)
+    bm.to_mesh(mesh)
+    bm.free()
+    p = vertex_positions(mesh)
+    p = np.tan(p * np.pi / 4)  # evens out the faces
+    p /= np.linalg.norm(p, axis=1, keepdims=True)
+    radius = np.ones(len(p))
+    for frequency, height in ((2.0, 0.16), (3.3, 0.10), (5.0, 0.05)):
+        for wave in rng.normal(size=(3, 3)):
+            wave *= frequency / np.linalg.norm(wave)
+            radius += height * np.sin(p @ wave + rng.uniform(0, 2 * np.pi))
+    move(mesh, p * radius[:, None])
+    return mesh
+
+
+def _knot(_rng) -> bpy.types.Mesh:
+    """A (2, 3) torus knot; the tube's frame is parallel-transported, its closing twist spread over the length."""
+    rings, sides, tube = 420, 56, 0.36
+    t = np.arange(rings) * 2 * np.pi / rings
+    centre = np.stack(
+        [(2 + np.cos(3 * t)) * np.cos(2 * t), (2 + np.cos(3 * t)) * np.sin(2 * t), 1.1 * np.sin(3 * t)], -1
+    )
+    tangent = np.roll(centre, -1, 0) - np.roll(centre, 1, 0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normal = np.empty_like(centre)
+    n = np.cross(tangent[0], [0, 0, 1.0])
+    for i in range(rings):
+        n = n - tangent[i] * (n @ tangent[i])
+        normal[i] = n = n / np.linalg.norm(n)
+    closing = n - tangent[0] * (n @ tangent[0])
+    twist = np.arctan2(np.cross(normal[0], closing) @ tangent[0], normal[0] @ closing)
+    around = np.arange(sides) * 2 * np.pi / sides
+    angle = around[None, :] - twist * np.arange(rings)[:, None] / rings
+    binormal = np.cross(tangent, normal)
+    ring = np.cos(angle)[..., None] * normal[:, None] + np.sin(angle)[..., None] * binormal[:, None]
+    points = centre[:, None] + tube * ring
+    mesh = _mesh("knot", points.reshape(-1, 3), _grid_quads(rings, sides, wrap_rows=True, wrap_columns=True))
+    # tilted, so that the camera sees through the loops
+    a = np.radians(35)
+    turn = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    move(mesh, vertex_positions(mesh) @ turn.T)
+    return mesh
+
+
+def _catmull_rom(points, steps: int) -> np.ndarray:
+    p = np.asarray(points, float)
+    p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
+    t = np.linspace(0, 1, steps, endpoint=False)[:, None]
+    out = []
+    for a, b, c, d in zip(p, p[1:], p[2:], p[3:]):
+        out.append(b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))))
+    return np.vstack([*out, p[-2:-1]])
+
+
+def _vase(_rng) -> bpy.types.Mesh:
+    """Turned on a lathe: an open cup with a thick wall, so that much of it lights and shades itself."""
+    outside = [
+        (0.0, 0),
+        (0.36, 0),
+        (0.5, 0.06),
+        (0.72, 0.4),
+        (0.86, 0.8),
+        (0.78, 1.15),
+        (0.56, 1.42),
+        (0.60, 1.62),
+        (0.78, 1.78),
+    ]
+    inside = [
+        (0.74, 1.83),
+        (0.66, 1.78),
+        (0.50, 1.62),
+        (0.46, 1.42),
+        (0.66, 1.13),
+        (0.74, 0.8),
+        (0.6, 0.42),
+        (0.36, 0.16),
+        (0, 0.12),
+    ]
+    profile = _catmull_rom(outside + inside, 8)[1:-1]
+    around = 160
+    angle = np.arange(around) * 2 * np.pi / around
+    r, z = np.maximum(profile[:, 0], 1e-3), profile[:, 1]
+    points = np.stack(
+        [r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), np.repeat(z[:, None], around, 1)], -1
+    ).reshape(-1, 3)
+    quads = _grid_quads(len(profile), around, wrap_rows=False, wrap_columns=True)
+    points = np.vstack([points, [[0, 0, 0.0], [0, 0, 0.12]]])
+    mesh = bpy.data.meshes.new("vase")
+    first, last = len(points) - 2, len(points) - 1
+    ring = np.arange(around)
+    caps = [[first, (i + 1) % around, i] for i in ring]
+    top = (len(profile) - 1) * around
+    caps += [[last, top + i, top + (i + 1) % around] for i in ring]
+    mesh.from_pydata(points.tolist(), [], quads.tolist() + caps)
+    mesh.validate()
+    return mesh
+
+
+def _cloth(rng) -> bpy.types.Mesh:
+    """A round cloth draped over a ball: the cap follows the ball, the rest hangs in folds that deepen to the hem."""
+    rings, around, ball = 110, 256, 0.62
+    s = np.linspace(0, 1.75, rings)[1:, None]  # arc length from the top
+    phi = (np.arange(around) * 2 * np.pi / around)[None, :]
+    leave = 0.5 * np.pi * ball * 0.82  # where the cloth leaves the ball
+    theta = np.minimum(s, leave) / ball
+    hang = np.maximum(s - leave, 0)
+    end = leave / ball
+    radius = ball * np.sin(theta) + hang * np.cos(end) * np.exp(-0.6 * hang)
+    height = ball * np.cos(theta) - hang * np.sin(end)
+    depth = 0.30 * (1 - np.exp(-((hang / 0.42) ** 2)))
+    phase = rng.uniform(0, 2 * np.pi, 3)
+    wave = np.sin(7 * phi + phase[0] + 0.5 * np.sin(2 * phi + phase[1])) + 0.35 * np.sin(11 * phi + phase[2])
+    radius = radius + depth * wave * 0.55
+    height = height + 0.05 * depth * np.cos(3 * phi + phase[1])
+    points = np.stack([radius * np.cos(phi), radius * np.sin(phi), height * np.ones_like(phi)], -1).reshape(-1, 3)
+    quads = _grid_quads(rings - 1, around, wrap_rows=False, wrap_columns=True)[:, ::-1]
+    caps = [[len(points), i, (i + 1) % around] for i in range(around)]
+    mesh = bpy.data.meshes.new("cloth")
+    mesh.from_pydata(np.vstack([points, [[0, 0, ball]]]).tolist(), [], quads.tolist() + caps)
+    mesh.validate()
+    return mesh
+
+
+def _sphere(_rng) -> bpy.types.Mesh:
+    """A ball, fine enough that its facets do not show: for the tests of conventions."""
+    mesh = bpy.data.meshes.new("sphere")
+    bm = bmesh.new()
+    bmesh.ops.create_icosphere(bm, subdivisions=6, radius=1.0)
+    bm.to_mesh(mesh)
+    bm.free()
+    return mesh
+
+
+BUILDERS = {"suzanne": _suzanne, "blob": _blob, "knot": _knot, "vase": _vase, "cloth": _cloth, "sphere": _sphere}
+NAMES = tuple(BUILDERS)
+
+
+def vertex_positions(mesh) -> np.ndarray:
+    """(v, 3) float64, object space."""
+    flat = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    return flat.reshape(-1, 3).astype(np.float64)
+
+
+def move(mesh, positions) -> None:
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(positions, np.float32).ravel())
+    mesh.update()
+
+
+def triangles(mesh):
+    """(t, 3) int32 vertex indices and (t, 3) int32 corner indices of the triangulated mesh."""
+    mesh.calc_loop_triangles()
+    vertex, corner = (np.empty(3 * len(mesh.loop_triangles), np.int32) for _ in range(2))
+    mesh.loop_triangles.foreach_get("vertices", vertex)
+    mesh.loop_triangles.foreach_get("loops", corner)
+    return vertex.reshape(-1, 3), corner.reshape(-1, 3)
+
+
+def corner_uv(mesh) -> np.ndarray:
+    """(corners, 2) float64, the active UV map."""
+    flat = np.empty(2 * len(mesh.loops), np.float32)
+    mesh.uv_layers.active.uv.foreach_get("vector", flat)
+    return flat.reshape(-1, 2).astype(np.float64)
+
+
+def set_corner_uv(mesh, uv) -> None:
+    """Writes (corners, 2) into the active UV map."""
+    mesh.uv_layers.active.uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
+
+
+def _charts(mesh, uv) -> np.ndarray:
+    """(faces,) int, the chart of each face: faces joined over edges whose UVs agree on both sides."""
+    bm = bmesh.new()
+    bm.from_mesh(mesh)
+    layer = bm.loops.layers.uv.active
+    parent = list(range(len(bm.faces)))
+
+    def root(i):
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        return i
+
+    for edge in bm.edges:
+        if len(edge.link_loops) != 2:
+            continue
+        a, b = edge.link_loops
+        here = (a[layer].uv, a.link_loop_next[layer].uv)
+        there = (b.link_loop_next[layer].uv, b[layer].uv)
+        if a.vert is b.vert:
+            there = there[::-1]
+        if all((p - q).length_squared < 1e-12 for p, q in zip(here, there)):
+            parent[root(a.face.index)] = root(b.face.index)
+    found = np.array([root(i) for i in range(len(parent))])
+    bm.free()
+    return np.unique(found, return_inverse=True)[1]
+
+
+def _mark_seams(mesh, charts) -> None:
+    bm = bmesh.new()
+    bm.from_mesh(mesh)
+    for edge in bm.edges:
+        faces = edge.link_faces
+        edge.seam = len(faces) == 2 and charts[faces[0].index] != charts[faces[1].index]
+    bm.to_mesh(mesh)
+    bm.free()
+
+
+def unwrap(obj) -> None:
+    """Gives ``obj`` a UV map in metres on its surface: charts of like-facing faces, unwrapped, scaled by area."""
+    mesh = obj.data
+    mesh.uv_layers.new(name="UVMap")
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.uv.smart_project(angle_limit=ISLAND_ANGLE, island_margin=0.0, scale_to_bounds=False)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    _mark_seams(mesh, _charts(mesh, None))
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.uv.unwrap(method="ANGLE_BASED", margin=0.0, fill_holes=False)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    _scale_charts(mesh)
+
+
+def _scale_charts(mesh) -> None:
+    """Scales each chart so that its area in UV equals its area on the surface (square metres)."""
+    charts = _charts(mesh, None)
+    uv, (vertex, corner) = corner_uv(mesh), triangles(mesh)
+    face_of = np.empty(len(mesh.loop_triangles), np.int32)
+    mesh.loop_triangles.foreach_get("polygon_index", face_of)
+    p, q = vertex_positions(mesh)[vertex], uv[corner]
+    surface = 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    a, b = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
+    flat = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    chart = charts[face_of]
+    scale = np.sqrt(np.bincount(chart, surface) / np.maximum(np.bincount(chart, flat), 1e-20))
+    corner_scale = np.empty(len(uv))
+    corner_scale[corner] = scale[chart][:, None]
+    set_corner_uv(mesh, uv * corner_scale[:, None])
+
+
+def build(name: str, *, seed: int = 0, with_uv: bool = True) -> bpy.types.Object:
+    """The object ``name`` (one of :data:`NAMES`), linked to the current scene.
+
+    Returns
+    -------
+    bpy.types.Object with an identity transform, smooth shaded; its UV map, if any, in metres
+    """
+    mesh = BUILDERS[name](np.random.default_rng(seed))
+    mesh.name = name
+    positions = vertex_positions(mesh)
+    low, high = positions.min(0), positions.max(0)
+    move(mesh, (positions - (low + high) / 2) * (LARGEST_SIDE / (high - low).max()))
+    mesh.shade_smooth()
+    obj = bpy.data.objects.new(name, mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    if with_uv:
+        unwrap(obj)
+    return obj

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The photographer's studio: an object, a camera, one of Blender's own studio lights, and Cycles.
+
+What is photographed is the displaced object; what is *known* (and exported in a job) is the base object, its
+undisplaced macro geometry. Scene unit: metre. Nothing is clamped, filtered or denoised: radiance is as rendered.
+"""
+
+import math
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Euler, Vector
+
+from btfsep_engine import sh
+from scripts.cycles import materials, objects
+
+LENS_MM, SENSOR_MM = 85.0, 36.0
+FRAME_FILL = 0.84  # the object's larger extent over the frame's edge: about 60 % of the frame for a round object
+VIEW_FROM = (0.45, -1.0, 0.42)  # from the front, a little from the right and above
+BOUNCES = 8
+
+
+def studio_lights() -> dict:
+    """Blender's own environment maps, name -> path. They are the test lights, never used for training."""
+    folder = bpy.utils.system_resource("DATAFILES", path="studiolights/world")
+    return {path.stem: path for path in sorted(Path(folder).glob("*.exr"))}
+
+
+def light_path(light) -> Path:
+    """The path of a light: one of :func:`studio_lights` by name, or a path as it is."""
+    return studio_lights().get(str(light)) or Path(light)
+
+
+def read_image(path) -> np.ndarray:
+    """(h, w, 3) float32 linear, row 0 at the top, of an EXR or HDR, as Blender reads it."""
+    image = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        w, h = image.size
+        flat = np.empty(w * h * image.channels, np.float32)
+        image.pixels.foreach_get(flat)
+        return flat.reshape(h, w, image.channels)[::-1, :, :3].copy()
+    finally:
+        bpy.data.images.remove(image)
+
+
+@lru_cache(maxsize=16)
+def _projected(path: str, order: int) -> np.ndarray:
+    return sh.project_map(read_image(path), order)
+
+
+def true_lighting(light, order: int, rotation_z: float = 0.0, *, rotation=None) -> np.ndarray:
+    """SH coefficients of a light, turned about the world's Z by ``rotation_z`` radians (or by a 3 x 3 ``rotation``).
+
+    Returns
+    -------
+    ((order + 1)^2, 3) float64
+    """
+    if rotation is None:
+        rotation = np.array(Euler((0, 0, rotation_z)).to_matrix())
+    return sh.rotation_matrix(order, rotation) @ _projected(str(light_path(light)), order)
+
+
+def make_world(light, *, rotation_euler=(0.0, 0.0, 0.0)) -> bpy.types.World:
+    """A World with the map of ``light``, turned by ``rotation_euler`` (XYZ, radians): light from d comes from R d."""
+    world = bpy.data.worlds.new("true light")
+    tree = materials.node_tree(world)
+    add, link = tree.nodes.new, tree.links.new
+    coordinates, mapping, texture = (
+        add("ShaderNodeTexCoord"),
+        add("ShaderNodeMapping"),
+        add("ShaderNodeTexEnvironment"),
+    )
+    background, output = add("ShaderNodeBackground"), add("ShaderNodeOutputWorld")
+    mapping.vector_type = "TEXTURE"  # looks up at R^-1 d
+    mapping.inputs["Rotation"].default_value = rotation_euler
+    texture.image = bpy.data.images.load(str(light_path(light)), check_existing=True)
+    link(coordinates.outputs["Generated"], mapping.inputs["Vector"])
+    link(mapping.outputs["Vector"], texture.inputs["Vector"])
+    link(texture.outputs["Color"], background.inputs["Color"])
+    link(background.outputs["Background"], output.inputs["Surface"])
+    return world
+
+
+def aim(camera: bpy.types.Object, positions, *, view_from=VIEW_FROM) -> None:
+    """Puts ``camera`` so that ``positions : (n, 3)``, world, fill :data:`FRAME_FILL` of a square frame."""
+    back = np.array(Vector(view_from).normalized())
+    rotation = Vector(-back).to_track_quat("-Z", "Y").to_matrix()
+    local = np.asarray(positions) @ np.array(rotation)  # rows times R = R^T p
+    slope = 0.5 * FRAME_FILL * SENSOR_MM / LENS_MM
+    # in each axis the object spans [min(x - s(c - z)), max(x + s(c - z))] at camera height c: widest axis decides
+    centre, height = np.zeros(2), 0.0
+    for axis in (0, 1):
+        right = (local[:, axis] + slope * local[:, 2]).max()
+        left = (local[:, axis] - slope * local[:, 2]).min()
+        centre[axis], height = (right + left) / 2, max(height, (right - left) / (2 * slope))
+    camera.matrix_world = rotation.to_4x4()
+    camera.location = np.array(rotation) @ np.array([*centre, height])
+
+
+def clear() -> bpy.types.Scene:
+    """An empty file. Returns the scene, with Cycles set up for plain physical light transport."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
+    scene.render.engine = "CYCLES"
+    cycles = scene.cycles
+    cycles.device = "CPU"
+    cycles.use_denoising = False
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
+    cycles.blur_glossy = 0.0
+    cycles.light_sampling_threshold = 0.0
+    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = BOUNCES
+    cycles.caustics_reflective = True
+    cycles.use_adaptive_sampling = True
+    cycles.adaptive_threshold = 0.05
+    scene.render.use_persistent_data = True
+    scene.view_settings.view_transform = "Standard"
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
+    return scene
+
+
+def make_scene(object_name, material_name, world_hdri_path, *, resolution, rotation_z=0.0, seed=0, maps=None):
+    """A studio with one object.
+
+    Parameters
+    ----------
+    object_name : one of ``objects.NAMES``
+    material_name : "white", or a material of the library ("class/material")
+    world_hdri_path : a path, or a name of :func:`studio_lights`
+    resolution : edge of the square photo, pixels
+    rotation_z : radians, turns the light
+    seed : of the object's shape; the material's texels are of variation ``seed + 1`` (the library's is 0)
+    maps : the material's maps, if not ``procedural.maps``' own
+
+    Returns
+    -------
+    scene, camera, base_object (undisplaced, hidden in renders), photo_object (displaced)
+    """
+    scene = clear()
+    scene.world = make_world(world_hdri_path, rotation_euler=(0, 0, rotation_z))
+    base = objects.build(object_name, seed=seed)
+    if material_name == "white":
+        photo = bpy.data.objects.new(f"{object_name} in white", base.data.copy())
+        photo.data.materials.append(materials.white())
+        scene.collection.objects.link(photo)
+    else:
+        maps = maps or materials.load_maps(material_name, variation=seed + 1)
+        photo = materials.displaced(base, material_name, maps)
+        objects.set_corner_uv(base.data, objects.corner_uv(base.data) * (1e3 / maps.size_mm))
+    base.hide_render = True
+
+    data = bpy.data.cameras.new("camera")
+    data.lens, data.sensor_width, data.clip_start = LENS_MM, SENSOR_MM, 0.01
+    camera = bpy.data.objects.new("camera", data)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = resolution
+    scene.render.resolution_percentage = 100
+    aim(camera, objects.vertex_positions(base.data))
+    bpy.context.view_layer.update()
+    return scene, camera, base, photo
+
+
+def render_photo(scene, path_exr, samples: int = 64) -> np.ndarray:
+    """Renders ``scene`` to a linear 32-bit EXR and returns it, (h, w, 3) float32, row 0 at the top."""
+    scene.cycles.samples = samples
+    scene.render.filepath = str(path_exr)
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    return read_image(path_exr)
+
+
+def render_under(scene, world, path_exr, samples: int = 64) -> np.ndarray:
+    """The same photograph under another ``world``; the scene keeps its own."""
+    own, scene.world = scene.world, world
+    try:
+        return render_photo(scene, path_exr, samples)
+    finally:
+        scene.world = own
+
+
+def object_mask(scene) -> np.ndarray:
+    """(h, w) float32 in [0, 1], how much of each pixel is object rather than World."""
+    render, settings = scene.render, scene.render.image_settings
+    kept = render.film_transparent, scene.cycles.max_bounces, scene.cycles.use_adaptive_sampling
+    render.film_transparent, scene.cycles.max_bounces, scene.cycles.use_adaptive_sampling = True, 0, False
+    settings.color_mode = "RGBA"
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "mask.exr"
+            scene.cycles.samples = 16
+            scene.render.filepath = str(path)
+            bpy.ops.render.render(write_still=True, scene=scene.name)
+            image = bpy.data.images.load(str(path))
+            flat = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+            image.pixels.foreach_get(flat)
+            shape = (image.size[1], image.size[0], 4)
+            bpy.data.images.remove(image)
+    finally:
+        settings.color_mode = "RGB"
+        render.film_transparent, scene.cycles.max_bounces, scene.cycles.use_adaptive_sampling = kept
+    return flat.reshape(shape)[::-1, :, 3].copy()
+
+
+def pinhole(scene, camera) -> dict:
+    """The camera as a job has it: width, height, fx, fy, cx, cy in pixels, to_world (4, 4)."""
+    width = scene.render.resolution_x
+    f = width * camera.data.lens / camera.data.sensor_width
+    height = scene.render.resolution_y
+    return dict(
+        width=width, height=height, fx=f, fy=f, cx=width / 2, cy=height / 2, to_world=np.array(camera.matrix_world)
+    )
+
+
+def angle_between(a, b) -> float:
+    """Degrees between two vectors."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    return math.degrees(math.acos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))
