@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lightings, as the transport sees them: M lights at once, each the radiance that arrives from a direction.
+
+Light is linear, so one pass of the transport serves all M. Two questions can be asked of every lighting:
+
+- ``radiance(directions, solid_angle)``: the mean radiance over a cap of that solid angle around each direction
+  (0: exactly from it). For mirrors and single directions.
+- ``cell_averages(directions)``: for n directions spread over the whole sphere, each standing for 4 pi / n. The sum
+  of what is returned times 4 pi / n is the whole light, exactly: the sun is in it, however small it is.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from btfsep_engine import sh
+from btfsep_engine.conventions import direction_to_equirect, pixel_directions, pixel_solid_angles
+
+SAMPLES_PER_CELL = 100  # map samples that decide the borders of a cell
+PIXELS_PER_CAP = 400  # more are averaged beforehand
+CHUNK = 4096  # directions
+
+
+class Lightings(Protocol):
+    """M lights. The last axis of the arrays has 3 channels, or 1 where all channels are alike."""
+
+    @property
+    def count(self) -> int:
+        """M"""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """M names, for people"""
+
+    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
+        """(n, M, 3 or 1) float64 from ``directions : (n, 3) float, unit, world``, mean over ``solid_angle`` sr."""
+
+    def cell_averages(self, directions) -> np.ndarray:
+        """(n, M, 3 or 1) float64 for n directions that share out the whole sphere."""
+
+
+def cap_factors(order: int, solid_angle: float) -> np.ndarray:
+    """What averaging over a cap does to each order of spherical harmonics: (order + 1,) float64, 1 at order 0.
+
+    By Funk and Hecke, (P_{l-1}(c) - P_{l+1}(c)) / ((2 l + 1) (1 - c)) with c the cosine of the cap's half angle.
+    """
+    c = 1 - min(solid_angle, 4 * np.pi) / (2 * np.pi)
+    if solid_angle <= 1e-9:
+        return np.ones(order + 1)
+    p = np.ones(order + 2)
+    p[1] = c
+    for l in range(1, order + 1):
+        p[l + 1] = ((2 * l + 1) * c * p[l] - l * p[l - 1]) / (l + 1)
+    l = np.arange(1, order + 1)
+    return np.concatenate([[1.0], (p[:-2] - p[2:]) / ((2 * l + 1) * (1 - c))])
+
+
+def _per_term(per_order: np.ndarray) -> np.ndarray:
+    return np.repeat(per_order, 2 * np.arange(len(per_order)) + 1)
+
+
+@dataclass(frozen=True)
+class SHBasis:
+    """The spherical harmonics up to ``order`` as (order + 1)^2 lights, the same in all channels; they go negative."""
+
+    order: int
+
+    @property
+    def count(self) -> int:
+        return sh.term_count(self.order)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"Y {l} {m}" for l in range(self.order + 1) for m in range(-l, l + 1))
+
+    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
+        basis = sh.evaluate(self.order, directions)
+        return (basis * _per_term(cap_factors(self.order, solid_angle)))[..., None]
+
+    def cell_averages(self, directions) -> np.ndarray:
+        """Point values: the basis hardly changes over a cell, and the sum over cells is a good quadrature."""
+        return self.radiance(directions)
+
+
+@dataclass(frozen=True)
+class SHLighting:
+    """One light given by its coefficients : ((L + 1)^2, 3), linear Rec.709; it may go negative."""
+
+    coefficients: np.ndarray
+    name: str = "light"
+
+    @property
+    def count(self) -> int:
+        return 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (self.name,)
+
+    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
+        order = sh.order_of(len(self.coefficients))
+        factors = _per_term(cap_factors(order, solid_angle))
+        return (sh.evaluate(order, directions) @ (factors[:, None] * self.coefficients))[:, None, :]
+
+    def cell_averages(self, directions) -> np.ndarray:
+        """Point values, as of the basis."""
+        return self.radiance(directions)
+
+
+@dataclass(frozen=True)
+class EnvironmentMaps:
+    """M environment maps of one size.
+
+    Attributes
+    ----------
+    maps : (M, h, w, 3) float, equirectangular as in :mod:`btfsep_engine.conventions`, linear Rec.709, >= 0
+    names : M texts
+    """
+
+    maps: np.ndarray
+    names: tuple[str, ...]
+
+    def __post_init__(self):
+        object.__setattr__(self, "maps", np.asarray(self.maps))
+        object.__setattr__(self, "names", tuple(self.names))
+        if self.maps.ndim != 4 or self.maps.shape[-1] != 3 or len(self.names) != len(self.maps):
+            raise ValueError(f"maps of shape {self.maps.shape} with {len(self.names)} names")
+
+    @property
+    def count(self) -> int:
+        return len(self.maps)
+
+    @cached_property
+    def _table(self) -> np.ndarray:
+        """(h * w, M * 3): the values of a pixel in all maps, side by side."""
+        return np.ascontiguousarray(np.moveaxis(self.maps, 0, 2), np.float64).reshape(-1, 3 * self.count)
+
+    def coefficients(self, order: int) -> np.ndarray:
+        """(M, (order + 1)^2, 3) float64, the spherical harmonics of each map."""
+        h, w = self.maps.shape[1:3]
+        x = sh.project_map(self._table.reshape(h, w, -1), order)
+        return np.moveaxis(x.reshape(-1, self.count, 3), 1, 0)
+
+    def selected(self, indices) -> "EnvironmentMaps":
+        """The maps with the given numbers."""
+        indices = list(indices)
+        return EnvironmentMaps(self.maps[indices], tuple(self.names[i] for i in indices))
+
+    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
+        """As :class:`Lightings` says; between pixel centres bilinear, over caps weighted by solid angle."""
+        d = np.asarray(directions, np.float64)
+        h, w = self.maps.shape[1:3]
+        half_angle = np.arccos(np.clip(1 - solid_angle / (2 * np.pi), -1, 1))
+        factor = int(np.sqrt(solid_angle / (4 * np.pi) * h * w / PIXELS_PER_CAP))
+        while factor > 1 and (h % factor or w % factor):
+            factor -= 1
+        if factor > 1:
+            smaller = np.stack([shrink(m, factor) for m in self.maps])
+            return EnvironmentMaps(smaller, self.names).radiance(d, solid_angle)
+        out = np.empty((len(d), self.count, 3))
+        for start in range(0, len(d), CHUNK):
+            some = slice(start, start + CHUNK)
+            weights = _bilinear(d[some], h, w) if half_angle < 0.5 * np.pi / h else self._caps(d[some], half_angle)
+            out[some] = (weights @ self._table).reshape(-1, self.count, 3)
+        return out
+
+    def cell_averages(self, directions) -> np.ndarray:
+        """Each map's energy goes to the nearest direction, by finely divided pixels with exact solid angles."""
+        n = len(directions)
+        h, w = self.maps.shape[1:3]
+        split = max(1, int(np.ceil(np.sqrt(SAMPLES_PER_CELL * n / (h * w)))))
+        samples = pixel_directions(h * split, w * split).reshape(-1, 3)
+        _, cell = cKDTree(directions).query(samples)
+        row, column = np.divmod(np.arange(len(samples)), w * split)
+        weight = np.repeat(pixel_solid_angles(h * split, w * split), w * split) * (n / (4 * np.pi))
+        matrix = csr_matrix((weight, (cell, row // split * w + column // split)), shape=(n, h * w))
+        return (matrix @ self._table).reshape(n, self.count, 3)
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(pixel_directions(*self.maps.shape[1:3]).reshape(-1, 3))
+
+    def _caps(self, directions, half_angle: float) -> csr_matrix:
+        """Sparse weights of pixels in caps, with an edge as soft as a pixel, each row summing to 1."""
+        h, w = self.maps.shape[1:3]
+        soft = np.pi / h
+        reach = 2 * np.sin(min(half_angle + soft / 2, np.pi) / 2)
+        near = self._tree.query_ball_point(directions, reach)
+        counts = np.array([len(k) for k in near])
+        columns = np.concatenate([np.asarray(k, np.int64) for k in near])
+        rows = np.repeat(np.arange(len(directions)), counts)
+        chord = np.linalg.norm(self._tree.data[columns] - np.asarray(directions)[rows], axis=-1)
+        angle = 2 * np.arcsin(np.clip(chord / 2, 0, 1))
+        weight = np.clip((half_angle - angle) / soft + 0.5, 0, 1) * pixel_solid_angles(h, w)[columns // w]
+        matrix = csr_matrix((weight, (rows, columns)), shape=(len(directions), h * w))
+        total = np.asarray(matrix.sum(1)).ravel()
+        if (total <= 0).any():  # no pixel's centre is near: as good as a single direction
+            empty = np.flatnonzero(total <= 0)
+            single = _bilinear(np.asarray(directions)[empty], h, w).tocoo()
+            matrix = matrix + csr_matrix((single.data, (empty[single.row], single.col)), shape=matrix.shape)
+            total[empty] = 1
+        matrix.data /= np.repeat(total, np.diff(matrix.indptr))
+        return matrix
+
+
+def _bilinear(directions, h: int, w: int) -> csr_matrix:
+    """Sparse (n, h * w) weights: around the seam, and at the poles the nearest row."""
+    u, v = direction_to_equirect(directions)
+    x, y = u * w - 0.5, np.clip((1 - v) * h - 0.5, 0, h - 1)
+    x0, y0 = np.floor(x).astype(np.int64), np.minimum(np.floor(y).astype(np.int64), max(h - 2, 0))
+    fx, fy = x - x0, y - y0
+    y1 = np.minimum(y0 + 1, h - 1)
+    columns = [y0 * w + x0 % w, y0 * w + (x0 + 1) % w, y1 * w + x0 % w, y1 * w + (x0 + 1) % w]
+    weights = [(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy]
+    rows = np.tile(np.arange(len(u)), 4)
+    return csr_matrix((np.concatenate(weights), (rows, np.concatenate(columns))), shape=(len(u), h * w))
+
+
+def shrink(radiance, factor: int) -> np.ndarray:
+    """An environment map made smaller by a whole factor, averaged by solid angle: no energy is lost.
+
+    Parameters
+    ----------
+    radiance : (h, w, c) float; ``factor`` divides h and w
+
+    Returns
+    -------
+    (h / factor, w / factor, c) float64
+    """
+    a = np.asarray(radiance, np.float64)
+    h, w, c = a.shape
+    if h % factor or w % factor:
+        raise ValueError(f"{factor} does not divide {w} x {h}")
+    weight = pixel_solid_angles(h, w)
+    rows = (a * weight[:, None, None]).reshape(h // factor, factor, w // factor, factor, c).sum((1, 3))
+    return rows / (factor * weight.reshape(-1, factor).sum(1))[:, None, None]
+
+
+def turned(radiance, degrees: float) -> np.ndarray:
+    """An environment map turned about the vertical: light from azimuth a then comes from a + ``degrees``.
+
+    To the nearest whole pixel, so that no light is blurred.
+    """
+    a = np.asarray(radiance)
+    return np.roll(a, -round(degrees / 360 * a.shape[1]), axis=1)
+
+
+def resampled(radiance, rotation) -> np.ndarray:
+    """An environment map turned by any rotation, bilinear, of the same size: (h, w, 3) float64.
+
+    Parameters
+    ----------
+    radiance : (h, w, 3) float
+    rotation : (3, 3); light that came from d then comes from ``rotation @ d``
+    """
+    a = np.asarray(radiance, np.float64)
+    h, w = a.shape[:2]
+    d = pixel_directions(h, w).reshape(-1, 3)
+    return (_bilinear(d @ np.asarray(rotation, np.float64), h, w) @ a.reshape(h * w, -1)).reshape(a.shape)
