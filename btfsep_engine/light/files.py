@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``lighting.json`` and ``lighting.exr``: the estimated light as files (``docs/formats.md``)."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from btfsep_engine import atomic, images, sh
+from btfsep_engine.errors import InputError
+from btfsep_engine.job.schema import Strict, parse
+from btfsep_engine.light.maps import read_map
+
+MAX_ORDER = 64
+Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """A light in spherical harmonics.
+
+    Attributes
+    ----------
+    order : L
+    coefficients : ((L + 1)^2, 3) float64, radiance, linear Rec.709, in the photo's own scale
+    stddev : the same shape, standard deviations, >= 0
+    determined : ((L + 1)^2,) bool, whether the photo determines the row
+    exposure_ev : the exposure that had been applied to the photo, in stops; carried along, not applied
+    """
+
+    order: int
+    coefficients: np.ndarray
+    stddev: np.ndarray
+    determined: np.ndarray
+    exposure_ev: float = 0.0
+
+    def __post_init__(self):
+        terms = sh.term_count(self.order)
+        for name, kind, shape in (
+            ("coefficients", np.float64, (terms, 3)),
+            ("stddev", np.float64, (terms, 3)),
+            ("determined", bool, (terms,)),
+        ):
+            value = np.asarray(getattr(self, name), kind)
+            if value.shape != shape:
+                raise ValueError(f"{name} of order {self.order} has the shape {value.shape}, not {shape}")
+            object.__setattr__(self, name, value)
+
+
+def exactly(coefficients, *, exposure_ev: float = 0.0) -> Lighting:
+    """A Lighting of known ``coefficients : ((L + 1)^2, 3)``: no uncertainty, all determined."""
+    x = np.asarray(coefficients, np.float64)
+    return Lighting(sh.order_of(len(x)), x, np.zeros_like(x), np.ones(len(x), bool), exposure_ev)
+
+
+class LightingSchema(Strict):
+    format: Literal["btfsep-lighting"]
+    version: Literal[1]
+    basis: Literal["real-sh"]
+    order: Annotated[int, Field(ge=0, le=MAX_ORDER)]
+    coefficients: list[Rgb]
+    stddev: list[Rgb] | None = None
+    determined: list[bool] | None = None
+    frame: Literal["blender-z-up"]
+    exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
+
+
+def read_lighting(path) -> Lighting:
+    """Reads a ``lighting.json``. Without ``stddev`` it counts as exact, without ``determined`` as determined.
+
+    Raises
+    ------
+    InputError
+        Missing, no lighting of BTFsep, or wrong in itself, in words.
+    """
+    path = Path(path)
+    schema = parse(LightingSchema, path.name, _read_bytes(path), kind="a BTFsep lighting")
+    terms = sh.term_count(schema.order)
+    for key in ("coefficients", "stddev", "determined"):
+        rows = getattr(schema, key)
+        if rows is not None and len(rows) != terms:
+            got = f"it has {len(rows)} rows, and order {schema.order} has {terms}"
+            raise InputError(f"{path.name}: {key}", got, "write (order + 1)^2 rows")
+    if schema.stddev is not None and min(min(row) for row in schema.stddev) < 0:
+        raise InputError(f"{path.name}: stddev", "a standard deviation is negative", "write the positive root")
+    return Lighting(
+        schema.order,
+        np.array(schema.coefficients),
+        np.zeros((terms, 3)) if schema.stddev is None else np.array(schema.stddev),
+        np.ones(terms, bool) if schema.determined is None else np.array(schema.determined),
+        schema.exposure_ev,
+    )
+
+
+def write_lighting(path, lighting: Lighting) -> None:
+    """Writes a ``lighting.json``, one coefficient a line, whole or not at all.
+
+    Raises
+    ------
+    ValueError
+        Something in it is not finite (a bug: nothing that is not finite is ever stored).
+    """
+    if not (np.isfinite(lighting.coefficients).all() and np.isfinite(lighting.stddev).all()):
+        raise ValueError("a lighting that is not finite")
+    fields = {
+        "format": "btfsep-lighting",
+        "version": 1,
+        "basis": "real-sh",
+        "order": int(lighting.order),
+        "coefficients": lighting.coefficients.tolist(),
+        "stddev": lighting.stddev.tolist(),
+        "determined": lighting.determined.tolist(),
+        "frame": "blender-z-up",
+        "exposure_ev": float(lighting.exposure_ev),
+    }
+    lines = []
+    for key, value in fields.items():
+        text = json.dumps(value, allow_nan=False)
+        if isinstance(value, list):
+            text = "[\n  " + ",\n  ".join(json.dumps(row, allow_nan=False) for row in value) + "\n ]"
+        lines.append(f" {json.dumps(key)}: {text}")
+    atomic.write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def write_lighting_exr(path, lighting: Lighting, *, height: int = 256, width: int = 512) -> None:
+    """Writes the lighting as an equirectangular map, 32-bit float EXR. Spherical harmonics may dip below zero."""
+    images.write_exr(path, sh.to_map(lighting.coefficients, height, width))
+
+
+def read_any_lighting(path, order: int = 9) -> Lighting:
+    """Reads a ``lighting.json`` (at its own order), or projects an environment map (EXR, HDR, …) to ``order``."""
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        return read_lighting(path)
+    return exactly(sh.project_map(read_map(path), order))
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(str(path), "there is no such file", "check the name") from None
+    except OSError as error:
+        raise InputError(str(path), f"it cannot be read: {error.strerror or error}", "check the file") from error

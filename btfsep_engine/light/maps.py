@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The natural lights that recognition is trained under: real environment maps, made small.
+
+They come with the engine (``data/lights``, ``data/README.md`` says where they are from) and are never used for
+evaluation. One rule for their scale: the mean luminance over the sphere is 1 / pi, so that the luminance of the
+irradiance, averaged over all orientations of a surface, is 1.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from btfsep_engine import images
+from btfsep_engine.conventions import pixel_solid_angles
+from btfsep_engine.errors import InputError
+from btfsep_engine.light.lightings import EnvironmentMaps, turned
+
+FOLDER = Path(__file__).resolve().parents[1] / "data" / "lights"
+
+
+def normalised(radiance) -> np.ndarray:
+    """An environment map (h, w, 3) scaled so that its mean luminance over the sphere is 1 / pi; float64.
+
+    Raises
+    ------
+    ValueError
+        The map is black.
+    """
+    a = np.asarray(radiance, np.float64)
+    weight = pixel_solid_angles(*a.shape[:2])[:, None] / (4 * np.pi)
+    mean = float((images.luminance(a) * weight).sum())
+    if not mean > 0:
+        raise ValueError("a black map has no scale")
+    return a / (np.pi * mean)
+
+
+def read_map(path) -> np.ndarray:
+    """Reads an environment map: (h, w, 3) float32, linear Rec.709.
+
+    Raises
+    ------
+    InputError
+        As :func:`images.read_linear`; or the image is not twice as wide as high, or has pixels that are not finite.
+    """
+    path = Path(path)
+    pixels = images.read_linear(path).pixels
+    h, w = pixels.shape[:2]
+    if w != 2 * h:
+        raise InputError(path.name, f"it has {w} x {h} pixels", "give an equirectangular map, twice as wide as high")
+    bad = ~np.isfinite(pixels).all(-1)
+    if bad.any():
+        raise InputError(path.name, f"{int(bad.sum())} pixels are NaN or infinite", "export the map again")
+    return pixels
+
+
+@lru_cache(maxsize=4)
+def training_lights(rotations: int = 4) -> EnvironmentMaps:
+    """The natural lights of ``data/lights``, each at ``rotations`` evenly spaced turns about the vertical.
+
+    Deterministic. The maps of one turn stand together: index = turn * number of maps + map; the names say the turn
+    in degrees ("noon_grass@90"). Maps k of successive turns are offset a little against each other, so that no
+    two maps have their turns in step.
+
+    Returns
+    -------
+    EnvironmentMaps (rotations * number of maps, 64, 128, 3) float32
+    """
+    files = sorted(FOLDER.glob("*.exr"))
+    if not files:
+        raise InputError(f"training lights in {FOLDER}", "there are none", "install BTFsep again")
+    maps, names = [], []
+    loaded = [read_map(f) for f in files]
+    for turn in range(rotations):
+        for k, (file, radiance) in enumerate(zip(files, loaded, strict=True)):
+            degrees = round(360 * (turn / rotations + k / (rotations * len(files))) / 2.8125) * 2.8125
+            maps.append(turned(radiance, degrees))
+            names.append(f"{file.stem}@{degrees:g}")
+    stacked = np.stack(maps)
+    stacked.setflags(write=False)  # it is cached and shared
+    return EnvironmentMaps(stacked, tuple(names))
