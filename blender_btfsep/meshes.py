@@ -35,7 +35,9 @@ def triangles_of_mesh(mesh, matrix) -> dict | None:
     linear = matrix[:3, :3]
     world = points.reshape(-1, 3).astype(np.float64) @ linear.T + matrix[:3, 3]
     # Normals turn with the cofactor matrix, det(M) M^-T, without its sign: outward stays outward when mirrored.
-    cofactor = np.array([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+    cofactor = np.array(
+        [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
+    )
     mirrored = np.linalg.det(linear) < 0
     turned = normals.reshape(-1, 3).astype(np.float64) @ (-cofactor if mirrored else cofactor).T
     length = np.linalg.norm(turned, axis=1, keepdims=True)

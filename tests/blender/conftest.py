@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tests inside Blender: the ``bpy`` wheel, in this process, nothing mocked."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
+
+bpy = pytest.importorskip("bpy")
+
+
+@pytest.fixture
+def scene():
+    """An empty file; its only scene. Cycles on the CPU, EXR output, small pictures."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.use_denoising = False
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.samples = 64
+    scene.render.threads_mode, scene.render.threads = "FIXED", 2
+    scene.render.resolution_x = scene.render.resolution_y = 64
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
+    return scene
+
+
+@pytest.fixture
+def addon(scene):
+    """The add-on, registered for one test."""
+    import blender_btfsep
+
+    blender_btfsep.register()
+    yield blender_btfsep
+    blender_btfsep.unregister()
+
+
+@pytest.fixture
+def render(tmp_path):
+    """Renders a scene; gives (height, width, 3) float32, linear, row 0 is up."""
+    count = 0
+
+    def run(scene):
+        nonlocal count
+        count += 1
+        path = tmp_path / f"render{count}.exr"
+        scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+        return read_image(path)
+
+    return run
+
+
+@pytest.fixture(name="read_image")
+def _read_image():
+    return read_image
+
+
+def read_image(path):
+    """(height, width, 3) float32 of an image file, row 0 is up."""
+    image = bpy.data.images.load(str(path))
+    width, height = image.size
+    flat = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(flat)
+    bpy.data.images.remove(image)
+    return flat.reshape(height, width, 4)[::-1, :, :3]
+
+
+@pytest.fixture
+def add_camera():
+    """add_camera(scene, location, target) -> camera object that looks at target, Z up."""
+    from mathutils import Vector
+
+    def add(scene, location, target=(0, 0, 0)):
+        camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+        scene.collection.objects.link(camera)
+        camera.location = location
+        camera.rotation_euler = (Vector(target) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
+        scene.camera = camera
+        bpy.context.view_layer.update()
+        return camera
+
+    return add

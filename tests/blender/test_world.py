@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The World against the engine's harmonics, rendered by Cycles."""
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from blender_btfsep import harmonics, world
+from blender_btfsep.errors import InputError
+from btfsep_engine import conventions, sh
+
+
+def lighting(coefficients):
+    coefficients = np.asarray(coefficients, float)
+    return {"order": harmonics.order_of(len(coefficients)), "coefficients": coefficients.tolist()}
+
+
+def random_coefficients(order, seed=0):
+    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
+
+
+def positive_coefficients(order, seed=0):
+    """Random, with enough of Y_00 that the light is nowhere negative."""
+    c = random_coefficients(order, seed)
+    c[0] = 0
+    c[0] = (0.05 - sh.to_map(c, 64, 128).min(axis=(0, 1))) * np.sqrt(4 * np.pi)
+    assert sh.to_map(c, 64, 128).min() > 0
+    return c
+
+
+def look_around(scene):
+    """A panoramic camera whose picture is the environment map itself."""
+    data = bpy.data.cameras.new("Panorama")
+    camera = bpy.data.objects.new("Panorama", data)
+    scene.collection.objects.link(camera)
+    data.type = "PANO"
+    owner = data if hasattr(data, "panorama_type") else data.cycles  # Blender 5 moved it
+    owner.panorama_type = "EQUIRECTANGULAR"
+    camera.rotation_euler = (np.pi / 2, 0, -np.pi / 2)  # the middle of the picture is +X
+    scene.camera = camera
+    scene.render.resolution_x, scene.render.resolution_y = 128, 64
+    scene.cycles.samples = 1
+    scene.cycles.filter_width = 0.01
+
+
+def test_recurrence_equals_the_engines():
+    directions = np.concatenate([conventions.fibonacci_sphere(400), np.eye(3), -np.eye(3)])
+    assert np.abs(harmonics.evaluate(9, directions) - sh.evaluate(9, directions)).max() < 1e-12
+    c = random_coefficients(5)
+    assert np.abs(harmonics.to_map(c, 16, 32) - sh.to_map(c, 16, 32)).max() < 1e-12
+
+
+@pytest.mark.parametrize("order", [0, 1, 4, 9])
+def test_nodes_show_every_term(scene, render, order):
+    """Random coefficients, so a wrong sign, place or size of any (l, m) shows."""
+    look_around(scene)
+    c = random_coefficients(order, seed=order)
+    world.apply_lighting(scene, lighting(c), clamp=False)
+    truth = sh.to_map(c, 64, 128)
+    assert np.abs(render(scene) - truth).max() < 1e-3 * np.abs(truth).max()
+    # the tester: one coefficient with the wrong sign must be seen
+    wrong = c.copy()
+    wrong[-1] *= -1
+    assert np.abs(sh.to_map(wrong, 64, 128) - truth).max() > 0.02 * np.abs(truth).max()
+
+
+def test_texture_equals_nodes(scene, render):
+    look_around(scene)
+    c = random_coefficients(4, seed=7)
+    world.apply_lighting(scene, lighting(c), mode="NODES")
+    nodes = render(scene)
+    world.apply_lighting(scene, lighting(c), mode="TEXTURE")
+    texture = render(scene)
+    assert nodes.min() == 0 and texture.min() == 0  # clamped
+    # Where the clamp makes a kink, the texture's interpolation rounds it off by part of a texel.
+    assert np.abs(texture - nodes).max() < 0.01 * nodes.max()
+    assert np.abs(texture - nodes).mean() < 5e-4 * nodes.max()
+    assert np.abs(nodes - np.maximum(sh.to_map(c, 64, 128), 0)).max() < 1e-3 * nodes.max()
+
+
+def test_texture_above_the_order_of_the_nodes(scene, render):
+    look_around(scene)
+    c = random_coefficients(12) / np.repeat(np.arange(13) + 1, 2 * np.arange(13) + 1)[:, None]
+    with pytest.raises(InputError, match="apply it as a texture"):
+        world.apply_lighting(scene, lighting(c))
+    world.apply_lighting(scene, lighting(c), mode="TEXTURE", clamp=False)
+    truth = sh.to_map(c, 64, 128)
+    assert np.abs(render(scene) - truth).max() < 5e-3 * np.abs(truth).max()
+
+
+@pytest.mark.parametrize("mode", ["NODES", "TEXTURE"])
+def test_rotation_turns_the_light_counter_clockwise(scene, render, mode):
+    look_around(scene)
+    c = random_coefficients(3, seed=3)
+    made = world.apply_lighting(scene, lighting(c), mode=mode, clamp=False)
+    angle = 0.7
+    if mode == "NODES":
+        made.node_tree.nodes["BTFsep SH Lighting"].inputs["Rotation"].default_value = angle
+    else:
+        made.node_tree.nodes["Mapping"].inputs["Rotation"].default_value = (0, 0, angle)
+    turned = sh.rotation_matrix(3, np.array(Matrix.Rotation(angle, 3, "Z"))) @ c
+    truth = sh.to_map(turned, 64, 128)
+    assert np.abs(render(scene) - truth).max() < 3e-3 * np.abs(truth).max()
+
+
+def test_strength_and_edited_coefficients_take_effect(scene, render):
+    look_around(scene)
+    c = random_coefficients(2, seed=5)
+    made = world.apply_lighting(scene, lighting(c), clamp=False)
+    inputs = made.node_tree.nodes["BTFsep SH Lighting"].inputs
+    inputs["Strength"].default_value = 2.5
+    c[5] = inputs["Y 2 -1"].default_value = (0.5, -1.5, 0.25)
+    truth = 2.5 * sh.to_map(c, 64, 128)
+    assert np.abs(render(scene) - truth).max() < 1e-3 * np.abs(truth).max()
+
+
+@pytest.mark.parametrize(
+    ("axis", "mode"), [(None, "NODES"), ("X", "NODES"), ("Y", "NODES"), ("Z", "NODES"), (None, "TEXTURE")]
+)
+def test_white_sphere_under_the_world_is_shaded_as_theory_says(scene, render, add_camera, axis, mode):
+    """A white matte sphere, path-traced by Cycles, against the closed form, within 1 %; turned about all axes."""
+    c = positive_coefficients(4, seed=11)
+    if axis:
+        c = sh.rotation_matrix(4, np.array(Matrix.Rotation(1.1, 3, axis))) @ c
+    world.apply_lighting(scene, lighting(c), mode=mode)
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
+    sphere = bpy.context.object
+    sphere.data.shade_smooth()
+    matte = bpy.data.materials.new("White")
+    matte.use_nodes = True
+    matte.node_tree.nodes.clear()
+    diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
+    output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    sphere.data.materials.append(matte)
+    size = 48
+    scene.render.resolution_x = scene.render.resolution_y = size
+    camera = add_camera(scene, (3.0, -5.0, 2.5))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 2.2
+    scene.cycles.samples = 256
+    scene.cycles.max_bounces = 0
+
+    picture = render(scene)
+    x = ((np.arange(size) + 0.5) / size - 0.5) * 2.2
+    px, py = np.meshgrid(x, -x)
+    inside = px**2 + py**2 < 0.9**2
+    local = np.stack([px, py, np.sqrt(np.maximum(1 - px**2 - py**2, 0))], -1)
+    normals = local @ np.array(camera.matrix_world)[:3, :3].T
+    truth = sh.irradiance(c, normals) / np.pi
+    error = (picture - truth)[inside]
+    assert np.sqrt((error**2).mean()) < 0.01 * np.sqrt((truth[inside] ** 2).mean())
+    # and without bias, region by region: the noise of single pixels averaged away
+    for part in (px < -0.4, px > 0.4, py < -0.4, py > 0.4):
+        where = inside & part
+        assert np.abs(picture[where].mean(0) / truth[where].mean(0) - 1).max() < 0.01
+
+
+def test_second_run_replaces_and_nothing_piles_up(scene):
+    user = bpy.data.worlds.new("Mine")
+    scene.world = user
+    first = world.apply_lighting(scene, lighting(random_coefficients(4)))
+    for mode in ("TEXTURE", "NODES", "NODES", "TEXTURE", "NODES"):
+        again = world.apply_lighting(scene, lighting(random_coefficients(3, seed=2)), mode=mode)
+        assert again == first and scene.world == first
+    assert [w.name for w in bpy.data.worlds] == ["BTFsep Lighting", "Mine"]
+    assert [g.name for g in bpy.data.node_groups] == ["BTFsep SH Lighting"]
+    assert not bpy.data.images
+    assert user.use_fake_user and not world.is_ours(user)
+
+    assert world.restore_previous(scene) == user
+    assert scene.world == user and not user.use_fake_user
+    assert len(bpy.data.worlds) == 1 and not bpy.data.node_groups
+
+
+def test_the_users_world_is_kept_untouched_and_saved(scene, tmp_path):
+    user = bpy.data.worlds.new("Mine")
+    user.use_nodes = True
+    user.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.125
+    scene.world = user
+    world.apply_lighting(scene, lighting(random_coefficients(1)), mode="TEXTURE")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    scene = bpy.context.scene
+    assert bpy.data.worlds["Mine"].node_tree.nodes["Background"].inputs["Strength"].default_value == 0.125
+    image = bpy.data.images["BTFsep Lighting Map"]
+    assert image.packed_file is not None and image.size[:] == (512, 256)
+    assert world.restore_previous(scene) == bpy.data.worlds["Mine"]
+
+
+def test_a_world_chosen_by_the_user_after_ours_is_not_touched(scene):
+    world.apply_lighting(scene, lighting(random_coefficients(1)))
+    mine = bpy.data.worlds.new("Mine")
+    scene.world = mine
+    made = world.apply_lighting(scene, lighting(random_coefficients(1)))
+    assert made != mine and made["btfsep_previous_world"] == mine
+    assert sorted(w.name for w in bpy.data.worlds) == sorted([made.name, "Mine"])
+
+
+def test_restore_without_one_of_ours_is_refused(scene):
+    scene.world = bpy.data.worlds.new("Mine")
+    with pytest.raises(InputError, match="not made by BTFsep"):
+        world.restore_previous(scene)
+    assert scene.world.name == "Mine"
