@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial import Delaunay
 
-from btfsep_engine.conventions import local_direction
+from btfsep_engine.conventions import fibonacci_sphere, local_direction
 
 UBO2014_RINGS = (
     (0, 11, 23.5, 30, 37.5, 45, 52.5, 60, 67.5, 75),
@@ -80,9 +80,8 @@ class Interpolator:
 def _interpolator(key: bytes, count: int) -> Interpolator:
     points = parabolic(np.frombuffer(key, np.float64).reshape(count, 3))
     if count < 3:  # one direction: constant
-        return Interpolator(
-            np.zeros((1, 3), np.int32), np.array([[[0, 0, 1.0], [0, 0, 0], [0, 0, 0]]]), np.zeros((GRID, GRID), np.int32)
-        )
+        affine = np.array([[[0, 0, 1.0], [0, 0, 0], [0, 0, 0]]])
+        return Interpolator(np.zeros((1, 3), np.int32), affine, np.zeros((GRID, GRID), np.int32))
     mesh = Delaunay(points)
     corners = np.concatenate([points[mesh.simplices], np.ones((len(mesh.simplices), 3, 1))], -1)
     regular = np.abs(np.linalg.det(corners)) > 1e-9  # slivers on the hull
@@ -105,3 +104,15 @@ def interpolator(directions) -> Interpolator:
     """The :class:`Interpolator` of a direction list (n, 3); made once per list."""
     d = np.ascontiguousarray(directions, np.float64)
     return _interpolator(d.tobytes(), len(d))
+
+
+def cosine_weights(directions, count: int = 20000) -> np.ndarray:
+    """(n,) float64: sum(w * f) is the integral of f(omega) cos(theta) over the hemisphere, for f interpolated from
+    ``directions : (n, 3)`` as :func:`interpolator` does (and held beyond the outermost ring). The sum is pi.
+    """
+    sphere = fibonacci_sphere(2 * count)
+    upper = sphere[sphere[:, 2] > 0]
+    index, w = interpolator(directions).weights(upper)
+    total = np.zeros(len(directions))
+    np.add.at(total, index, w * (upper[:, 2:] * (2 * np.pi / len(upper))))
+    return total * (np.pi / total.sum())

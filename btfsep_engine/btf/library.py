@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A material library: a folder of ``.btf`` files and ``index.json``, which says what they are.
+
+The index is written last, so that a library which is being built is the one before or the one after, never half.
+"""
+
+import difflib
+import hashlib
+import json
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from btfsep_engine import atomic
+from btfsep_engine.btf import fmf, procedural
+from btfsep_engine.btf.directions import cosine_weights
+from btfsep_engine.btf.model import REFERENCE, Lambertian, Material, Mirror, Tabulated
+from btfsep_engine.errors import InputError
+from btfsep_engine.progress import Reporter
+
+INDEX = "index.json"
+MAX_INDEX_BYTES = 16 << 20
+# What the default library is measured with; the time and size that follow are in docs/library.md.
+DEFAULT_SETTINGS = {"mesh": 256, "texels": 96, "samples": 2, "components": 14, "seed": 0}
+
+
+class Entry(BaseModel):
+    """One material of a library."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    name: str = Field(pattern=r"^[a-z0-9]+/[A-Za-z0-9._-]+$", max_length=100)
+    material_class: str = Field(alias="class", max_length=50)
+    file: str = Field(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*\.btf$", max_length=150)  # a plain name: no way out
+    texel_mm: float = Field(gt=0, lt=1000)
+    texels: tuple[int, int]  # height, width
+    components: int = Field(gt=0, le=4096)
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    size: int = Field(gt=0)  # bytes
+    relative_error: float | None = None  # of the factorisation against the measurement, its noise included
+    made_by: str = ""  # digest of the settings and of the maps; a build with the same one is not repeated
+
+
+class Index(BaseModel):
+    """``index.json``."""
+
+    format: Literal["btfsep-library"]
+    version: Literal[1]
+    materials: list[Entry] = Field(max_length=100_000)
+
+
+@dataclass(frozen=True)
+class Library:
+    """An opened library.
+
+    Attributes
+    ----------
+    folder : Path
+    entries : dict, name -> :class:`Entry`, in the index's order; the reference materials are not among them
+    """
+
+    folder: Path
+    entries: dict
+
+    def names(self) -> list:
+        """All names that :meth:`load` takes: the library's, then the reference materials'."""
+        return [*self.entries, *(name for name in REFERENCE if name not in self.entries)]
+
+    @property
+    def digest(self) -> str:
+        """A hash of every material's name and content, for the keys of caches."""
+        facts = [(e.name, e.sha256) for e in sorted(self.entries.values(), key=lambda e: e.name)]
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+    def load(self, name: str) -> Material:
+        """The material called ``name``.
+
+        Raises
+        ------
+        InputError
+            An unknown name (the nearest is suggested); a file that is missing or not the one in the index.
+        """
+        if name in self.entries:
+            return self._load_file(self.entries[name])
+        if name in REFERENCE:
+            return REFERENCE[name]
+        raise _unknown(name, self.names())
+
+    def _load_file(self, entry: Entry) -> Tabulated:
+        path = self.folder / entry.file
+        try:
+            right = path.stat().st_size == entry.size and _sha256(path) == entry.sha256
+        except OSError as error:
+            raise InputError(
+                f"material '{entry.name}'", f"{path}: {error.strerror}", "build or download the library again"
+            ) from error
+        if not right:
+            raise InputError(
+                f"material '{entry.name}'",
+                f"{path} is not the file in the index",
+                "build or download the library again",
+            )
+        return fmf.read(path, name=entry.name, material_class=entry.material_class)
+
+    def show(self, name: str) -> dict:
+        """Facts about a material: name, class, kind, mean albedo (3 floats, under light from everywhere), and for
+        tabulated ones file, size (bytes), texels, texel_mm, patch_mm, components, relative_error.
+
+        Raises InputError as :meth:`load`.
+        """
+        material = self.load(name)
+        facts = {"name": name, "class": material.material_class, "kind": type(material).__name__.lower()}
+        if not isinstance(material, Tabulated):
+            value = material.albedo if isinstance(material, Lambertian) else material.reflectance
+            return facts | {"mean_albedo": [float(v) for v in value]}
+        entry = self.entries[name]
+        return facts | {
+            "mean_albedo": [round(float(v), 4) for v in mean_albedo(material)],
+            "file": entry.file,
+            "size": entry.size,
+            "texels": list(entry.texels),
+            "texel_mm": entry.texel_mm,
+            "patch_mm": [round(n * entry.texel_mm, 3) for n in entry.texels],
+            "components": entry.components,
+            "directions": [len(material.views), len(material.lights)],
+            "relative_error": entry.relative_error,
+        }
+
+
+def mean_albedo(material: Material) -> np.ndarray:
+    """(3,) albedo under uniform light, averaged over the patch: 1/pi times the integral of the mean ABRDF."""
+    if isinstance(material, Lambertian):
+        return np.asarray(material.albedo, float)
+    if isinstance(material, Mirror):
+        return np.asarray(material.reflectance, float)
+    view, light = cosine_weights(material.views), cosine_weights(material.lights)
+    return np.einsum("v,l,vlc->c", view, light, material.mean_abrdf.astype(float)) / np.pi
+
+
+def open_library(path=None) -> Library:
+    """Opens a library folder; None: the one that is shipped.
+
+    Raises
+    ------
+    InputError
+        No such folder, no index in it, or an index that is not valid.
+    """
+    folder = Path(str(resources.files("btfsep_engine") / "data" / "library")) if path is None else Path(path)
+    index_path = folder / INDEX
+    try:
+        if index_path.stat().st_size > MAX_INDEX_BYTES:
+            raise InputError(str(index_path), "it is too large for an index", "give a library's folder")
+        index = Index.model_validate_json(index_path.read_bytes())
+    except OSError as error:
+        raise InputError(
+            f"library {folder}",
+            f"it has no readable {INDEX} ({error.strerror})",
+            "give a library's folder, or make one: btfsep library build",
+        ) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise InputError(str(index_path), f"{where}: {first['msg']}", "build or download the library again") from error
+    entries = {entry.name: entry for entry in index.materials}
+    if len(entries) != len(index.materials):
+        raise InputError(str(index_path), "two materials have the same name", "rename one of them")
+    return Library(folder, entries)
+
+
+def build(
+    folder,
+    *,
+    names=None,
+    reporter: Reporter | None = None,
+    **settings,
+) -> Library:
+    """Measures the procedural materials into ``folder``. What was built with the same settings is kept.
+
+    Parameters
+    ----------
+    folder : made if it is not there
+    names : some of :data:`btfsep_engine.btf.procedural.NAMES`; None: all. Other entries of the folder stay
+    reporter : told the progress of each material
+    settings : mesh, texels, samples, components, seed in place of :data:`DEFAULT_SETTINGS`
+
+    Raises
+    ------
+    InputError
+        An unknown name; a folder that cannot be written; no working renderer.
+    """
+    from btfsep_engine.render.patch import measure
+
+    unknown = set(settings) - set(DEFAULT_SETTINGS)
+    if unknown:
+        raise ValueError(f"no such settings: {sorted(unknown)}")
+    settings = DEFAULT_SETTINGS | settings
+    names = list(procedural.NAMES if names is None else names)
+    for name in names:
+        if name not in procedural.NAMES:
+            raise _unknown(name, procedural.NAMES)
+    folder, reporter = Path(folder), reporter or Reporter()
+    entries = dict(open_library(folder).entries) if (folder / INDEX).exists() else {}
+    for number, name in enumerate(names):
+        reporter.progress("library", number / len(names), name)
+        maps = procedural.maps(name, settings["mesh"])
+        made_by = _digest(maps, settings)
+        if name in entries and entries[name].made_by == made_by and _is_whole(folder, entries[name]):
+            continue
+        rest = {key: value for key, value in settings.items() if key != "mesh"}
+        measured = measure(maps, reporter=reporter, **rest)
+        entries[name] = _store(folder, measured.material, maps, measured.relative_error, made_by)
+        _write_index(folder, entries)
+    reporter.progress("library", 1.0)
+    return open_library(folder)
+
+
+def _store(folder: Path, material: Tabulated, maps, relative_error: float, made_by: str) -> Entry:
+    file = material.name.replace("/", "_") + ".btf"
+    # the file keeps the height at the texels' own resolution
+    step = max(1, len(maps.height_mm) // len(material.texels))
+    setup = "virtual gonioreflectometer, displaced patch"
+    fmf.write(folder / file, material, height_mm=maps.height_mm[::step, ::step], setup=setup)
+    return Entry(
+        name=material.name,
+        **{"class": material.material_class},
+        file=file,
+        texel_mm=material.texel_mm,
+        texels=material.texels.shape[:2],
+        components=material.texels.shape[2],
+        sha256=_sha256(folder / file),
+        size=(folder / file).stat().st_size,
+        relative_error=round(relative_error, 4),
+        made_by=made_by,
+    )
+
+
+def _write_index(folder: Path, entries: dict) -> None:
+    ordered = [entries[name].model_dump(by_alias=True, mode="json") for name in sorted(entries)]
+    index = {"format": "btfsep-library", "version": 1, "materials": ordered}
+    atomic.write_text(folder / INDEX, json.dumps(index, indent=1) + "\n")
+
+
+def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -> procedural.Maps:
+    """Writes ``basecolor.exr`` (linear RGB), ``height.exr`` (mm, mean 0), ``roughness.exr`` of a procedural material.
+
+    The top row of a file is the largest v, as image textures are read (the maps in memory begin with the smallest).
+
+    Returns
+    -------
+    Maps : what was written, with size_mm and f0
+
+    Raises
+    ------
+    InputError
+        An unknown name; a folder that cannot be written.
+    """
+    from btfsep_engine.images import write_exr
+
+    maps = procedural.maps(name, resolution, variation=variation)
+    for file, values in (("basecolor", maps.base_colour), ("height", maps.height_mm), ("roughness", maps.roughness)):
+        write_exr(Path(folder) / f"{file}.exr", np.ascontiguousarray(values[::-1]))
+    return maps
+
+
+def _unknown(name: str, known) -> InputError:
+    near = difflib.get_close_matches(name, known, 1, 0.0)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    return InputError(f"material '{name}'", "it is not in the library", f"{hint}btfsep library list shows all names")
+
+
+def _digest(maps: procedural.Maps, settings: dict) -> str:
+    sha = hashlib.sha256(json.dumps([settings, maps.size_mm, maps.f0], sort_keys=True).encode())
+    for values in (maps.base_colour, maps.height_mm, maps.roughness):
+        sha.update(np.round(values, 3).tobytes())  # rounded: not for the last bit of a sine
+    return sha.hexdigest()
+
+
+def _is_whole(folder: Path, entry: Entry) -> bool:
+    path = folder / entry.file
+    return path.is_file() and path.stat().st_size == entry.size and _sha256(path) == entry.sha256
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()

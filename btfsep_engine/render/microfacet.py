@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The micro-BRDF of the displaced patches: a Lambertian base under a GGX dielectric layer.
+
+    f = base / pi * (1 - E(n.l)) (1 - E(n.v)) / (1 - E_mean)  +  D V F
+
+D: GGX with alpha = roughness^2; V: Smith, height-correlated; F: Schlick. E is the layer's own directional albedo,
+E_mean its cosine-weighted mean (Kelemen and Szirmay-Kalos 2001): reciprocal, and with base = 1 the albedo is 1
+up to the layer's own loss between facets.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+TABLE = 32  # nodes along n.v and along roughness
+
+
+@lru_cache(maxsize=8)
+def layer_albedo(f0: float) -> np.ndarray:
+    """E[roughness, n.v] on nodes i / (TABLE - 1), (TABLE, TABLE) float64, by sampling D with 32 x 32 strata."""
+    s = (np.arange(32) + 0.5) / 32
+    u1, u2 = (a.ravel() for a in np.meshgrid(s, s))
+    table = np.empty((TABLE, TABLE))
+    for row, roughness in enumerate(np.linspace(0, 1, TABLE)):
+        alpha2 = max(roughness, 0.05) ** 4
+        nh = np.sqrt((1 - u1) / (1 + (alpha2 - 1) * u1))
+        sh = np.sqrt(1 - nh * nh)
+        for column, nv in enumerate(np.linspace(0, 1, TABLE)):
+            nv = max(nv, 1e-3)
+            vh = np.maximum(np.sqrt(1 - nv * nv) * sh * np.cos(2 * np.pi * u2) + nv * nh, 0)
+            nl = 2 * vh * nh - nv
+            up = (nl > 0) & (vh > 0)
+            nl = np.where(up, nl, 1.0)
+            visible = 0.5 / (nl * np.sqrt(alpha2 + (1 - alpha2) * nv**2) + nv * np.sqrt(alpha2 + (1 - alpha2) * nl**2))
+            fresnel = f0 + (1 - f0) * (1 - vh) ** 5
+            # f cos / pdf with pdf = D n.h / (4 v.h)
+            table[row, column] = (up * fresnel * visible * 4 * vh * nl / nh).mean()
+    return np.minimum(table, 0.999)
+
+
+class Dielectric:
+    """Evaluates the micro-BRDF in Dr.Jit. The renderer's variant has to be set before it is made.
+
+    Parameters
+    ----------
+    f0 : specular reflectance at normal incidence; 0 leaves the layer out (a pure Lambertian)
+    """
+
+    def __init__(self, f0: float):
+        import mitsuba as mi
+
+        self.f0 = float(f0)
+        if self.f0 > 0:
+            table = layer_albedo(self.f0)
+            mu = np.linspace(0, 1, TABLE)
+            mean = (
+                np.trapezoid(table * 2 * mu, mu, axis=1) if hasattr(np, "trapezoid") else np.trapz(table * 2 * mu, mu)
+            )
+            self.table, self.mean = mi.Float(table.ravel().astype(np.float32)), mi.Float(mean.astype(np.float32))
+
+    def _albedo(self, roughness, cosine):
+        """E(n.v) and E_mean, linear between the nodes."""
+        import drjit as dr
+        import mitsuba as mi
+
+        r, c = (dr.clip(a, 0, 1) * (TABLE - 1) for a in (roughness, cosine))
+        r0, c0 = (mi.UInt32(dr.minimum(dr.floor(a), TABLE - 2)) for a in (r, c))
+        fr, fc = r - mi.Float(r0), c - mi.Float(c0)
+        at = r0 * TABLE + c0
+        low = dr.lerp(dr.gather(mi.Float, self.table, at), dr.gather(mi.Float, self.table, at + 1), fc)
+        high = dr.lerp(dr.gather(mi.Float, self.table, at + TABLE), dr.gather(mi.Float, self.table, at + TABLE + 1), fc)
+        mean = dr.lerp(dr.gather(mi.Float, self.mean, r0), dr.gather(mi.Float, self.mean, r0 + 1), fr)
+        return dr.lerp(low, high, fr), mean
+
+    def value(self, base, roughness, normal, view, light):
+        """f, 1/sr, without the cosine; directions point away from the surface. 0 for lights below it.
+
+        Places seen from behind their smoothed normal are taken as seen at grazing angle.
+        """
+        import drjit as dr
+
+        nl, nv = dr.dot(normal, light), dr.maximum(dr.dot(normal, view), 1e-3)
+        lit = nl > 0
+        nl = dr.maximum(nl, 1e-4)
+        if self.f0 <= 0:
+            return dr.select(lit, base * dr.inv_pi, 0)
+        alpha2 = dr.square(dr.square(roughness))
+        half = dr.normalize(view + light)
+        nh, vh = dr.clip(dr.dot(normal, half), 0, 1), dr.clip(dr.dot(view, half), 0, 1)
+        d = alpha2 * dr.inv_pi / dr.square(nh * nh * (alpha2 - 1) + 1)
+        v = 0.5 / (nl * dr.sqrt(alpha2 + (1 - alpha2) * nv * nv) + nv * dr.sqrt(alpha2 + (1 - alpha2) * nl * nl))
+        m = 1 - vh
+        fresnel = self.f0 + (1 - self.f0) * dr.square(dr.square(m)) * m
+        (e_l, mean), (e_v, _) = self._albedo(roughness, nl), self._albedo(roughness, nv)
+        diffuse = dr.inv_pi * (1 - e_l) * (1 - e_v) / (1 - mean)
+        return dr.select(lit, base * diffuse + d * v * fresnel, 0)
