@@ -7,7 +7,7 @@ Y_1 = (-0.4886 y, 0.4886 z, -0.4886 x).
 
 import numpy as np
 
-from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
+from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
 
 
 def term_count(order: int) -> int:
@@ -106,8 +106,6 @@ def rotation_matrix(order: int, rotation) -> np.ndarray:
     -------
     ((order + 1)^2, (order + 1)^2) float64
     """
-    from btfsep_engine.conventions import fibonacci_sphere
-
     directions = fibonacci_sphere(8 * term_count(order) + 32)
     here = evaluate(order, directions)
     there = evaluate(order, directions @ np.asarray(rotation, np.float64).T)

@@ -72,7 +72,9 @@ def solve(basis, radiance, *, blocks) -> Fit:
     p, terms, _ = basis.shape
     if p < terms:
         raise InputError(
-            "the fit", f"{p} usable pixels for {terms} unknowns", "use a larger picture, a wider mask or a lower --order"
+            "the fit",
+            f"{p} usable pixels for {terms} unknowns",
+            "use a larger picture, a wider mask or a lower --order",
         )
     x, stddev = np.empty((2, terms, 3))
     by_block = np.argsort(blocks, kind="stable")

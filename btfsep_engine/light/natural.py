@@ -6,10 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.maps import training_lights
-
-DIRECTIONS = 4096
 
 
 @lru_cache(maxsize=10)
@@ -23,10 +20,7 @@ def natural_amplitude(order: int) -> np.ndarray:
     -------
     ((order + 1)^2,) float64, the first is 1
     """
-    directions = fibonacci_sphere(DIRECTIONS)
-    solid_angle = 4 * np.pi / DIRECTIONS
-    radiance = training_lights().radiance(directions, solid_angle)
-    x = np.einsum("nt,nmc->tmc", sh.evaluate(order, directions) * solid_angle, radiance)
+    x = np.moveaxis(training_lights().coefficients(order), 1, 0)
     relative = x / x[0].mean(-1, keepdims=True)
     out = np.ones(sh.term_count(order))
     for l in range(1, order + 1):

@@ -32,7 +32,9 @@ def _bilinear(level, uv):
     x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
     x0, y0, x1, y1 = x0 % w, y0 % h, (x0 + 1) % w, (y0 + 1) % h
-    return (level[y0, x0] * (1 - fx) + level[y0, x1] * fx) * (1 - fy) + (level[y1, x0] * (1 - fx) + level[y1, x1] * fx) * fy
+    return (level[y0, x0] * (1 - fx) + level[y0, x1] * fx) * (1 - fy) + (
+        level[y1, x0] * (1 - fx) + level[y1, x1] * fx
+    ) * fy
 
 
 def spatial_factors(material: Tabulated, uv, footprint) -> np.ndarray:

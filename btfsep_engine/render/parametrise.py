@@ -34,7 +34,9 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
     """
     if method == "mesh":
         if mesh.corner_uv is None:
-            raise InputError("uv 'mesh'", "the mesh file has no texture coordinates", "unwrap it, or set uv to 'xatlas'")
+            raise InputError(
+                "uv 'mesh'", "the mesh file has no texture coordinates", "unwrap it, or set uv to 'xatlas'"
+            )
         uv = mesh.corner_uv.astype(np.float64)
     elif len(mesh.faces) > XATLAS_FACES:
         if reporter is not None:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Lambertian, Material, Mirror
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.render.tracer import OFFSET, Tracer
 
 SAMPLES = 3000  # surface samples over the whole scene, each with two sides
 DIRECTIONS = 256  # directions of a sample's gathering
@@ -57,7 +57,7 @@ class Indirect:
         self.tree = cKDTree(self._feature(position, normal))
         directions = fibonacci_sphere(DIRECTIONS)
         solid_angle = 4 * np.pi / DIRECTIONS
-        light = np.asarray(lightings.radiance(directions, solid_angle), np.float64)
+        light = np.asarray(lightings.cell_averages(directions), np.float64)
         light = np.broadcast_to(light, (*light.shape[:2], 3))
         cosine = np.maximum(normal @ directions.T, 0) * solid_angle
         seen = tracer.visible(position, normal, directions)
@@ -84,7 +84,9 @@ class Indirect:
         a, b = random.random((2, SAMPLES))
         a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
         chosen = corners[face]
-        position = chosen[:, 0] + a[:, None] * (chosen[:, 1] - chosen[:, 0]) + b[:, None] * (chosen[:, 2] - chosen[:, 0])
+        position = (
+            chosen[:, 0] + a[:, None] * (chosen[:, 1] - chosen[:, 0]) + b[:, None] * (chosen[:, 2] - chosen[:, 0])
+        )
         normal = cross[face] / np.maximum(area[face], 1e-300)[:, None]
         return np.concatenate([position] * 2), np.concatenate([normal, -normal]), np.concatenate([owner[face]] * 2)
 
@@ -102,8 +104,12 @@ class Indirect:
         """
         flat = np.flatnonzero(wanted)
         point, direction = flat // len(directions), flat % len(directions)
-        starts = position[point] + 2e-4 * self.tracer.radius * normal[point]
-        omega = directions[direction]
+        ray, sample, weights = self._arrivals(position[point], normal[point], directions[direction])
+        return flat[ray], sample, weights
+
+    def _arrivals(self, position, normal, omega):
+        """Where rays (n, 3) arrive: ray numbers, sample numbers and weights of the taps."""
+        starts = position + OFFSET * self.tracer.radius * normal
         hits = self.tracer.nearest(starts, omega)
         arrived = np.flatnonzero(hits.mesh >= 0)
         arrival = starts[arrived] + hits.distance[arrived, None] * omega[arrived]
@@ -117,10 +123,15 @@ class Indirect:
         distance, sample = self.tree.query(self._feature(arrival, facing), k=NEIGHBOURS)
         weights = 1 / (distance + 1e-3)
         weights /= weights.sum(1, keepdims=True)
-        return np.repeat(flat[arrived], NEIGHBOURS), sample.ravel(), weights.ravel()
+        return np.repeat(arrived, NEIGHBOURS), sample.ravel(), weights.ravel()
 
     def reflected(self, transport, material) -> np.ndarray:
-        """Radiance (p, M, 3) float32 of a `Transport`'s points by the light that other surfaces send them."""
+        """Radiance (p, M, 3) float32 of a `Transport`'s points by the light that other surfaces send them.
+
+        A mirror shows the surfaces themselves: what its reflected ray meets.
+        """
+        if isinstance(material, Mirror):
+            return self._mirrored(transport, material)
         points, directions = transport.points, transport.directions
         out = np.zeros((len(points), *self.radiosity.shape[1:]), np.float32)
         step = max(1, (1 << 20) // len(directions))
@@ -136,3 +147,11 @@ class Indirect:
                 matrix = csr_matrix((values, (rows // len(directions), columns)), shape)
                 out[part, :, c] = matrix @ self.radiosity[:, :, c]
         return out
+
+    def _mirrored(self, transport, material) -> np.ndarray:
+        points = transport.points
+        reflected = transport.reflected_directions()
+        rows, columns, taps = self._arrivals(points.position, points.flat_normal, reflected)
+        matrix = csr_matrix((taps / np.pi, (rows, columns)), (len(points), len(self.radiosity)))
+        out = (matrix @ self.radiosity.reshape(len(self.radiosity), -1)).reshape(len(points), *self.radiosity.shape[1:])
+        return (out * np.asarray(material.reflectance)).astype(np.float32)

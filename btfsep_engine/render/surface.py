@@ -66,7 +66,10 @@ def camera_view(tracer: Tracer, job: Job) -> View:
     hits = tracer.nearest(origins, directions)
     shape = (camera.height, camera.width)
     return View(
-        hits.mesh.reshape(shape), hits.face.reshape(shape), hits.barycentric.reshape(*shape, 3), hits.distance.reshape(shape)
+        hits.mesh.reshape(shape),
+        hits.face.reshape(shape),
+        hits.barycentric.reshape(*shape, 3),
+        hits.distance.reshape(shape),
     )
 
 
@@ -81,8 +84,10 @@ def object_region(view: View, job: Job, index: int) -> np.ndarray:
     obj = job.objects[index]
     seen = view.mesh == index
     if not seen.any():
-        hidden = "other geometry is in front of it, or it is outside the picture" if (view.mesh >= 0).any() else (
-            "no ray of the camera meets any geometry"
+        hidden = (
+            "other geometry is in front of it, or it is outside the picture"
+            if (view.mesh >= 0).any()
+            else ("no ray of the camera meets any geometry")
         )
         raise InputError(
             f"object '{obj.name}'",

@@ -61,7 +61,8 @@ class Tracer:
         # a hit names its shape by registry id: the table back to our mesh numbers
         ids = [self._shape_number(shape) for shape in self.scene.shapes()]
         self._registry = {
-            int(number): ids[i] for i, number in enumerate(np.array(self.dr.reinterpret_array(self.mi.UInt32, self.scene.shapes_dr())))
+            int(number): ids[i]
+            for i, number in enumerate(np.array(self.dr.reinterpret_array(self.mi.UInt32, self.scene.shapes_dr())))
         }
 
     def _mitsuba_mesh(self, number, mesh):

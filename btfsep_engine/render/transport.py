@@ -40,14 +40,13 @@ class Transport:
         self.solid_angle = 4 * np.pi / directions
         self.visible = tracer.visible(points.position, points.flat_normal, self.directions)
 
-    def radiance(self, material: Material, lightings, *, indirect=None) -> np.ndarray:
-        """Radiance towards the camera.
+    def radiance(self, material: Material, lightings) -> np.ndarray:
+        """Radiance towards the camera by the light that comes straight from outside the scene.
 
         Parameters
         ----------
         material : Material
         lightings : light.lightings.Lightings, M of them
-        indirect : radiosity.Indirect or None; adds the light that other surfaces reflect here
 
         Returns
         -------
@@ -55,7 +54,7 @@ class Transport:
         """
         if isinstance(material, Mirror):
             return self._mirror(material, lightings)
-        light = np.asarray(lightings.radiance(self.directions, self.solid_angle), np.float32)
+        light = np.asarray(lightings.cell_averages(self.directions), np.float32)
         p, m = len(self.points), light.shape[1]
         out = np.empty((p, m, 3), np.float32)
         step = max(1, LANES // len(self.directions))
@@ -64,8 +63,6 @@ class Transport:
             weights = self.weights(material, part, self.visible[part])
             for c in range(3):
                 out[part, :, c] = weights[c] @ light[:, :, min(c, light.shape[2] - 1)]
-        if indirect is not None:
-            out += indirect.reflected(self, material)
         return out
 
     def weights(self, material: Lambertian | Tabulated, part: slice, wanted) -> np.ndarray:
@@ -124,9 +121,13 @@ class Transport:
             dr.scatter(out, values[c] * scale, lane + dr.opaque(mi.UInt32, c * p * n))
         return np.array(out).reshape(3, p, n)
 
-    def _mirror(self, material: Mirror, lightings) -> np.ndarray:
+    def reflected_directions(self) -> np.ndarray:
+        """The mirror directions of the points' view directions: (p, 3) float64, unit."""
         normal, eye = self.points.normal, self.points.to_eye
-        reflected = 2 * (normal * eye).sum(1, keepdims=True) * normal - eye
+        return 2 * (normal * eye).sum(1, keepdims=True) * normal - eye
+
+    def _mirror(self, material: Mirror, lightings) -> np.ndarray:
+        reflected = self.reflected_directions()
         seen = self.tracer.sees_sky(self.points.position, self.points.flat_normal, reflected)
         light = np.asarray(lightings.radiance(reflected), np.float32)
         light = np.broadcast_to(light, (*light.shape[:2], 3)) * np.asarray(material.reflectance, np.float32)

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What works on this machine."""
+
+import os
+import platform
+
+from btfsep_engine import __version__
+from btfsep_engine.errors import InputError
+from btfsep_engine.render import backend
+
+
+def examine() -> dict:
+    """Tries the renderer afresh, in a child process, and the shipped library.
+
+    Returns
+    -------
+    dict : ``ok``, ``facts`` (name -> text), and where not ok ``problem`` and ``remedy``
+    """
+    facts = {
+        "btfsep": __version__,
+        "python": f"{platform.python_version()} on {platform.platform()}",
+        "processors": str(os.cpu_count()),
+        "cache": str(backend.cache_folder()),
+        "libLLVM": ", ".join(backend.candidates()) or "none found",
+        "CUDA driver": "present" if backend.has_cuda_driver() else "none",
+    }
+    try:
+        chosen = backend.choose_backend()
+        failure = backend.try_backend(chosen.variant, chosen.library)
+        if failure:
+            raise InputError(
+                "the renderer worked before and fails now", failure, f"remove {backend.cache_folder() / 'backend.json'}"
+            )
+        from btfsep_engine.pipeline.record import versions
+
+        facts |= {name: str(value) for name, value in versions().items() if name not in ("btfsep", "python")}
+        facts["test render"] = f"right, with {chosen.variant} {chosen.library}".strip()
+        from btfsep_engine.btf.library import open_library
+
+        opened = open_library(None)
+        opened.load(next(iter(opened.names())))
+        facts["library"] = f"{len(opened.names())} materials"
+    except InputError as error:
+        return {"ok": False, "facts": facts, "problem": f"{error.what} ({error.got})", "remedy": error.do}
+    return {"ok": True, "facts": facts}

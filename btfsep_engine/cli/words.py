@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Results in words, for people."""
+
+
+def estimate(result: dict) -> str:
+    """What an estimate found."""
+    lines = [_object_line(o) for o in result["objects"]]
+    lines.append(
+        f"light of order {result['order']}: {result['determined']}; residual {result['residual']:.3f}, "
+        f"condition number {result['condition_number']:.0f}, {result['seconds']['total']:.1f} s"
+    )
+    lines.append(f"results in {result['out']}")
+    return "\n".join(lines)
+
+
+def recognise(result: dict) -> str:
+    """The candidates of every object."""
+    lines = []
+    for found in result["objects"]:
+        lines.append(_object_line(found))
+        lines += [f"    {c['score']:.2f}  {c['name']}" for c in found["candidates"][:5]]
+    return "\n".join(lines)
+
+
+def _object_line(found: dict) -> str:
+    how = "recognised" if found["recognised"] else "given"
+    doubt = " (like none of the library)" if found["unknown"] else ""
+    return f"{found['name']}: {found['material']} ({how}){doubt}"
+
+
+def train(result: dict) -> str:
+    """How well each recogniser does on lights that it was not trained with."""
+    return "\n".join(
+        f"{o['name']}: {o['materials']} materials, accuracy under held-out lights {o['held_out_accuracy']:.2f}"
+        for o in result["objects"]
+    )
+
+
+def doctor(result: dict) -> str:
+    """What works, a line each."""
+    return "\n".join(f"{name:<14} {value}" for name, value in result["facts"].items())
+
+
+def compare(result: dict) -> str:
+    """Error measures, a line each."""
+    return facts(result)
+
+
+def facts(result: dict, indent: str = "") -> str:
+    """Any plain result as indented lines."""
+    lines = []
+    for key, value in result.items():
+        if isinstance(value, dict):
+            lines += [f"{indent}{key}:", facts(value, indent + "    ")]
+        elif isinstance(value, list | tuple):
+            lines.append(f"{indent}{key}: " + ", ".join(_number(v) for v in value))
+        else:
+            lines.append(f"{indent}{key}: {_number(value)}")
+    return "\n".join(lines)
+
+
+def _number(value) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

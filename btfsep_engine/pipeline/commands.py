@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The smaller commands: train, recognise, compare."""
+
+import numpy as np
+
+from btfsep_engine.fit.compare import compare
+from btfsep_engine.job.load import load_job
+from btfsep_engine.light.files import read_any_lighting
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import material_record, object_materials
+from btfsep_engine.pipeline.recognition import trained_recogniser
+from btfsep_engine.pipeline.record import run_record
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import Settings, choose
+from btfsep_engine.report import render_objects
+
+
+def _prepared(folder, reporter) -> PreparedScene:
+    with reporter.stage("reading"):
+        job = load_job(folder)
+        for note in job.warnings:
+            reporter.warn(note)
+    return PreparedScene(job, reporter)
+
+
+def run_train(folder, library, settings: Settings, *, reporter) -> dict:
+    """Trains (or finds in the cache) the recogniser of every object."""
+    scene = _prepared(folder, reporter)
+    objects = []
+    for index, obj in enumerate(scene.job.objects):
+        recogniser = trained_recogniser(scene, index, library, settings)
+        objects.append(
+            {
+                "name": obj.name,
+                "materials": len(recogniser.materials),
+                "held_out_accuracy": recogniser.model.held_out_accuracy,
+            }
+        )
+    return {"objects": objects, **run_record(settings, reporter)}
+
+
+def run_recognise(folder, library, settings: Settings, *, reporter) -> dict:
+    """Recognises the material of every object, also of those whose material the job names."""
+    scene = _prepared(folder, reporter)
+    found = object_materials(scene, library, settings, names=[None] * len(scene.job.objects))
+    objects = [{"name": o.name, **material_record(m)} for o, m in zip(scene.job.objects, found, strict=True)]
+    return {"objects": objects, **run_record(settings, reporter)}
+
+
+def run_compare(a, b, *, order: int, job=None, library=None, material=None, reporter) -> dict:
+    """Error measures of lighting file ``a`` against ``b``, and of renderings of a job under both."""
+    first, second = read_any_lighting(a, order), read_any_lighting(b, order)
+    result = compare(first, second)
+    if job is not None:
+        scene = _prepared(job, reporter)
+        settings = choose("balanced")
+        names = [material or o.material for o in scene.job.objects]
+        found = [m.material for m in object_materials(scene, library, settings, names=names)]
+        images = [
+            render_objects(scene, found, SHLighting(x.coefficients), textured=True, directions=settings.directions)[0]
+            for x in (first, second)
+        ]
+        result["rendering_psnr_free_scale"] = psnr(images[0], images[1])
+    return result
+
+
+def psnr(image, truth) -> float:
+    """Peak signal-to-noise ratio in dB of two linear images where both are finite, one free scale.
+
+    The peak is the truth's 99th percentile.
+    """
+    shown = np.isfinite(image).all(-1) & np.isfinite(truth).all(-1)
+    a, b = image[shown].astype(np.float64), truth[shown].astype(np.float64)
+    scale = (a * b).sum() / max((a * a).sum(), 1e-300)
+    error = np.mean((scale * a - b) ** 2)
+    return float(10 * np.log10(np.percentile(b, 99) ** 2 / max(error, 1e-300)))

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training on renders of the job's own geometry, and recognising its objects."""
+
+import numpy as np
+
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.light.maps import training_lights
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.recognise.model_file import cached, digest
+from btfsep_engine.recognise.recogniser import Recogniser, Recognition
+from btfsep_engine.recognise.training import render_samples, train
+
+WINDOW = 64  # edge in pixels of the windows that a large object is cut down to
+# One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials.
+INDISTINGUISHABLE = {"reference/grey18"}
+
+
+def training_region(region, limit: int) -> np.ndarray:
+    """The part of an object that recognition looks at: all of it, or windows spread over it.
+
+    Parameters
+    ----------
+    region : (h, w) bool
+    limit : about the largest number of pixels
+
+    Returns
+    -------
+    (h, w) bool
+    """
+    total = int(region.sum())
+    if total <= limit:
+        return region
+    h, w = region.shape
+    tiles = {}
+    for top in range(0, h, WINDOW):
+        for left in range(0, w, WINDOW):
+            count = int(region[top : top + WINDOW, left : left + WINDOW].sum())
+            if count > WINDOW * WINDOW // 4:
+                tiles[top, left] = count
+    if not tiles:  # a thin object: no tile is filled enough
+        return region
+    places, chosen, taken = list(tiles), np.zeros_like(region), 0
+    # a stride that has no common factor with the number of tiles visits all of them, far apart
+    stride = max(1, int(len(places) * 0.618))
+    while np.gcd(stride, len(places)) != 1:
+        stride += 1
+    for i in range(len(places)):
+        top, left = places[(i * stride) % len(places)]
+        chosen[top : top + WINDOW, left : left + WINDOW] = region[top : top + WINDOW, left : left + WINDOW]
+        taken += tiles[top, left]
+        if taken >= limit:
+            break
+    return chosen
+
+
+def trained_recogniser(scene: PreparedScene, index: int, library, settings: Settings) -> Recogniser:
+    """The recogniser for one object of the job: from the cache, or trained now.
+
+    Its training images are the job's own geometry, seen by the job's camera, in every material of the library
+    under natural light (the paper, section 3.2).
+    """
+    reporter, job = scene.reporter, scene.job
+    region = training_region(scene.regions[index], settings.training_pixels)
+    lights = training_lights()
+    mesh, camera = job.objects[index].mesh, job.camera
+    geometry = [
+        region,
+        scene.view.face[region],
+        scene.view.barycentric[region],
+        mesh.vertices,
+        mesh.faces,
+        mesh.corner_normals,
+        mesh.corner_uv if job.objects[index].uv == "mesh" else None,
+        job.objects[index].uv,
+        *(m.vertices for m in scene.tracer.meshes),
+    ]
+    key = digest(
+        "training-2",
+        geometry,
+        [camera.fx, camera.fy, camera.cx, camera.cy, np.asarray(camera.to_world)],
+        job.metres_per_unit,
+        library.digest,
+        lights.cell_averages(fibonacci_sphere(256)),
+        [settings.classifier, settings.training_directions, settings.seed],
+    )
+
+    def make() -> Recogniser:
+        names = [n for n in library.names() if n not in INDISTINGUISHABLE]
+        with reporter.stage("training rays"):
+            points = scene.points(index, region=region, textured=True)
+            transport = scene.transport(points, directions=settings.training_directions)
+
+        def render(material):
+            images = np.full((len(lights.names), *region.shape, 3), np.nan, np.float32)
+            values = transport.radiance(material, lights)
+            images[:, points.pixels[:, 0], points.pixels[:, 1]] = values.transpose(1, 0, 2)
+            return images
+
+        return train(
+            render_samples((library.load(n) for n in names), list(lights.names), render, region),
+            classifier=settings.classifier,
+            seed=settings.seed,
+            reporter=reporter,
+            expected=len(names) * len(lights.names),
+        )
+
+    with reporter.stage("training"):
+        return cached(key, make)
+
+
+def recognise_object(scene: PreparedScene, index: int, library, settings: Settings) -> Recognition:
+    """What an object of the job is made of."""
+    recogniser = trained_recogniser(scene, index, library, settings)
+    job = scene.job
+    region = training_region(scene.regions[index], settings.training_pixels)
+    with scene.reporter.stage("recognition"):
+        radiance = np.where(job.photo.usable[..., None], job.photo.radiance, np.nan)
+        answer = recogniser.recognise(radiance, region, what=f"object '{job.objects[index].name}'")
+    if answer.unknown:
+        scene.reporter.warn(
+            f"object '{job.objects[index].name}' looks like none of the library's materials; "
+            f"the nearest, {answer.material}, is used (give --material to choose another)"
+        )
+    return answer

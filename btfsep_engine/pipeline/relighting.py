@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The job's objects under any lighting."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from btfsep_engine import images
+from btfsep_engine.errors import InputError
+from btfsep_engine.job.load import load_job
+from btfsep_engine.light.files import read_lighting
+from btfsep_engine.light.lightings import EnvironmentMaps, SHLighting
+from btfsep_engine.pipeline.estimation import object_materials
+from btfsep_engine.pipeline.record import run_record
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.report import exposure, render_objects
+
+
+def lighting_of(path):
+    """The lighting in a file: ``lighting.json``, or an environment map (EXR, HDR, PNG, …)."""
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        return SHLighting(read_lighting(path).coefficients)
+    pixels = images.read_linear(path).pixels
+    if not np.isfinite(pixels).all():
+        raise InputError(
+            str(path), f"{int((~np.isfinite(pixels)).any(-1).sum())} NaN or infinite pixels", "export the map again"
+        )
+    return EnvironmentMaps([pixels], [path.stem])
+
+
+def earlier_materials(job, result) -> list:
+    """Names of the materials that an earlier estimate of the same job found, None where there is none."""
+    try:
+        record = json.loads(Path(result).read_text())
+        found = {o["name"]: o["material"] for o in record["objects"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return [None] * len(job.objects)  # no estimate yet: recognise
+    return [found.get(o.name) for o in job.objects]
+
+
+def run_relight(folder, library, settings: Settings, *, lighting, out, material=None, reporter) -> dict:
+    """Renders the job's objects under ``lighting`` (a file) into the image ``out``; the background is black.
+
+    The material of each object is the one given, or the job's, or that of an earlier estimate, or recognised.
+
+    Returns
+    -------
+    dict, JSON-ready
+    """
+    with reporter.stage("reading"):
+        job = load_job(folder)
+        light = lighting_of(lighting)
+        suffix = Path(out).suffix.lower()
+        if suffix not in (".exr", ".png"):
+            raise InputError("--out", f"'{out}'", "name an .exr (linear) or a .png (for looking at)")
+    scene = PreparedScene(job, reporter)
+    if material is None:
+        earlier = earlier_materials(job, job.folder / "result" / "result.json")
+        names = [o.material or e for o, e in zip(job.objects, earlier, strict=True)]
+    else:
+        names = [material] * len(job.objects)
+    found = object_materials(scene, library, settings, names=names)
+    with reporter.stage("transport"):
+        materials = [m.material for m in found]
+        indirect = scene.indirect(materials, light, bounces=settings.bounces, seed=settings.seed)
+        image = render_objects(
+            scene, materials, light, textured=True, directions=settings.directions, indirect=indirect
+        )[0]
+    shown = np.isfinite(image).all(-1)
+    image = np.where(shown[..., None], image, 0).astype(np.float32)
+    with reporter.stage("writing"):
+        if suffix == ".exr":
+            images.write_exr(out, image)
+        else:
+            images.write_png(out, image * exposure(image, shown))
+    return {
+        "out": str(out),
+        "objects": [{"name": o.name, "material": m.name} for o, m in zip(job.objects, found, strict=True)],
+        **run_record(settings, reporter),
+    }

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a run can be told; stored with every result."""
+
+from dataclasses import dataclass, replace
+
+from btfsep_engine.errors import InputError
+
+LARGEST_ORDER = 9
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of an estimate.
+
+    Attributes
+    ----------
+    preset : the name of the preset that these settings started from
+    order : order of the spherical harmonics, 0 to 9
+    appearance : "mean" (mean ABRDF, the paper's regulariser) or "textured" (the BTF with the computed charts)
+    pixels : pixels used for the fit, 0: all
+    directions : light directions per pixel
+    bounces : reflections followed; 1 is light that comes straight from outside
+    classifier : "svm" or "nearest"
+    training_directions : light directions per pixel of the training images
+    training_pixels : largest number of pixels of a training image
+    seed : of every random choice
+    """
+
+    preset: str = "balanced"
+    order: int = 4
+    appearance: str = "mean"
+    pixels: int = 4000
+    directions: int = 512
+    bounces: int = 4
+    classifier: str = "svm"
+    training_directions: int = 256
+    training_pixels: int = 16000
+    seed: int = 0
+
+
+PRESETS = {
+    "draft": Settings("draft", pixels=1000, directions=256, bounces=2, training_pixels=8000, training_directions=128),
+    "balanced": Settings(),
+    "accurate": Settings("accurate", pixels=16000, directions=1024, training_directions=512, training_pixels=24000),
+    "paper": Settings("paper", pixels=0, directions=1024, bounces=1),
+}
+
+
+def choose(preset: str = "balanced", **changes) -> Settings:
+    """The settings of a preset with ``changes``; None leaves a value as it is.
+
+    Raises
+    ------
+    InputError
+        On an unknown preset or a value out of range.
+    """
+    if preset not in PRESETS:
+        raise InputError("--preset", f"'{preset}'", f"choose one of {', '.join(PRESETS)}")
+    settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
+    if not 0 <= settings.order <= LARGEST_ORDER:
+        raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}")
+    if settings.appearance not in ("mean", "textured"):
+        raise InputError("--appearance", f"'{settings.appearance}'", "choose 'mean' or 'textured'")
+    if settings.classifier not in ("svm", "nearest"):
+        raise InputError("--classifier", f"'{settings.classifier}'", "choose 'svm' or 'nearest'")
+    if settings.pixels < 0 or not 16 <= settings.directions <= 65536 or not 1 <= settings.bounces <= 64:
+        raise InputError(
+            "the settings",
+            f"{settings.pixels} pixels, {settings.directions} directions, {settings.bounces} bounces",
+            "choose pixels >= 0, directions 16 to 65536, bounces 1 to 64",
+        )
+    return settings

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report picture: one row, as in the paper's figures 3 and 4."""
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy.interpolate import NearestNDInterpolator
+
+from btfsep_engine import sh
+from btfsep_engine.atomic import replacing
+from btfsep_engine.images import linear_to_srgb
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.light.maps import training_lights
+from btfsep_engine.render.surface import spread
+
+PIXELS = 40_000  # most pixels of an object that the report renders; the others are filled from their neighbours
+DIRECTIONS = 512
+GREY = 0.18  # display value of the photo's median luminance
+
+
+def exposure(image, region) -> float:
+    """The factor that shows ``region`` of a linear image well: its 99th percentile just below white."""
+    values = np.asarray(image)[region]
+    values = values[np.isfinite(values).all(-1)]
+    return float(0.85 / max(np.percentile(values, 99), 1e-12)) if len(values) else 1.0
+
+
+def display(image, factor: float = 1.0) -> np.ndarray:
+    """8-bit sRGB of a linear image (h, w, 3) times ``factor``."""
+    values = np.nan_to_num(np.asarray(image, np.float64) * factor, nan=0.0, posinf=1.0, neginf=0.0)
+    return (np.clip(linear_to_srgb(np.clip(values, 0, 1)), 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def write_row(path, panels, *, title: str = "") -> None:
+    """Writes labelled pictures side by side.
+
+    Parameters
+    ----------
+    path : PNG
+    panels : list of (label, (h, w, 3) uint8)
+    """
+    ratios = [image.shape[1] / image.shape[0] for _, image in panels]
+    height, pad = 3.0, 0.5
+    width = height * sum(ratios) + 0.12 * len(panels)
+    figure = Figure(figsize=(width, height + pad), dpi=110, facecolor="white")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(
+        1,
+        len(panels),
+        width_ratios=ratios,
+        left=0.005,
+        right=0.995,
+        bottom=0.01,
+        top=height / (height + pad),
+        wspace=0.03,
+    )
+    for column, (label, image) in enumerate(panels):
+        axes = figure.add_subplot(grid[0, column])
+        axes.imshow(image, interpolation="antialiased")
+        axes.set_axis_off()
+        axes.set_title(label, fontsize=11, pad=5)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    with replacing(path) as scratch:
+        figure.savefig(scratch, format="png")
+
+
+def render_objects(scene, materials, lightings, *, textured: bool, directions: int, indirect=None) -> np.ndarray:
+    """Images (M, h, w, 3) float32 of a prepared scene's objects, NaN where none is.
+
+    Large objects are rendered at `PIXELS` pixels and filled from the nearest of them.
+    """
+    camera = scene.job.camera
+    out = np.full((lightings.count, camera.height, camera.width, 3), np.nan, np.float32)
+    for index, material in enumerate(materials):
+        region = scene.view.mesh == index
+        points = scene.points(index, region=region, textured=textured)
+        points = points.take(spread(points, PIXELS))
+        values = scene.radiance(points, material, lightings, directions=directions, indirect=indirect)
+        if len(points) < region.sum():
+            flat = values.reshape(len(points), -1)
+            values = NearestNDInterpolator(points.pixels, flat)(np.argwhere(region)).reshape(-1, *values.shape[1:])
+        out[:, region] = values.transpose(1, 0, 2)
+    return out
+
+
+def write_estimate_report(path, found, settings) -> None:
+    """The report of an estimate: photo, recognised material, estimated light, re-rendering, difference.
+
+    Parameters
+    ----------
+    path : PNG
+    found : pipeline.estimation.Estimate
+    settings : pipeline.settings.Settings
+    """
+    scene, photo = found.scene, found.scene.job.photo.radiance
+    materials = [m.material for m in found.materials]
+    textured = settings.appearance == "textured"
+    region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
+    lighting = SHLighting(found.lighting.coefficients)
+    indirect = scene.indirect(materials, lighting, bounces=settings.bounces)
+    shown = [m if textured or not hasattr(m, "mean_material") else m.mean_material() for m in materials]
+    again = render_objects(scene, shown, lighting, textured=textured, directions=DIRECTIONS, indirect=indirect)[0]
+    sample = render_objects(scene, materials, training_lights(rotations=1), textured=True, directions=DIRECTIONS)[0]
+    factor = exposure(photo, region)
+    background = np.full_like(photo, 1.0)
+    difference = np.where(region[..., None], np.abs(again - photo) * factor, 1.0)
+    size = (128, 256)
+    estimated = sh.to_map(found.lighting.coefficients, *size)
+    names = ", ".join(dict.fromkeys(m.name for m in found.materials))
+    panels = [
+        ("photo", display(photo, factor)),
+        (names, display(np.where(region[..., None], sample * exposure(sample, region), background))),
+        (
+            f"estimated light, order {settings.order}",
+            display(estimated, 0.85 / max(np.percentile(estimated, 99), 1e-12)),
+        ),
+        ("re-rendered", display(np.where(region[..., None], again * factor, background))),
+        (f"difference (residual {found.fit.residual:.2f})", display(difference)),
+    ]
+    write_row(path, panels)
