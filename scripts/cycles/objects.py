@@ -21,7 +21,7 @@ def _mesh(name: str, vertices, quads) -> bpy.types.Mesh:
 
 
 def _grid_quads(rows: int, columns: int, *, wrap_rows: bool, wrap_columns: bool) -> np.ndarray:
-    """Quads of a (rows, columns) vertex grid, counter-clockwise seen from du x dv with u along columns, v along rows."""
+    """Quads of a (rows, columns) vertex grid, counter-clockwise in (column, row)."""
     r = np.arange(rows if wrap_rows else rows - 1)[:, None]
     c = np.arange(columns if wrap_columns else columns - 1)[None, :]
     r1, c1 = (r + 1) % rows, (c + 1) % columns
@@ -65,7 +65,7 @@ def _blob(rng) -> bpy.types.Mesh:
     p = np.tan(p * np.pi / 4)  # evens out the faces
     p /= np.linalg.norm(p, axis=1, keepdims=True)
     radius = np.ones(len(p))
-    for frequency, height in ((2.0, 0.16), (3.3, 0.10), (5.0, 0.05)):
+    for frequency, height in ((2.0, 0.14), (3.6, 0.11), (6.0, 0.06)):
         for wave in rng.normal(size=(3, 3)):
             wave *= frequency / np.linalg.norm(wave)
             radius += height * np.sin(p @ wave + rng.uniform(0, 2 * np.pi))
@@ -107,24 +107,30 @@ def _catmull_rom(points, steps: int) -> np.ndarray:
     p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
     t = np.linspace(0, 1, steps, endpoint=False)[:, None]
     out = []
-    for a, b, c, d in zip(p, p[1:], p[2:], p[3:]):
+    for a, b, c, d in zip(p[:-3], p[1:-2], p[2:-1], p[3:], strict=True):
         out.append(b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))))
     return np.vstack([*out, p[-2:-1]])
 
 
+def _disk(cells: int):
+    """A square grid bent into the unit disk: radius (n,), azimuth (n,), quads facing +Z.
+
+    No vertex has many neighbours (a fan's hub makes subdivision slow), and the rim is ``4 * cells`` vertices at equal
+    angles from azimuth -45 degrees on.
+    """
+    line = np.linspace(-1, 1, cells + 1)
+    x, y = (a.ravel() for a in np.meshgrid(line, line))
+    radius = np.maximum(np.abs(x), np.abs(y))
+    safe = np.maximum(radius, 1e-12)
+    across = np.abs(x) >= np.abs(y)
+    azimuth = np.where(across, np.pi / 4 * y / safe * np.sign(x), np.pi / 2 - np.pi / 4 * x / safe * np.sign(y))
+    azimuth = azimuth + np.where(np.where(across, x, y) < 0, np.pi, 0)
+    return radius, azimuth, _grid_quads(cells + 1, cells + 1, wrap_rows=False, wrap_columns=False)
+
+
 def _vase(_rng) -> bpy.types.Mesh:
     """Turned on a lathe: an open cup with a thick wall, so that much of it lights and shades itself."""
-    outside = [
-        (0.0, 0),
-        (0.36, 0),
-        (0.5, 0.06),
-        (0.72, 0.4),
-        (0.86, 0.8),
-        (0.78, 1.15),
-        (0.56, 1.42),
-        (0.60, 1.62),
-        (0.78, 1.78),
-    ]
+    outside = [(0.34, 0), (0.5, 0.06), (0.72, 0.4), (0.86, 0.8), (0.78, 1.15), (0.56, 1.42), (0.60, 1.62), (0.78, 1.78)]
     inside = [
         (0.74, 1.83),
         (0.66, 1.78),
@@ -133,52 +139,44 @@ def _vase(_rng) -> bpy.types.Mesh:
         (0.66, 1.13),
         (0.74, 0.8),
         (0.6, 0.42),
-        (0.36, 0.16),
-        (0, 0.12),
+        (0.34, 0.14),
     ]
-    profile = _catmull_rom(outside + inside, 8)[1:-1]
+    r, z = _catmull_rom(outside + inside, 8).T
     around = 160
     angle = np.arange(around) * 2 * np.pi / around
-    r, z = np.maximum(profile[:, 0], 1e-3), profile[:, 1]
-    points = np.stack(
-        [r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), np.repeat(z[:, None], around, 1)], -1
-    ).reshape(-1, 3)
-    quads = _grid_quads(len(profile), around, wrap_rows=False, wrap_columns=True)
-    points = np.vstack([points, [[0, 0, 0.0], [0, 0, 0.12]]])
-    mesh = bpy.data.meshes.new("vase")
-    first, last = len(points) - 2, len(points) - 1
-    ring = np.arange(around)
-    caps = [[first, (i + 1) % around, i] for i in ring]
-    top = (len(profile) - 1) * around
-    caps += [[last, top + i, top + (i + 1) % around] for i in ring]
-    mesh.from_pydata(points.tolist(), [], quads.tolist() + caps)
-    mesh.validate()
+    wall = np.stack([r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), np.repeat(z[:, None], around, 1)], -1)
+    quads = _grid_quads(len(r), around, wrap_rows=False, wrap_columns=True)
+    radius, azimuth, disk = _disk(around // 4)
+    flat = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.zeros_like(radius)], -1)
+    foot, floor = flat * r[0] + [0, 0, z[0]], flat * r[-1] + [0, 0, z[-1]]
+    points = np.vstack([wall.reshape(-1, 3), foot, floor])
+    first = wall.size // 3
+    mesh = _mesh("vase", points, np.vstack([quads, disk[:, ::-1] + first, disk + first + len(flat)]))
+    _weld(mesh)
     return mesh
+
+
+def _weld(mesh) -> None:
+    bm = bmesh.new()
+    bm.from_mesh(mesh)
+    bmesh.ops.remove_doubles(bm, verts=bm.verts, dist=1e-5)
+    bm.to_mesh(mesh)
+    bm.free()
 
 
 def _cloth(rng) -> bpy.types.Mesh:
     """A round cloth draped over a ball: the cap follows the ball, the rest hangs in folds that deepen to the hem."""
-    rings, around, ball = 110, 256, 0.62
-    s = np.linspace(0, 1.75, rings)[1:, None]  # arc length from the top
-    phi = (np.arange(around) * 2 * np.pi / around)[None, :]
+    ball = 0.62
+    radius, phi, quads = _disk(160)
+    s = 1.75 * radius  # arc length from the top
     leave = 0.5 * np.pi * ball * 0.82  # where the cloth leaves the ball
-    theta = np.minimum(s, leave) / ball
-    hang = np.maximum(s - leave, 0)
-    end = leave / ball
-    radius = ball * np.sin(theta) + hang * np.cos(end) * np.exp(-0.6 * hang)
-    height = ball * np.cos(theta) - hang * np.sin(end)
-    depth = 0.30 * (1 - np.exp(-((hang / 0.42) ** 2)))
+    theta, hang, end = np.minimum(s, leave) / ball, np.maximum(s - leave, 0), leave / ball
+    depth = 0.17 * (1 - np.exp(-((hang / 0.42) ** 2)))
     phase = rng.uniform(0, 2 * np.pi, 3)
-    wave = np.sin(7 * phi + phase[0] + 0.5 * np.sin(2 * phi + phase[1])) + 0.35 * np.sin(11 * phi + phase[2])
-    radius = radius + depth * wave * 0.55
-    height = height + 0.05 * depth * np.cos(3 * phi + phase[1])
-    points = np.stack([radius * np.cos(phi), radius * np.sin(phi), height * np.ones_like(phi)], -1).reshape(-1, 3)
-    quads = _grid_quads(rings - 1, around, wrap_rows=False, wrap_columns=True)[:, ::-1]
-    caps = [[len(points), i, (i + 1) % around] for i in range(around)]
-    mesh = bpy.data.meshes.new("cloth")
-    mesh.from_pydata(np.vstack([points, [[0, 0, ball]]]).tolist(), [], quads.tolist() + caps)
-    mesh.validate()
-    return mesh
+    fold = np.sin(7 * phi + phase[0] + 0.5 * np.sin(2 * phi + phase[1])) + 0.35 * np.sin(11 * phi + phase[2])
+    out = ball * np.sin(theta) + hang * np.cos(end) * np.exp(-0.6 * hang) + depth * fold
+    up = ball * np.cos(theta) - hang * np.sin(end) + 0.1 * depth * np.cos(3 * phi + phase[1])
+    return _mesh("cloth", np.stack([out * np.cos(phi), out * np.sin(phi), up], -1), quads)
 
 
 def _sphere(_rng) -> bpy.types.Mesh:
@@ -228,7 +226,7 @@ def set_corner_uv(mesh, uv) -> None:
     mesh.uv_layers.active.uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
 
 
-def _charts(mesh, uv) -> np.ndarray:
+def _charts(mesh) -> np.ndarray:
     """(faces,) int, the chart of each face: faces joined over edges whose UVs agree on both sides."""
     bm = bmesh.new()
     bm.from_mesh(mesh)
@@ -249,7 +247,7 @@ def _charts(mesh, uv) -> np.ndarray:
         there = (b.link_loop_next[layer].uv, b[layer].uv)
         if a.vert is b.vert:
             there = there[::-1]
-        if all((p - q).length_squared < 1e-12 for p, q in zip(here, there)):
+        if all((p - q).length_squared < 1e-12 for p, q in zip(here, there, strict=True)):
             parent[root(a.face.index)] = root(b.face.index)
     found = np.array([root(i) for i in range(len(parent))])
     bm.free()
@@ -276,7 +274,7 @@ def unwrap(obj) -> None:
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.uv.smart_project(angle_limit=ISLAND_ANGLE, island_margin=0.0, scale_to_bounds=False)
     bpy.ops.object.mode_set(mode="OBJECT")
-    _mark_seams(mesh, _charts(mesh, None))
+    _mark_seams(mesh, _charts(mesh))
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.uv.unwrap(method="ANGLE_BASED", margin=0.0, fill_holes=False)
@@ -286,7 +284,7 @@ def unwrap(obj) -> None:
 
 def _scale_charts(mesh) -> None:
     """Scales each chart so that its area in UV equals its area on the surface (square metres)."""
-    charts = _charts(mesh, None)
+    charts = _charts(mesh)
     uv, (vertex, corner) = corner_uv(mesh), triangles(mesh)
     face_of = np.empty(len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("polygon_index", face_of)
