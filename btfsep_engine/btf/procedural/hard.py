@@ -13,11 +13,11 @@ def leather_brown(u, v, rng, size):
     d, index, _ = nearest(a, b, jittered_points(17, 17, rng, jitter=1.0))
     gap = (d[..., 1] - d[..., 0]) * 17
     fine, _, _ = nearest(a, b, jittered_points(58, 58, rng))
-    wrinkle = (fine[..., 1] - fine[..., 0]) * 58
-    pebble = smoothstep(0.0, 0.42, gap)
+    wrinkle = smoothstep(0, 0.5, (fine[..., 1] - fine[..., 0]) * 58)
+    pebble = 1 - (1 - np.clip(gap / 0.62, 0, 1)) ** 3  # steep at the crease, round on top
     large = fbm(u, v, 3, 3, 3, rng)
     swell = rng.normal(0, 1, 17 * 17).clip(-2, 2)[index[..., 0]]
-    height = 0.42 * pebble + 0.035 * smoothstep(0, 0.5, wrinkle) * pebble + 0.05 * swell * pebble + 0.08 * large
+    height = (0.26 + 0.04 * swell + 0.025 * wrinkle) * pebble + 0.08 * large + 0.02 * fbm(u, v, 40, 40, 2, rng)
     base = mix((0.055, 0.020, 0.008), (0.24, 0.098, 0.038), 0.80 * pebble + 0.10 * large + 0.05 * swell)
     return base, height, 0.62 - 0.20 * pebble + 0.03 * large
 
@@ -62,9 +62,9 @@ def sandstone(u, v, rng, size):
     bed = np.sin(2 * np.pi * (5 * (v + warp) + 0.4 * fbm(u, v, 2, 6, 2, rng)))
     d, index, _ = nearest(u, v, jittered_points(84, 84, rng))
     sand = np.sqrt(np.maximum(1 - (d[..., 0] * 84 / 0.8) ** 2, 0))
-    rough = fbm(u, v, 5, 7, 6, rng, gain=0.62)
-    hole = smoothstep(0.28, 0.55, fbm(u, v, 9, 12, 4, rng))
-    height = 0.95 * rough + 0.12 * bed + 0.16 * sand - 0.85 * hole
+    rough = fbm(u, v, 6, 7, 6, rng, gain=0.68)
+    hole = smoothstep(0.22, 0.50, fbm(u, v, 11, 14, 4, rng))
+    height = 0.70 * rough + 0.05 * bed + 0.14 * sand - 0.60 * hole
     tone = rng.normal(0, 1, 84 * 84).clip(-2, 2)[index[..., 0]]
     base = mix((0.34, 0.19, 0.085), (0.62, 0.43, 0.22), 0.52 + 0.22 * bed + 0.16 * tone + 0.35 * rough)
     return base * (1 - 0.35 * hole)[..., None], height, np.full_like(u, 0.92)
@@ -97,18 +97,22 @@ def damask(u, v, rng, size):
     """Teal paper embossed with a satin ornament of mirrored leaves, on a fine rib."""
     wob_u, wob_v = (0.003 * fbm(u, v, 8, 8, 3, rng) for _ in range(2))
 
-    def flower(x, y):
-        x, y = x - np.round(x), y - np.round(y)  # mirrored about the axis of the motif by |x|
-        r, phi = np.hypot(x * 1.25, y), np.arctan2(np.abs(x), y)
-        leaves = 0.30 + 0.11 * np.cos(6 * phi) + 0.05 * np.cos(12 * phi + 9 * r)
-        ring = np.minimum(leaves - r, np.abs(r - 0.13) - 0.022)
-        return np.maximum(ring, 0.062 - r)
+    def flower(x, y, petals, reach):
+        x, y = x - np.round(x), y - np.round(y)
+        r, phi = np.hypot(x, y), np.arctan2(np.abs(x), y)  # |x|: the motif is its own mirror image
+        swing = np.abs(np.cos(0.5 * petals * phi))
+        outline = reach * (0.42 + 0.58 * swing**0.55) - r
+        vein = np.abs(np.sin(0.5 * petals * phi)) * r - 0.007  # a line cut along each petal
+        petal = np.minimum(outline, np.maximum(vein, reach * 0.42 - r))
+        gap = np.abs(r - 0.34 * reach) - 0.012
+        return np.maximum(np.minimum(petal, gap), 0.24 * reach - r)
 
     a, b = 2 * (u + wob_u), 2 * (v + wob_v)
-    motif = np.maximum(flower(a, b), flower(a + 0.5, b + 0.5) - 0.02)
-    vine = 0.020 - np.abs((a - 0.25 * np.sin(2 * np.pi * b) + 0.25) % 0.5 - 0.25)
-    inside = smoothstep(-0.015, 0.02, np.maximum(motif, vine))
-    pillow = smoothstep(0.0, 0.10, np.maximum(motif, vine))
+    motif = np.maximum(flower(a, b, 8, 0.30), flower(a + 0.5, b + 0.5, 6, 0.19))
+    ogee = 0.25 * np.cos(2 * np.pi * b) * 0.55
+    vine = 0.014 - np.minimum(np.abs((a - ogee) % 1.0 - 0.5), np.abs((a + ogee) % 1.0 - 0.5))
+    inside = smoothstep(-0.010, 0.014, np.maximum(motif, vine))
+    pillow = smoothstep(0.0, 0.07, np.maximum(motif, vine))
     rib = np.sin(2 * np.pi * 64 * u)
     paper = fbm(u, v, 40, 40, 3, rng)
     height = 0.30 * inside + 0.12 * pillow + 0.035 * rib * (1 - inside) + 0.015 * paper
@@ -137,7 +141,7 @@ def oak(u, v, rng, size):
     shift = rng.uniform(0, 1, (2, boards))
     inside = u * boards - number
     cut_u, cut_v = (u + shift[0, number]) % 1.0, (v + shift[1, number]) % 1.0
-    phase = _figure(cut_u, cut_v, rng, rings=26, waves=2.2, stretch=6)
+    phase = _figure(cut_u, cut_v, rng, rings=17, waves=3.2, stretch=6)
     late = (0.5 + 0.5 * np.sin(2 * np.pi * phase)) ** 2
     pore = _pores(cut_u + 0.004 * gradient_noise(cut_u, cut_v, 8, 2, rng), cut_v, rng, columns=105, rows=11, width=0.30)
     pore = pore * (0.35 + 0.65 * (1 - late))
@@ -146,7 +150,7 @@ def oak(u, v, rng, size):
     end = smoothstep(0.012, 0.004, np.abs((v - shift[1, number] + 0.5) % 1.0 - 0.5))
     joint = np.maximum(groove, end)
     tone = rng.normal(0, 1, boards).clip(-1.5, 1.5)[number]
-    base = mix((0.50, 0.31, 0.15), (0.33, 0.18, 0.075), 0.55 * late + 0.18 * fibre + 0.10 + 0.12 * tone)
+    base = mix((0.50, 0.31, 0.15), (0.33, 0.18, 0.075), 0.75 * late + 0.25 * fibre + 0.08 + 0.14 * tone)
     base *= (1 - 0.55 * pore)[..., None] * (1 - 0.75 * joint)[..., None]
     height = 0.06 * late + 0.04 * fibre - 0.22 * pore - 0.9 * joint
     return base, height, 0.48 + 0.15 * pore + 0.2 * joint + 0.04 * fibre
@@ -154,9 +158,9 @@ def oak(u, v, rng, size):
 
 def walnut(u, v, rng, size):
     """Lacquered walnut: dark cathedral figure, shallow filled pores, gloss."""
-    centre = 0.5 + 0.10 * np.sin(2 * np.pi * v)
+    centre = 0.5 + 0.05 * np.sin(2 * np.pi * v)
     away = np.abs((u - centre + 0.5) % 1.0 - 0.5)
-    phase = 17 * np.sqrt(away**2 + 0.012 * (1.15 + np.cos(2 * np.pi * v))) + 0.9 * fbm(u, v, 3, 1, 4, rng)
+    phase = 17 * np.sqrt(away**2 + 0.012 * (1.15 + np.cos(2 * np.pi * v))) + 0.55 * fbm(u, v, 3, 1, 4, rng)
     late = smoothstep(0.15, 0.95, phase % 1.0) * smoothstep(1.0, 0.95, phase % 1.0)
     streak = fbm(u, v, 5, 1, 4, rng)
     fibre = fbm(u, v, 120, 5, 2, rng)

@@ -6,14 +6,15 @@ import numpy as np
 from btfsep_engine.btf.procedural.noise import fbm, fibres, gradient_noise, jittered_points, mix, nearest, smoothstep
 
 
-def weave(u, v, rng, *, yarns: int, pattern, radius: float, swing: float, wander: float, plies: float):
+def weave(u, v, rng, *, yarns: int, pattern, radius: float, flat: float, swing: float, wander: float, plies: float):
     """Interlaced yarns: warp runs along v, weft along u.
 
     Parameters
     ----------
     yarns : number of warps and of wefts in a tile
     pattern : (p, p) bool, [weft, warp], True where the warp lies on top; p divides ``yarns``
-    radius : of a yarn, in yarn pitches
+    radius : half the width of a yarn, in yarn pitches
+    flat : height of a yarn's section over its width
     swing : how far a yarn goes up and down, in yarn pitches
     wander : how far its axis strays, in yarn pitches
     plies : slope of the twisted fibres on the yarn
@@ -44,7 +45,7 @@ def weave(u, v, rng, *, yarns: int, pattern, radius: float, swing: float, wander
         r = radius * thick[which, number % yarns]
         bulge = np.sqrt(np.maximum(1 - (across / (2 * r)) ** 2, 0))
         strand = np.sin(2 * np.pi * (plies * t + 0.9 * across) + twist[which, number % yarns])
-        z = swing * lift + r * bulge + 0.035 * strand * bulge
+        z = swing * lift + flat * r * bulge + 0.03 * strand * bulge
         layers.append((np.where(bulge > 0, z, -swing - 0.3), across, number % yarns + which * yarns, strand))
     top = layers[0][0] >= layers[1][0]
     height, across, yarn, strand = (np.where(top, *both) for both in zip(*layers, strict=True))
@@ -56,12 +57,12 @@ def linen(u, v, rng, size):
     yarns = 18
     pattern = np.array([[True, False], [False, True]])
     height, _, across, yarn, strand = weave(
-        u, v, rng, yarns=yarns, pattern=pattern, radius=0.5, swing=0.2, wander=0.12, plies=1.2
+        u, v, rng, yarns=yarns, pattern=pattern, radius=0.54, flat=0.62, swing=0.15, wander=0.12, plies=1.2
     )
     tone = rng.normal(0, 1, 2 * yarns).clip(-2, 2)[yarn]
     fine = fbm(u, v, 40, 40, 3, rng)
     base = mix((0.46, 0.36, 0.23), (0.64, 0.54, 0.38), 0.5 + 0.16 * tone + 0.16 * strand + 0.25 * fine)
-    base *= (1 - 0.25 * np.abs(across) ** 3)[..., None]
+    base *= (1 - 0.2 * np.abs(across) ** 4)[..., None]
     height = height * size / yarns + 0.02 * fine
     return base, height, np.full_like(u, 0.75) + 0.05 * fine
 
@@ -72,7 +73,7 @@ def denim(u, v, rng, size):
     i, j = np.meshgrid(np.arange(4), np.arange(4))
     pattern = (i + j) % 4 != 0
     height, top, across, yarn, strand = weave(
-        u, v, rng, yarns=yarns, pattern=pattern, radius=0.52, swing=0.17, wander=0.08, plies=1.6
+        u, v, rng, yarns=yarns, pattern=pattern, radius=0.55, flat=0.75, swing=0.13, wander=0.08, plies=1.6
     )
     tone = rng.normal(0, 1, 2 * yarns).clip(-2, 2)[yarn]
     worn = fbm(u, v, 5, 5, 4, rng)
