@@ -24,6 +24,7 @@ MAX_PIXELS = 2**28
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
 COLORSPACES = ("auto", "srgb", "linear")
+_MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
 _KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
 
 with contextlib.suppress(AttributeError):  # OpenCV would write its own complaints to stderr beside ours
@@ -212,7 +213,7 @@ def _decode(path: Path, data: bytes):
     except cv2.error:
         a = None
     if a is None or a.size == 0:
-        if size is None:
+        if not data.startswith(_MAGIC):
             raise InputError(path.name, "this is not an image of a known kind", _KINDS)
         raise InputError(path.name, "the image is truncated or damaged", "export it again")
     _check_size(path, a.shape[1], a.shape[0])

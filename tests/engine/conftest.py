@@ -46,11 +46,16 @@ def test_data() -> Path:
     return Path(folder)
 
 
-def write_rgb_exr(path, pixels, channels="RGB"):
+def _write_rgb_exr(path, pixels, channels="RGB"):
     """Writes (h, w, n) floats with OpenEXR itself, one channel a letter, as float32 or float16."""
     planes = {c: np.ascontiguousarray(pixels[..., i]) for i, c in enumerate(channels)}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, planes).write(str(path))
+
+
+@pytest.fixture
+def write_rgb_exr():
+    return _write_rgb_exr
 
 
 class JobFolder:
@@ -85,7 +90,7 @@ class JobFolder:
         (folder / "cube.obj").write_text(CUBE)
 
     def exr(self, name, pixels, channels="RGB"):
-        write_rgb_exr(self.folder / name, pixels, channels)
+        _write_rgb_exr(self.folder / name, pixels, channels)
 
     def write(self, tree=None):
         """Writes job.json and returns the folder."""
