@@ -20,7 +20,7 @@ GREY = 0.18  # display value of the photo's median luminance
 
 def exposure(image, region) -> float:
     """The factor that shows ``region`` of a linear image well: its 99th percentile just below white."""
-    values = np.asarray(image)[region]
+    values = np.asarray(image)[region].reshape(-1, 3)
     values = values[np.isfinite(values).all(-1)]
     return float(0.85 / max(np.percentile(values, 99), 1e-12)) if len(values) else 1.0
 
@@ -111,10 +111,7 @@ def write_estimate_report(path, found, settings) -> None:
     panels = [
         ("photo", display(photo, factor)),
         (names, display(np.where(region[..., None], sample * exposure(sample, region), background))),
-        (
-            f"estimated light, order {settings.order}",
-            display(estimated, 0.85 / max(np.percentile(estimated, 99), 1e-12)),
-        ),
+        (f"estimated light, order {settings.order}", display(estimated, exposure(estimated, ...))),
         ("re-rendered", display(np.where(region[..., None], again * factor, background))),
         (f"difference (residual {found.fit.residual:.2f})", display(difference)),
     ]

@@ -17,7 +17,7 @@ def term_count(order: int) -> int:
 
 def order_of(terms: int) -> int:
     """The order that has ``terms`` coefficients. ValueError if there is none."""
-    order = int(round(np.sqrt(terms))) - 1
+    order = round(np.sqrt(terms)) - 1
     if order < 0 or term_count(order) != terms:
         raise ValueError(f"{terms} is not (L + 1)^2 for any order L")
     return order
@@ -40,7 +40,7 @@ def evaluate(order: int, directions) -> np.ndarray:
     """
     d = np.asarray(directions, np.float64)
     x, y, z = d[..., 0], d[..., 1], d[..., 2]
-    out = np.empty(d.shape[:-1] + (term_count(order),))
+    out = np.empty((*d.shape[:-1], term_count(order)))
     cos_m, sin_m = np.ones_like(x), np.zeros_like(x)  # Re and Im of (x + i y)^m
     p_mm = np.full_like(x, np.sqrt(1 / (4 * np.pi)))  # normalised P_m^m / sin^m
     for m in range(order + 1):

@@ -47,11 +47,13 @@ class Dielectric:
     """
 
     def __init__(self, f0: float):
+        import drjit as dr
         import mitsuba as mi
 
-        self.f0 = float(f0)
-        if self.f0 > 0:
-            table = layer_albedo(self.f0)
+        self.layered = f0 > 0
+        if self.layered:
+            self.f0 = dr.opaque(mi.Float, f0)  # opaque: one compiled kernel serves all materials
+            table = layer_albedo(float(f0))
             mu = np.linspace(0, 1, TABLE)
             mean = (
                 np.trapezoid(table * 2 * mu, mu, axis=1) if hasattr(np, "trapezoid") else np.trapz(table * 2 * mu, mu)
@@ -82,7 +84,7 @@ class Dielectric:
         nl, nv = dr.dot(normal, light), dr.maximum(dr.dot(normal, view), 1e-3)
         lit = nl > 0
         nl = dr.maximum(nl, 1e-4)
-        if self.f0 <= 0:
+        if not self.layered:
             return dr.select(lit, base * dr.inv_pi, 0)
         alpha2 = dr.square(dr.square(roughness))
         half = dr.normalize(view + light)

@@ -30,7 +30,7 @@ SHADOW_SAMPLES = 4  # visibility rays a light and cell of the patch
 
 @dataclass(frozen=True)
 class Measurement:
-    """A material and how well its factors hold what was measured (see :class:`~btfsep_engine.btf.factorise.Factors`)."""
+    """A material, and the ``relative_error`` of its factors (see :class:`btfsep_engine.btf.factorise.Factors`)."""
 
     material: Tabulated
     relative_error: float
@@ -101,8 +101,9 @@ class Patch:
 
         self.maps, self.seed = maps, seed
         self.lights = np.ascontiguousarray(lights, np.float32)
-        self.n, self.size = len(maps.height_mm), float(maps.size_mm)
-        self.top = float(maps.height_mm.max()) + 0.01 * self.size
+        self.n = len(maps.height_mm)
+        self.size = dr.opaque(mi.Float, maps.size_mm)  # opaque: one compiled kernel serves all materials
+        self.top = float(maps.height_mm.max() + 0.01 * maps.size_mm)
         self.scene = mi.load_dict({"type": "scene", "patch": _mesh(mi, maps)})
         slope_u, slope_v = slopes(maps)
         normal = np.stack([-slope_u, -slope_v, np.ones_like(slope_u)], -1)
@@ -129,7 +130,7 @@ class Patch:
             du, dv = (k % 2 + rng.next_float32()) * 0.5, (k // 2 % 2 + rng.next_float32()) * 0.5
             x = (mi.Float(cell % self.n) + du) * (self.size / self.n)
             y = (mi.Float(cell // self.n) + dv) * (self.size / self.n)
-            down = mi.Ray3f(mi.Point3f(x, y, self.top), mi.Vector3f(0, 0, -1))
+            down = mi.Ray3f(mi.Point3f(x, y, dr.opaque(mi.Float, self.top)), mi.Vector3f(0, 0, -1))
             hit = self.scene.ray_intersect_preliminary(down, coherent=True)
             place = down(hit.t) + mi.Vector3f(0, 0, 1e-4 * self.size)
             share += dr.select(self.scene.ray_test(mi.Ray3f(place, direction)), 0.0, 1.0 / SHADOW_SAMPLES)
@@ -180,6 +181,7 @@ class Patch:
         for bounce in range(BOUNCES):
             si = self.scene.ray_intersect(ray, mi.RayFlags.Minimal, bounce == 0)
             facing = si.is_valid() & (dr.dot(si.n, ray.d) < 0)
+            dr.eval(facing, si.p, si.n, ray.d, texel, weight, rng)  # at once: a gather evaluates its source
             alive = dr.compress(facing)
             if len(alive) == 0:
                 break

@@ -6,6 +6,8 @@ with their material's albedo (radiosity; Goral et al. 1984). The radiosity of a 
 found under all M lightings at once; it is linear in the light, as everything else.
 """
 
+from functools import cached_property
+
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
@@ -52,24 +54,33 @@ class Indirect:
     """
 
     def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, seed: int = 0):
-        self.tracer = tracer
-        position, normal, mesh = self._samples(np.random.default_rng(seed))
-        self.tree = cKDTree(self._feature(position, normal))
+        self.tracer, self.albedos, self.lightings = tracer, np.asarray(albedos, np.float64), lightings
+        self.bounces, self.seed = bounces, seed
+
+    @cached_property
+    def _solution(self):
+        """Search tree of the samples and their radiosity (s, M, 3); found when it is first needed."""
+        tracer = self.tracer
+        position, normal, mesh = self._samples(np.random.default_rng(self.seed))
+        tree = cKDTree(self._feature(position, normal))
         directions = fibonacci_sphere(DIRECTIONS)
-        solid_angle = 4 * np.pi / DIRECTIONS
-        light = np.asarray(lightings.cell_averages(directions), np.float64)
+        light = np.asarray(self.lightings.cell_averages(directions), np.float64)
         light = np.broadcast_to(light, (*light.shape[:2], 3))
-        cosine = np.maximum(normal @ directions.T, 0) * solid_angle
+        cosine = np.maximum(normal @ directions.T, 0) * (4 * np.pi / DIRECTIONS)
         seen = tracer.visible(position, normal, directions)
         direct = np.einsum("sd,dmc->smc", cosine * seen, light, optimize=True)
-        rows, columns, weights = self._gather(position, normal, directions, (cosine > 0) & ~seen)
-        n = len(position)
-        gather = csr_matrix((weights * cosine.ravel()[rows] / np.pi, (rows // DIRECTIONS, columns)), (n, n))
-        albedo = np.asarray(albedos, np.float64)[mesh][:, None, :]
-        self.radiosity = albedo * direct
-        for _ in range(bounces - 1):
-            received = (gather @ self.radiosity.reshape(n, -1)).reshape(direct.shape)
-            self.radiosity = albedo * (direct + received)
+        albedo = self.albedos[mesh][:, None, :]
+        radiosity = albedo * direct
+        if self.bounces > 1:
+            # the inside of a closed object sees no sky and is seen by nobody: no rays are spent on it
+            outside = seen.any(1)[:, None]
+            rows, columns, weights = self._gather(tree, position, normal, directions, outside & (cosine > 0) & ~seen)
+            n = len(position)
+            gather = csr_matrix((weights * cosine.ravel()[rows] / np.pi, (rows // DIRECTIONS, columns)), (n, n))
+            for _ in range(self.bounces - 1):
+                received = (gather @ radiosity.reshape(n, -1)).reshape(direct.shape)
+                radiosity = albedo * (direct + received)
+        return tree, radiosity
 
     def _samples(self, random):
         """Points on all triangles by area, each with both sides: positions, normals, mesh numbers."""
@@ -93,7 +104,7 @@ class Indirect:
     def _feature(self, position, normal):
         return np.concatenate([(position - self.tracer.centre) / self.tracer.radius, normal * NORMAL_SCALE], 1)
 
-    def _gather(self, position, normal, directions, wanted):
+    def _gather(self, tree, position, normal, directions, wanted):
         """Where the wanted (point, direction) rays arrive, as taps of the samples.
 
         Returns
@@ -104,10 +115,10 @@ class Indirect:
         """
         flat = np.flatnonzero(wanted)
         point, direction = flat // len(directions), flat % len(directions)
-        ray, sample, weights = self._arrivals(position[point], normal[point], directions[direction])
+        ray, sample, weights = self._arrivals(tree, position[point], normal[point], directions[direction])
         return flat[ray], sample, weights
 
-    def _arrivals(self, position, normal, omega):
+    def _arrivals(self, tree, position, normal, omega):
         """Where rays (n, 3) arrive: ray numbers, sample numbers and weights of the taps."""
         starts = position + OFFSET * self.tracer.radius * normal
         hits = self.tracer.nearest(starts, omega)
@@ -120,7 +131,7 @@ class Indirect:
             facing[mine] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
         facing *= -np.sign((facing * omega[arrived]).sum(1, keepdims=True))
-        distance, sample = self.tree.query(self._feature(arrival, facing), k=NEIGHBOURS)
+        distance, sample = tree.query(self._feature(arrival, facing), k=NEIGHBOURS)
         weights = 1 / (distance + 1e-3)
         weights /= weights.sum(1, keepdims=True)
         return np.repeat(arrived, NEIGHBOURS), sample.ravel(), weights.ravel()
@@ -133,25 +144,32 @@ class Indirect:
         if isinstance(material, Mirror):
             return self._mirrored(transport, material)
         points, directions = transport.points, transport.directions
-        out = np.zeros((len(points), *self.radiosity.shape[1:]), np.float32)
+        above = (points.flat_normal @ directions.T > 0) & (points.normal @ directions.T > 0)
+        blocked = above & ~transport.visible
+        out = np.zeros((len(points), self.lightings.count, 3), np.float32)
+        if not blocked.any():
+            return out
+        tree, radiosity = self._solution
         step = max(1, (1 << 20) // len(directions))
         for start in range(0, len(points), step):
             part = slice(start, min(len(points), start + step))
-            blocked = ~transport.visible[part] & (points.flat_normal[part] @ directions.T > 0)
-            blocked &= points.normal[part] @ directions.T > 0
-            rows, columns, taps = self._gather(points.position[part], points.flat_normal[part], directions, blocked)
-            weights = transport.weights(material, part, blocked)
-            shape = (part.stop - start, len(self.radiosity))
+            rows, columns, taps = self._gather(
+                tree, points.position[part], points.flat_normal[part], directions, blocked[part]
+            )
+            weights = transport.weights(material, part, blocked[part])
+            shape = (part.stop - start, len(radiosity))
             for c in range(3):
                 values = weights[c].ravel()[rows] * taps / np.pi
                 matrix = csr_matrix((values, (rows // len(directions), columns)), shape)
-                out[part, :, c] = matrix @ self.radiosity[:, :, c]
+                out[part, :, c] = matrix @ radiosity[:, :, c]
         return out
 
     def _mirrored(self, transport, material) -> np.ndarray:
         points = transport.points
-        reflected = transport.reflected_directions()
-        rows, columns, taps = self._arrivals(points.position, points.flat_normal, reflected)
-        matrix = csr_matrix((taps / np.pi, (rows, columns)), (len(points), len(self.radiosity)))
-        out = (matrix @ self.radiosity.reshape(len(self.radiosity), -1)).reshape(len(points), *self.radiosity.shape[1:])
+        tree, radiosity = self._solution
+        rows, columns, taps = self._arrivals(
+            tree, points.position, points.flat_normal, transport.reflected_directions()
+        )
+        matrix = csr_matrix((taps / np.pi, (rows, columns)), (len(points), len(radiosity)))
+        out = (matrix @ radiosity.reshape(len(radiosity), -1)).reshape(len(points), *radiosity.shape[1:])
         return (out * np.asarray(material.reflectance)).astype(np.float32)

@@ -59,11 +59,9 @@ class Tracer:
         shapes = {f"mesh{i:04d}": self._mitsuba_mesh(i, mesh) for i, mesh in enumerate(self.meshes)}
         self.scene = self.mi.load_dict({"type": "scene", **shapes})
         # a hit names its shape by registry id: the table back to our mesh numbers
-        ids = [self._shape_number(shape) for shape in self.scene.shapes()]
-        self._registry = {
-            int(number): ids[i]
-            for i, number in enumerate(np.array(self.dr.reinterpret_array(self.mi.UInt32, self.scene.shapes_dr())))
-        }
+        registry = np.array(self.dr.reinterpret_array(self.mi.UInt32, self.scene.shapes_dr()))
+        self._numbers = np.zeros(int(registry.max()) + 1, np.int32)
+        self._numbers[registry] = [self._shape_number(shape) for shape in self.scene.shapes()]
 
     def _mitsuba_mesh(self, number, mesh):
         mi = self.mi
@@ -101,9 +99,7 @@ class Tracer:
             hit = self.scene.ray_intersect_preliminary(ray, coherent=False)
             valid = np.array(hit.is_valid())
             shape = np.array(self.dr.reinterpret_array(self.mi.UInt32, hit.shape))
-            numbers = np.zeros(max(self._registry) + 1, np.int32)
-            numbers[list(self._registry)] = list(self._registry.values())
-            mesh[part] = np.where(valid, numbers[np.where(valid, shape, 0)], MISS)
+            mesh[part] = np.where(valid, self._numbers[np.where(valid, shape, 0)], MISS)
             face[part] = np.where(valid, np.array(hit.prim_index).astype(np.int32), 0)
             u, v = np.array(hit.prim_uv.x), np.array(hit.prim_uv.y)
             barycentric[part] = np.stack([1 - u - v, u, v], -1)
