@@ -67,10 +67,11 @@ def measure(
     factoriser = StreamingFactoriser(texels * texels, components, seed=seed)
     patch = Patch(maps, lights, seed=seed)
     for number, block in enumerate(patch.views(views, texels=texels, samples=samples)):
-        factoriser.add(block.reshape(-1, texels * texels))
+        for channel in block:
+            factoriser.add(channel)
         reporter.progress("measure", (number + 1) / len(views), maps.name)
     factors = factoriser.finish()
-    angular = factors.angular.reshape(len(views), len(lights), 3, -1)
+    angular = factors.angular.reshape(len(views), 3, len(lights), -1).transpose(0, 2, 1, 3)
     angular = angular / lights[None, :, 2, None, None].astype(np.float32)
     material = Tabulated(
         name=maps.name,
@@ -148,7 +149,7 @@ class Patch:
 
         Yields
         ------
-        (lights, 3, texels * texels) float32, radiance under a directional light of unit irradiance (measured across
+        (3, texels * texels, lights) float32, radiance under a directional light of unit irradiance (measured across
         its beam): the BTF **times cos(theta_i)**, 1/sr; texel = row * texels + column, row 0 at the smallest v
         """
         for number, view in enumerate(np.asarray(views, np.float64)):
@@ -157,8 +158,7 @@ class Patch:
                 vertices = self._paths(view, texels, self.seed + 7919 * (number * samples + sample) + 2)
                 light = self._connect(vertices, texels * texels)
                 total = light if total is None else total + light
-            shape = (3, texels * texels, len(self.lights))
-            yield (total.reshape(shape) / samples).transpose(2, 0, 1)
+            yield (total / samples).reshape(3, texels * texels, len(self.lights))
 
     def _paths(self, view, texels: int, seed: int):
         """One path a texel: a list of vertices, dicts of Dr.Jit arrays, those that left the patch taken out."""
