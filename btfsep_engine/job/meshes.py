@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Meshes from files: triangles in world space with normals and uv at their corners."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,7 @@ def parse(name: str, data: bytes) -> Polygons:
     """Polygons of the bytes of a PLY or OBJ, told apart by what is in them."""
     if data[:3] == b"ply" and data[3:4] in (b"\n", b"\r"):
         return read_ply(name, data)
-    head = data[: 2**20]
-    if b"\0" in head or not any(line.lstrip()[:2] in (b"v ", b"v\t", b"f ") for line in data.splitlines()):
+    if b"\0" in data[: 2**20] or not re.search(rb"(?:^|[\r\n])[ \t]*v[ \t]", data):
         raise InputError(name, "this is neither a PLY nor an OBJ", "export the mesh as PLY or OBJ")
     return read_obj(name, data)
 
@@ -82,8 +82,9 @@ def assemble(name: str, polygons: Polygons, *, to_world=None) -> tuple[TriangleM
     faces = corners[triangles]
     p = vertices[faces]
     cross = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    longest = np.maximum.reduce([((p[:, a] - p[:, b]) ** 2).sum(-1) for a, b in ((0, 1), (1, 2), (2, 0))])
-    area = np.linalg.norm(cross, axis=-1)
+    edges = [p[:, a] - p[:, b] for a, b in ((0, 1), (1, 2), (2, 0))]
+    longest = np.maximum.reduce([_dot(e, e) for e in edges])
+    area = np.sqrt(_dot(cross, cross))
     kept = area > 1e-12 * longest
     dropped = int((~kept).sum())
     if dropped == len(kept):
@@ -108,6 +109,11 @@ def assemble(name: str, polygons: Polygons, *, to_world=None) -> tuple[TriangleM
         if not np.isfinite(corner_uv).all():
             corner_uv = None  # as good as none: the charts are then computed
     return TriangleMesh(vertices, faces.astype(np.int32), corner_normals.astype(np.float32), corner_uv), dropped
+
+
+def _dot(a, b) -> np.ndarray:
+    """(...,) dot products over the last axis; einsum is several times quicker than a sum over three."""
+    return np.einsum("...i,...i->...", a, b)
 
 
 def _corner_values(values: np.ndarray, index: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -144,7 +150,7 @@ def smooth_normals(vertices, faces, normals, *, degrees: float = SMOOTH_DEGREES)
     alone = np.concatenate([[True], ~same, [True]])
     pair = np.flatnonzero(same & alone[:-2] & alone[2:])
     one, two = order[pair], order[pair + 1]
-    smooth = (normals[one // 3] * normals[two // 3]).sum(-1) > np.cos(np.radians(degrees))
+    smooth = _dot(normals[one // 3], normals[two // 3]) > np.cos(np.radians(degrees))
     one, two = one[smooth], two[smooth]
     s1, s2 = one, two  # corners where the two half-edges start, and where they end
     e1, e2 = (s // 3 * 3 + (s % 3 + 1) % 3 for s in (one, two))
@@ -156,11 +162,11 @@ def smooth_normals(vertices, faces, normals, *, degrees: float = SMOOTH_DEGREES)
     _, group = connected_components(graph, directed=False)
     p = vertices[faces]
     forward = np.roll(p, -1, 1) - p
-    forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
+    forward /= np.sqrt(_dot(forward, forward))[..., None]
     backward = -np.roll(forward, 1, 1)
-    angle = np.arccos(np.clip((forward * backward).sum(-1), -1, 1)).ravel()
+    angle = np.arccos(np.clip(_dot(forward, backward), -1, 1)).ravel()
     weighted = np.repeat(normals, 3, 0) * angle[:, None]
     total = np.stack([np.bincount(group, weighted[:, i]) for i in range(3)], -1)
     out = total[group]
-    length = np.linalg.norm(out, axis=-1, keepdims=True)
+    length = np.sqrt(_dot(out, out))[:, None]
     return np.where(length > 1e-9, out / np.maximum(length, 1e-9), np.repeat(normals, 3, 0)).reshape(count, 3, 3)

@@ -198,12 +198,10 @@ def read_obj(name: str, data: bytes) -> Polygons:
     InputError
         A line of ``name`` cannot be understood, or there are absurdly many.
     """
-    data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    rows = {key: re.findall(rb"(?m)^[ \t]*" + key + rb"[ \t]+([^\r\n#]*)", data) for key in (b"v", b"vt", b"vn", b"f")}
-    if max(map(len, rows.values())) > MAX_ROWS:
-        raise InputError(name, f"it has more than {MAX_ROWS} lines of a kind", "simplify the mesh")
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\\\n", b" ")
+    rows = _obj_rows(name, data)
     vertices = _table(name, rows[b"v"], 3)
-    sizes = np.array([len(line.split()) for line in rows[b"f"]], np.int64)
+    sizes = _tokens_per_line(rows[b"f"])
     corners = _corners(name, rows[b"f"], int(sizes.sum()))
     if corners is None or (corners < 0).any():
         corners = _corners_by_line(name, data)
@@ -214,27 +212,73 @@ def read_obj(name: str, data: bytes) -> Polygons:
     return Polygons(**out)
 
 
-def _table(name: str, lines: list, width: int) -> np.ndarray:
+def _obj_rows(name: str, data: bytes) -> dict[bytes, bytes]:
+    """The lines of each kind, v, vt, vn and f, as one text without the keys and comments, a line each."""
+    if re.search(rb"(?m)^[ \t]", data):
+        data = re.sub(rb"(?m)^[ \t]+", b"", data)
+    octets = np.frombuffer(data + b"\n \n", np.uint8)
+    ends = np.flatnonzero(octets == 10)
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    first, second, third = (octets[np.minimum(starts + i, len(octets) - 1)] for i in range(3))
+    blank = [np.isin(letter, (32, 9)) for letter in (second, third)]
+    is_v = first == ord("v")
+    out = {}
+    for key, chosen in (
+        (b"v", is_v & blank[0]),
+        (b"vt", is_v & (second == ord("t")) & blank[1]),
+        (b"vn", is_v & (second == ord("n")) & blank[1]),
+        (b"f", (first == ord("f")) & blank[0]),
+    ):
+        lines = np.flatnonzero(chosen)
+        if len(lines) > MAX_ROWS:
+            raise InputError(name, f"it has more than {MAX_ROWS} lines of a kind", "simplify the mesh")
+        # runs of neighbouring lines are cut out whole
+        breaks = np.flatnonzero(np.diff(lines) > 1)
+        heads, tails = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(lines) - 1]])
+        runs = zip(starts[lines[heads]], ends[lines[tails]] + 1, strict=True) if len(lines) else ()
+        text = np.frombuffer(
+            b"".join(data[i:j] if j <= len(data) else data[i:] + b"\n" for i, j in runs), np.uint8
+        ).copy()
+        at = np.concatenate([[0], np.cumsum(ends[lines] + 1 - starts[lines])[:-1]]) if len(lines) else lines
+        for i in range(len(key)):
+            text[at + i] = 32
+        text = text.tobytes()
+        out[key] = re.sub(rb"#[^\n]*", b"", text) if b"#" in text else text
+    return out
+
+
+def _tokens_per_line(text: bytes) -> np.ndarray:
+    """(lines,) int64, words in each line of a text that ends with a newline."""
+    octets = np.frombuffer(b"\n" + text, np.uint8)
+    blank = octets <= 32
+    begins = np.cumsum(~blank[1:] & blank[:-1])
+    return np.diff(begins[octets[1:] == 10], prepend=0)
+
+
+def _table(name: str, text: bytes, width: int) -> np.ndarray:
     """The first ``width`` numbers of each line, (lines, width) float64; missing ones (vt with one number) are 0."""
-    if not lines:
+    if not text:
         return np.zeros((0, width))
-    columns = len(lines[0].split())
-    values = _numbers(name, b"\n".join(lines))
-    if columns < width or len(values) != columns * len(lines):
-        words = [(line.split() + [b"0"] * width)[:width] for line in lines]
-        values, columns = _numbers(name, b"\n".join(b" ".join(w) for w in words)), width
-    return values.reshape(len(lines), columns)[:, :width]
+    sizes = _tokens_per_line(text)
+    columns = int(sizes[0])
+    if columns < width or (sizes != columns).any():
+        words = [(line.split() + [b"0"] * width)[:width] for line in text.splitlines()]
+        text, columns = b"\n".join(b" ".join(w) for w in words), width
+    values = _numbers(name, text)
+    if len(values) != columns * len(sizes):
+        raise InputError(name, "there is something else where numbers should be", _AGAIN)
+    return values.reshape(len(sizes), columns)[:, :width]
 
 
-def _corners(name: str, lines: list, count: int):
+def _corners(name: str, text: bytes, count: int):
     """(count, 3) int64: v, vt, vn of each corner, 0 where absent; None where the lines are not all of one form."""
-    joined = b"\n".join(lines).replace(b"//", b"/0/")
     if not count:
         return np.zeros((0, 3), np.int64)
-    slashes = joined.split(None, 1)[0].count(b"/")
-    if slashes > 2 or joined.count(b"/") != slashes * count:
+    text = text.replace(b"//", b"/0/")
+    slashes = text.split(None, 1)[0].count(b"/")
+    if slashes > 2 or text.count(b"/") != slashes * count:
         return None
-    values = _numbers(name, joined.replace(b"/", b" "))
+    values = _numbers(name, text.replace(b"/", b" "))
     if len(values) != count * (slashes + 1):
         return None
     corners = np.zeros((count, 3), np.int64)
