@@ -121,10 +121,11 @@ def _camera(schema: CameraSchema) -> Camera:
     if not np.array_equal(to_world[3], [0, 0, 0, 1]):
         raise InputError(what, "its last row is not 0 0 0 1", "write it row by row, camera to world")
     axes = to_world[:3, :3]
-    determinant = np.linalg.det(axes) if np.abs(axes).max() < 1e9 else np.inf
+    huge = np.abs(axes).max() > 1e9  # no rotation, and its products would overflow
+    determinant = np.inf if huge else np.linalg.det(axes)
     if abs(determinant) < 1e-9:
         raise InputError(what, "the matrix is singular", "give the camera's position and rotation")
-    if np.abs(axes.T @ axes - np.eye(3)).max() > RIGID:
+    if huge or np.abs(axes.T @ axes - np.eye(3)).max() > RIGID:
         raise InputError(what, "its axes are not of length 1 and at right angles", "leave out scale and shear")
     if determinant < 0:
         raise InputError(what, "it mirrors the scene", "the camera looks along its -Z with +X right and +Y up")

@@ -214,7 +214,7 @@ def read_obj(name: str, data: bytes) -> Polygons:
 
 def _obj_rows(name: str, data: bytes) -> dict[bytes, bytes]:
     """The lines of each kind, v, vt, vn and f, as one text without the keys and comments, a line each."""
-    if re.search(rb"(?m)^[ \t]", data):
+    if any(data.startswith(blank) or b"\n" + blank in data for blank in (b" ", b"\t")):
         data = re.sub(rb"(?m)^[ \t]+", b"", data)
     octets = np.frombuffer(data + b"\n \n", np.uint8)
     ends = np.flatnonzero(octets == 10)
@@ -251,8 +251,8 @@ def _tokens_per_line(text: bytes) -> np.ndarray:
     """(lines,) int64, words in each line of a text that ends with a newline."""
     octets = np.frombuffer(b"\n" + text, np.uint8)
     blank = octets <= 32
-    begins = np.cumsum(~blank[1:] & blank[:-1])
-    return np.diff(begins[octets[1:] == 10], prepend=0)
+    begins = np.flatnonzero(~blank[1:] & blank[:-1])
+    return np.diff(np.searchsorted(begins, np.flatnonzero(octets[1:] == 10)), prepend=0)
 
 
 def _table(name: str, text: bytes, width: int) -> np.ndarray:
