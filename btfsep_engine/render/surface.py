@@ -11,6 +11,9 @@ from btfsep_engine.job.model import Job
 from btfsep_engine.render.parametrise import physical_uv, tangent_frames
 from btfsep_engine.render.tracer import Tracer
 
+BESIDE = (0.031, 0.017)  # pixels
+SLIPPED = 1e-3  # scene radii
+
 
 @dataclass(frozen=True)
 class SurfacePoints:
@@ -59,17 +62,24 @@ class View:
 
 
 def camera_view(tracer: Tracer, job: Job) -> View:
-    """Nearest hits through every pixel centre, images of (height, width)."""
+    """Nearest hits through every pixel centre, images of (height, width).
+
+    A ray that meets the edge between two triangles exactly can slip through it. A second ray a little beside the
+    first tells: where it stops much earlier, it is the one that is believed.
+    """
     camera = job.camera
     rows, columns = np.mgrid[: camera.height, : camera.width]
-    origins, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
-    hits = tracer.nearest(origins, directions)
+    hits, beside = (
+        tracer.nearest(*camera.rays(columns.ravel() + 0.5 + shift[0], rows.ravel() + 0.5 + shift[1]))
+        for shift in ((0.0, 0.0), BESIDE)
+    )
+    slipped = beside.distance < hits.distance - SLIPPED * tracer.radius
     shape = (camera.height, camera.width)
     return View(
-        hits.mesh.reshape(shape),
-        hits.face.reshape(shape),
-        hits.barycentric.reshape(*shape, 3),
-        hits.distance.reshape(shape),
+        np.where(slipped, beside.mesh, hits.mesh).reshape(shape),
+        np.where(slipped, beside.face, hits.face).reshape(shape),
+        np.where(slipped[:, None], beside.barycentric, hits.barycentric).reshape(*shape, 3),
+        np.where(slipped, beside.distance, hits.distance).reshape(shape),
     )
 
 

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The choice of libLLVM, with real libraries and with files that are none."""
+
+import json
+
+import pytest
+
+from btfsep_engine.errors import InputError
+from btfsep_engine.render import backend
+
+
+@pytest.fixture(autouse=True)
+def fresh(tmp_path, monkeypatch):
+    """An empty cache, and no memory of an earlier choice."""
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+    backend.choose_backend.cache_clear()
+    yield
+    backend.choose_backend.cache_clear()
+
+
+def test_this_machine_has_a_backend_and_remembers_it(tmp_path):
+    chosen = backend.choose_backend()
+    assert chosen.variant in (backend.LLVM_VARIANT, backend.CUDA_VARIANT)
+    stored = json.loads((tmp_path / "cache" / "backend.json").read_text())
+    assert stored["backend"]["library"] == chosen.library
+
+
+def test_a_library_that_is_none_is_refused_with_a_remedy(tmp_path, monkeypatch):
+    fake = tmp_path / "libLLVM-99.so"
+    fake.write_bytes(b"not a library")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(fake))
+    monkeypatch.setenv("BTFSEP_VARIANT", backend.LLVM_VARIANT)
+    with pytest.raises(InputError, match=r"the renderer cannot start; tried .*libLLVM-99.so .*install one that works"):
+        backend.choose_backend()
+    assert not (tmp_path / "cache" / "backend.json").exists()
+
+
+def test_no_library_at_all_is_told(monkeypatch):
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setenv("BTFSEP_VARIANT", backend.LLVM_VARIANT)
+    monkeypatch.setattr(backend, "LIBRARY_PATTERNS", ("/nonexistent/libLLVM*",))
+    with pytest.raises(InputError, match="no libLLVM was found"):
+        backend.choose_backend()
+
+
+def test_a_damaged_memory_is_ignored(tmp_path):
+    remembered = tmp_path / "cache" / "backend.json"
+    remembered.parent.mkdir()
+    remembered.write_text("{damaged")
+    backend.choose_backend()
+    assert json.loads(remembered.read_text())["backend"]
+
+
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [("libLLVM-15.so", (15,)), ("libLLVM.so.19.1", (19, 1)), ("libLLVM-14.0.6.so.1", (14, 0, 6)), ("libLLVM.so", ())],
+)
+def test_versions_are_read_from_names(name, version):
+    assert backend.llvm_version(f"/usr/lib/{name}") == version
