@@ -1,1 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
+"""BTFsep in Blender: the light of a photograph as the scene's World."""
+
+import atexit
+
+import bpy
+
+from . import command, importer, operators, panels, preferences, properties
+
+MODULES = (properties, preferences, operators, importer, panels, command)
+
+
+def register():
+    for module in MODULES:
+        module.register()
+    if getattr(bpy.app, "module", False):
+        # Blender as a Python module hangs when it ends while property callbacks are registered.
+        atexit.register(unregister)
+
+
+def unregister():
+    atexit.unregister(unregister)
+    for module in reversed(MODULES):
+        module.unregister()

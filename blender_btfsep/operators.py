@@ -1,0 +1,354 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons: choose objects, recognise, estimate, apply, restore."""
+
+import os
+
+import bpy
+from bpy.props import EnumProperty, IntProperty, StringProperty
+
+from . import export, lighting_file, preferences, runs, world
+from .errors import InputError
+from .meshes import SURFACE_TYPES
+from .properties import WORLD_MODES
+
+
+def chosen(settings) -> list:
+    """The entries of the object list that still have an object."""
+    return [entry for entry in settings.objects if entry.object is not None]
+
+
+def missing(context) -> str:
+    """What the scene lacks for a run, as a sentence for a tooltip; empty when nothing is missing."""
+    settings = context.scene.btfsep
+    if runs.is_running():
+        return "The engine is running: wait or cancel"
+    if settings.image is None:
+        return "Choose the photo first"
+    if (settings.camera or context.scene.camera) is None:
+        return "The scene has no camera: add the one that took the photo"
+    if not chosen(settings):
+        return "Add the objects that the photo shows to the list first"
+    return ""
+
+
+def write_job(context, scene, *, folder=None):
+    """Exports the job that the settings of ``scene`` describe; gives its folder. Raises InputError."""
+    settings = scene.btfsep
+    if settings.image is None:
+        raise InputError("the photo", "none is chosen", "choose the photo in the BTFsep panel")
+    entries = chosen(settings)
+    folder = folder or runs.job_folder(scene, preferences.get(context).keep_jobs)
+    source = context if context.scene == scene else scene
+    path = export.export_job(
+        source,
+        folder,
+        image_path=settings.image,
+        camera=settings.camera or scene.camera,
+        objects=[entry.object for entry in entries],
+        occluders=[] if settings.occluders == "NONE" else None,
+        materials={entry.object.name: entry.material for entry in entries},
+    )
+    return path.parent
+
+
+def library_arguments(context) -> list:
+    """The option that names the library of the preferences, if they name one."""
+    library = preferences.get(context).library
+    return ["--library", bpy.path.abspath(library)] if library else []
+
+
+def take_materials(scene, objects: list) -> list:
+    """Puts the engine's word on each object's material into the list; gives sentences about them."""
+    by_name = {entry.object.name: entry for entry in chosen(scene.btfsep)}
+    words = []
+    for found in objects:
+        entry = by_name.get(found.get("name"))
+        if entry is None:
+            continue
+        entry.recognised = str(found.get("material") or "")
+        entry.unknown = bool(found.get("unknown"))
+        entry.candidates.clear()
+        for candidate in found.get("candidates") or []:
+            item = entry.candidates.add()
+            item.name, item.score = str(candidate["name"]), float(candidate["score"])
+        words.append(f"{entry.object.name}: {entry.recognised}" + (" (unsure)" if entry.unknown else ""))
+    return words
+
+
+class BTFSEP_OT_recognise(runs.EngineOperator, bpy.types.Operator):
+    """Recognise the material of each object from the photo"""
+
+    bl_idname = "btfsep.recognise"
+    bl_label = "Recognise"
+    bl_options = {"REGISTER", "UNDO"}
+    task = "Recognising"
+
+    @classmethod
+    def poll(cls, context):
+        reason = missing(context)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def begin(self, context):
+        folder = write_job(context, context.scene)
+        return ["recognise", folder, *library_arguments(context), "--preset", context.scene.btfsep.preset]
+
+    def finish(self, context, result):
+        return ", ".join(take_materials(self.scene(), result.get("objects") or [])) or "Nothing was recognised"
+
+
+class BTFSEP_OT_estimate(runs.EngineOperator, bpy.types.Operator):
+    """Estimate the light of the photo and make it the World; recognises materials that are not given"""
+
+    bl_idname = "btfsep.estimate"
+    bl_label = "Estimate Light"
+    bl_options = {"REGISTER", "UNDO"}
+    task = "Estimating"
+
+    @classmethod
+    def poll(cls, context):
+        reason = missing(context)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def begin(self, context):
+        settings = context.scene.btfsep
+        folder = write_job(context, context.scene)
+        run = runs.run_state()
+        run.folder, run.report = str(folder), ""
+        options = ["--preset", settings.preset, "--order", settings.order, "--out", folder / "result"]
+        return ["estimate", folder, *options, *library_arguments(context)]
+
+    def finish(self, context, result):
+        scene = self.scene()
+        lighting = lighting_file.read(result["lighting"])
+        words = take_materials(scene, result.get("objects") or [])
+        report = os.path.join(result["out"], "report.png")
+        runs.run_state().report = report if os.path.isfile(report) else ""
+        determined = lighting["determined"]
+        if determined is not None:
+            words.append(f"{sum(determined)} of {len(determined)} coefficients determined")
+        if scene.btfsep.world_mode != "NONE":
+            world.apply_lighting(scene, lighting, mode=scene.btfsep.world_mode, clamp=scene.btfsep.clamp)
+        return "; ".join(words)
+
+
+class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):
+    """Start the engine and test whether it can work on this machine"""
+
+    bl_idname = "btfsep.doctor"
+    bl_label = "Test Engine"
+    task = "Testing"
+
+    def begin(self, context):
+        return ["doctor"]
+
+    def finish(self, context, result):
+        return "The engine works"
+
+
+class BTFSEP_OT_read_library(runs.EngineOperator, bpy.types.Operator):
+    """Read the names of the library's materials, to choose from"""
+
+    bl_idname = "btfsep.read_library"
+    bl_label = "Read Library"
+    task = "Reading the library"
+
+    @classmethod
+    def poll(cls, context):
+        if runs.is_running():
+            cls.poll_message_set("The engine is running: wait or cancel")
+            return False
+        return True
+
+    def begin(self, context):
+        return ["library", "list", *library_arguments(context)]
+
+    def finish(self, context, result):
+        names = runs.run_state().library
+        names.clear()
+        for material in result.get("materials") or []:
+            names.add().name = str(material["name"])
+        return f"{len(names)} materials in the library"
+
+
+class BTFSEP_OT_cancel(bpy.types.Operator):
+    """Stop the engine"""
+
+    bl_idname = "btfsep.cancel"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context):
+        if not runs.is_running():
+            cls.poll_message_set("Nothing is running")
+            return False
+        return True
+
+    def execute(self, context):
+        runs.current.cancel()
+        runs.run_state().message = "stopping"
+        return {"FINISHED"}
+
+
+class BTFSEP_OT_add_objects(bpy.types.Operator):
+    """Add the selected objects to the list of those that the photo shows"""
+
+    bl_idname = "btfsep.add_objects"
+    bl_label = "Add Selected"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        if not any(thing.type in SURFACE_TYPES for thing in context.selected_objects):
+            cls.poll_message_set("Select objects with a surface first")
+            return False
+        return True
+
+    def execute(self, context):
+        settings = context.scene.btfsep
+        present = {entry.object for entry in settings.objects}
+        for thing in context.selected_objects:
+            if thing.type in SURFACE_TYPES and thing not in present:
+                settings.objects.add().object = thing
+        settings.active_object = len(settings.objects) - 1
+        return {"FINISHED"}
+
+
+class BTFSEP_OT_remove_object(bpy.types.Operator):
+    """Take the object off the list"""
+
+    bl_idname = "btfsep.remove_object"
+    bl_label = "Remove"
+    bl_options = {"REGISTER", "UNDO"}
+    index: IntProperty(default=-1, options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        if not context.scene.btfsep.objects:
+            cls.poll_message_set("The list is empty")
+            return False
+        return True
+
+    def execute(self, context):
+        settings = context.scene.btfsep
+        settings.objects.remove(settings.active_object if self.index < 0 else self.index)
+        settings.active_object = min(settings.active_object, max(len(settings.objects) - 1, 0))
+        return {"FINISHED"}
+
+
+class BTFSEP_OT_use_candidate(bpy.types.Operator):
+    """Take this for the object's material, instead of recognising it"""
+
+    bl_idname = "btfsep.use_candidate"
+    bl_label = "Use"
+    bl_options = {"REGISTER", "UNDO"}
+    material: StringProperty(options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        return bool(context.scene.btfsep.objects)
+
+    def execute(self, context):
+        settings = context.scene.btfsep
+        settings.objects[settings.active_object].material = self.material
+        return {"FINISHED"}
+
+
+class BTFSEP_OT_apply(bpy.types.Operator):
+    """Make the last estimate the World again, as the settings below say"""
+
+    bl_idname = "btfsep.apply"
+    bl_label = "Apply to World"
+    bl_options = {"REGISTER", "UNDO"}
+    mode: EnumProperty(name="World", items=WORLD_MODES[:2], options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        if not os.path.isfile(last_lighting()):
+            cls.poll_message_set("Estimate the light first, or import a lighting (File > Import)")
+            return False
+        return True
+
+    def execute(self, context):
+        settings = context.scene.btfsep
+        mode = self.mode
+        if not self.properties.is_property_set("mode") and settings.world_mode != "NONE":
+            mode = settings.world_mode
+        try:
+            world.apply_lighting(context.scene, lighting_file.read(last_lighting()), mode=mode, clamp=settings.clamp)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def last_lighting() -> str:
+    """Where the last estimate of this session left its lighting; it may not be there."""
+    folder = runs.run_state().folder
+    return os.path.join(folder, "result", "lighting.json") if folder else ""
+
+
+class BTFSEP_OT_restore_world(bpy.types.Operator):
+    """Put the World back that the scene had before BTFsep"""
+
+    bl_idname = "btfsep.restore_world"
+    bl_label = "Restore Previous World"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        if not world.is_ours(context.scene.world):
+            cls.poll_message_set("The World was not made by BTFsep")
+            return False
+        return True
+
+    def execute(self, context):
+        world.restore_previous(context.scene)
+        return {"FINISHED"}
+
+
+class BTFSEP_OT_show_report(bpy.types.Operator):
+    """Open the report: photo, material, estimated light, re-rendering, difference"""
+
+    bl_idname = "btfsep.show_report"
+    bl_label = "Show Report"
+
+    @classmethod
+    def poll(cls, context):
+        if not os.path.isfile(runs.run_state().report):
+            cls.poll_message_set("Estimate the light first")
+            return False
+        return True
+
+    def execute(self, context):
+        bpy.ops.wm.path_open(filepath=runs.run_state().report)
+        return {"FINISHED"}
+
+
+CLASSES = (
+    BTFSEP_OT_recognise,
+    BTFSEP_OT_estimate,
+    BTFSEP_OT_doctor,
+    BTFSEP_OT_read_library,
+    BTFSEP_OT_cancel,
+    BTFSEP_OT_add_objects,
+    BTFSEP_OT_remove_object,
+    BTFSEP_OT_use_candidate,
+    BTFSEP_OT_apply,
+    BTFSEP_OT_restore_world,
+    BTFSEP_OT_show_report,
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    runs.stop_now()
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

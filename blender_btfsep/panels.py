@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tab "BTFsep" in the sidebar of the 3D view."""
+
+import bpy
+
+from . import preferences, runs, world
+
+LINE = 0.19  # characters a pixel of sidebar width, about
+
+
+class BTFSEP_UL_objects(bpy.types.UIList):
+    def draw_item(self, context, layout, data, item, icon, active_data, active_propname):
+        row = layout.row(align=True)
+        if item.object is None:
+            row.label(text="(deleted)", icon="ERROR")
+            return
+        row.prop(item.object, "name", text="", emboss=False, icon="OBJECT_DATA")
+        known = item.material or item.recognised
+        sub = row.row()
+        sub.alignment = "RIGHT"
+        sub.active = bool(item.material)
+        sub.label(text=known or "to recognise", icon="QUESTION" if item.unknown and not item.material else "NONE")
+
+
+class _Sidebar:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "BTFsep"
+
+
+class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
+    bl_label = "Photo"
+
+    def draw(self, context):
+        layout = self.layout
+        scene, settings = context.scene, context.scene.btfsep
+        layout.enabled = not runs.is_running()
+        layout.template_ID(settings, "image", open="image.open")
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.prop(settings, "camera", placeholder=scene.camera.name if scene.camera else "None")
+        image = settings.image
+        if image is not None and image.size[0] and not _same_shape(image.size, scene.render):
+            box = layout.box()
+            box.alert = True
+            _wrapped(
+                context,
+                box,
+                f"The photo is {image.size[0]} x {image.size[1]}; the scene renders another shape. "
+                "Set the scene's resolution to the photo's.",
+                icon="ERROR",
+            )
+
+
+class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
+    bl_label = "Objects and Materials"
+
+    def draw(self, context):
+        layout = self.layout
+        settings, run = context.scene.btfsep, runs.run_state()
+        layout.enabled = not runs.is_running()
+        row = layout.row()
+        row.template_list("BTFSEP_UL_objects", "", settings, "objects", settings, "active_object", rows=3)
+        column = row.column(align=True)
+        column.operator("btfsep.add_objects", text="", icon="ADD")
+        column.operator("btfsep.remove_object", text="", icon="REMOVE")
+
+        split = layout.column()
+        split.use_property_split = True
+        split.use_property_decorate = False
+        entry = settings.objects[settings.active_object] if settings.active_object < len(settings.objects) else None
+        if entry is not None:
+            row = split.row(align=True)
+            row.prop_search(entry, "material", run, "library", text="Material", icon="MATERIAL")
+            row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
+        split.prop(settings, "occluders")
+        chosen = preferences.get(context)
+        if isinstance(chosen, bpy.types.AddonPreferences):
+            split.prop(chosen, "library", text="Library")
+        if entry is not None and entry.candidates:
+            self._candidates(context, layout, entry)
+
+    def _candidates(self, context, layout, entry):
+        box = layout.box()
+        if entry.unknown:
+            _wrapped(context, box, "It looks like no material of the library; the nearest are:", icon="QUESTION")
+        else:
+            box.label(text="Candidates", icon="VIEWZOOM")
+        column = box.column(align=True)
+        for candidate in entry.candidates[:5]:
+            row = column.row(align=True)
+            row.active = candidate.name == entry.recognised
+            row.operator("btfsep.use_candidate", text=candidate.name, emboss=False).material = candidate.name
+            score = row.row()
+            score.alignment = "RIGHT"
+            score.label(text=f"{candidate.score:.2f}")
+
+
+class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
+    bl_label = "Light"
+
+    def draw(self, context):
+        layout = self.layout
+        settings, run = context.scene.btfsep, runs.run_state()
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.enabled = not runs.is_running()
+        column.prop(settings, "preset")
+        column.prop(settings, "order")
+        column.prop(settings, "world_mode")
+        if settings.world_mode != "NONE":
+            column.prop(settings, "clamp")
+
+        if runs.is_running():
+            row = layout.row(align=True)
+            row.progress(factor=run.fraction, type="BAR", text=f"{run.stage or run.task}  {100 * run.fraction:.0f} %")
+            row.operator("btfsep.cancel", text="", icon="X")
+            if run.message:
+                layout.label(text=run.message)
+        else:
+            row = layout.row(align=True)
+            row.scale_y = 1.4
+            row.operator("btfsep.recognise", icon="VIEWZOOM")
+            row.operator("btfsep.estimate", icon="LIGHT_SUN")
+        self._outcome(context, layout, run)
+        row = layout.row(align=True)
+        row.operator("btfsep.apply", icon="WORLD")
+        row.operator("btfsep.show_report", text="", icon="IMAGE_DATA")
+        if world.is_ours(context.scene.world):
+            layout.operator("btfsep.restore_world", icon="LOOP_BACK")
+
+    def _outcome(self, context, layout, run):
+        if run.error:
+            box = layout.box()
+            box.alert = True
+            for number, part in enumerate(run.error.split("; ")):
+                _wrapped(context, box, part, icon="BLANK1" if number else "ERROR")
+        elif run.summary:
+            box = layout.box()
+            for number, part in enumerate(run.summary.split("; ")):
+                _wrapped(context, box, part, icon="BLANK1" if number else "CHECKMARK")
+        if run.warnings:
+            box = layout.box()
+            for warning in run.warnings:
+                _wrapped(context, box, warning.name, icon="ERROR")
+
+
+def _same_shape(size, render) -> bool:
+    return abs(size[0] * render.resolution_y - size[1] * render.resolution_x) <= max(
+        *size, render.resolution_x, render.resolution_y
+    )
+
+
+def _wrapped(context, layout, text: str, *, icon: str = "NONE") -> None:
+    """A label over as many lines as the sidebar's width needs: Blender's own labels are cut off."""
+    scale = context.preferences.system.ui_scale
+    room = max(int((context.region.width / scale - 60) * LINE), 16)
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    line = ""
+    for word in text.split():
+        if line and len(line) + 1 + len(word) > room:
+            column.label(text=line, icon=icon)
+            line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
+        line = f"{line} {word}".strip()
+    column.label(text=line, icon=icon)
+
+
+CLASSES = (BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects, BTFSEP_PT_light)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

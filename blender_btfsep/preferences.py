@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Preferences: where the engine and the library are, whether jobs are kept."""
+
+from types import SimpleNamespace
+
+import bpy
+from bpy.props import BoolProperty, StringProperty
+
+
+class BTFSEP_AP_preferences(bpy.types.AddonPreferences):
+    bl_idname = __package__
+
+    engine: StringProperty(
+        name="Engine",
+        description="Python, virtual environment or btfsep program to use. Empty: found by itself",
+        subtype="FILE_PATH",
+    )
+    library: StringProperty(
+        name="Material Library",
+        description="Folder of digitised materials. Empty: the library that comes with the engine",
+        subtype="DIR_PATH",
+    )
+    keep_jobs: BoolProperty(
+        name="Keep Job Folders",
+        description="Keep the exported job and its results beside the .blend file, instead of until Blender quits",
+        default=False,
+    )
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "engine")
+        layout.prop(self, "library")
+        layout.prop(self, "keep_jobs")
+        layout.operator("btfsep.doctor", icon="CHECKMARK")
+
+
+def get(context=None):
+    """The add-on's preferences; the defaults where it is registered without being installed (scripts, tests)."""
+    addon = (context or bpy.context).preferences.addons.get(__package__)
+    if addon is not None and addon.preferences is not None:
+        return addon.preferences
+    return SimpleNamespace(engine="", library="", keep_jobs=False)
+
+
+def register():
+    bpy.utils.register_class(BTFSEP_AP_preferences)
+
+
+def unregister():
+    bpy.utils.unregister_class(BTFSEP_AP_preferences)

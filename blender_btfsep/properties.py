@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the user sets (on the Scene, saved) and what a run says (on the WindowManager, not saved)."""
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from .meshes import SURFACE_TYPES
+
+PRESETS = (
+    ("draft", "Draft", "A first look"),
+    ("balanced", "Balanced", "Good for most photos"),
+    ("accurate", "Accurate", "Slow and careful"),
+    ("paper", "Paper", "The settings of the published method"),
+)
+WORLD_MODES = (
+    ("NODES", "Nodes", "An editable node group that evaluates the spherical harmonics, coefficients as its inputs"),
+    ("TEXTURE", "Texture", "An environment texture, packed into the .blend file"),
+    ("NONE", "Do Not Apply", "Estimate only; the World stays as it is"),
+)
+OCCLUDERS = (
+    ("OTHERS", "All Others", "Everything else that the render shows casts shadows on the objects"),
+    ("NONE", "None", "The objects stand alone"),
+)
+
+
+class BTFSEP_PG_candidate(bpy.types.PropertyGroup):
+    """A material that was considered; ``name`` is its name in the library."""
+
+    score: FloatProperty(name="Score")
+
+
+class BTFSEP_PG_object(bpy.types.PropertyGroup):
+    """An object that the photo shows."""
+
+    object: PointerProperty(name="Object", type=bpy.types.Object, poll=lambda self, thing: thing.type in SURFACE_TYPES)
+    material: StringProperty(
+        name="Material",
+        description="The object's material in the library, where you know it. Empty: recognised from the photo",
+    )
+    recognised: StringProperty(name="Recognised Material")
+    unknown: BoolProperty(name="Unknown", description="The photo looks like no material of the library")
+    candidates: CollectionProperty(type=BTFSEP_PG_candidate)
+
+
+class BTFSEP_PG_settings(bpy.types.PropertyGroup):
+    """Settings of one scene."""
+
+    image: PointerProperty(name="Photo", description="The photograph", type=bpy.types.Image)
+    camera: PointerProperty(
+        name="Camera",
+        description="The camera that took the photo. Empty: the scene's camera",
+        type=bpy.types.Object,
+        poll=lambda self, thing: thing.type == "CAMERA",
+    )
+    objects: CollectionProperty(type=BTFSEP_PG_object)
+    active_object: IntProperty(name="Active Object")
+    occluders: EnumProperty(name="Occluders", description="What else casts shadows", items=OCCLUDERS)
+    preset: EnumProperty(name="Preset", description="Speed against accuracy", items=PRESETS, default="balanced")
+    order: IntProperty(
+        name="Order", description="Order of the spherical harmonics of the light", default=4, min=0, max=9
+    )
+    world_mode: EnumProperty(name="World", description="How the light is put into the scene", items=WORLD_MODES)
+    clamp: BoolProperty(
+        name="Clamp Negative", description="Black where the sum of the harmonics is negative", default=True
+    )
+
+
+class BTFSEP_PG_name(bpy.types.PropertyGroup):
+    """A line of text; ``name`` holds it."""
+
+
+class BTFSEP_PG_run(bpy.types.PropertyGroup):
+    """The run in progress, or the last one."""
+
+    running: BoolProperty()
+    task: StringProperty()
+    stage: StringProperty()
+    fraction: FloatProperty(min=0, max=1)
+    message: StringProperty()
+    error: StringProperty()
+    summary: StringProperty()
+    report: StringProperty(subtype="FILE_PATH")
+    folder: StringProperty(subtype="DIR_PATH")
+    warnings: CollectionProperty(type=BTFSEP_PG_name)
+    library: CollectionProperty(type=BTFSEP_PG_name)
+
+
+CLASSES = (
+    BTFSEP_PG_candidate,
+    BTFSEP_PG_object,
+    BTFSEP_PG_settings,
+    BTFSEP_PG_name,
+    BTFSEP_PG_run,
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.btfsep = PointerProperty(type=BTFSEP_PG_settings)
+    bpy.types.WindowManager.btfsep = PointerProperty(type=BTFSEP_PG_run)
+
+
+def unregister():
+    del bpy.types.WindowManager.btfsep
+    del bpy.types.Scene.btfsep
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

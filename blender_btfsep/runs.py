@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run of the engine as an operator: one body, two drivers.
+
+``invoke`` (a button) is modal: a timer polls the child process, Blender stays usable, ESC or the Cancel button
+stops it. ``execute`` (a script, the command line) blocks until it is over.
+"""
+
+import atexit
+import sys
+from pathlib import Path
+
+import bpy
+
+from . import engine_process, preferences
+from .errors import InputError
+
+INTERVAL = 0.15  # seconds between polls
+
+current = None
+"""The EngineProcess that runs now, if any: one at a time."""
+
+
+def run_state():
+    """What the panel shows of the run (on the WindowManager)."""
+    return bpy.context.window_manager.btfsep
+
+
+def is_running() -> bool:
+    """Whether the engine runs now."""
+    return current is not None and not current.over
+
+
+def stop_now() -> None:
+    """Ends a run that is still going (the add-on is switched off, Blender quits)."""
+    global current
+    if current is not None:
+        current.kill()
+        current = None
+
+
+atexit.register(stop_now)
+
+
+def job_folder(scene, kept: bool) -> Path:
+    """Where the job of ``scene`` goes: beside the .blend, or where Blender cleans up when it quits."""
+    name = bpy.path.clean_name(scene.name)
+    if kept and bpy.data.filepath:
+        blend = Path(bpy.data.filepath)
+        return blend.with_name(f"{blend.stem}_btfsep") / name
+    return Path(bpy.app.tempdir) / "btfsep" / name
+
+
+class EngineOperator:
+    """What the operators that start the engine share. Subclasses give ``task``, ``begin`` and ``finish``."""
+
+    task = "Working"
+
+    def begin(self, context) -> list:
+        """Reads the scene; gives the engine's arguments. Raises InputError."""
+        raise NotImplementedError
+
+    def finish(self, context, result: dict) -> str:
+        """Puts the engine's result into the scene; gives a sentence for the user. Raises InputError."""
+        raise NotImplementedError
+
+    # ------------------------------------------------------------------ the two drivers
+
+    def execute(self, context):
+        if not self._start(context):
+            return {"CANCELLED"}
+        try:
+            last = current.wait(self._heard)
+        except KeyboardInterrupt:
+            current.kill()
+            last = engine_process.Cancelled()
+        return self._end(context, last)
+
+    def invoke(self, context, event):
+        if bpy.app.background:
+            return self.execute(context)
+        if not self._start(context):
+            return {"CANCELLED"}
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(INTERVAL, window=context.window)
+        manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context, event):
+        if event.type == "ESC" and event.value == "PRESS":
+            self._process.cancel()
+            run_state().message = "stopping"
+            redraw()
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        for message in self._process.poll():
+            if self._process.over and isinstance(
+                message, engine_process.Done | engine_process.Failed | engine_process.Cancelled
+            ):
+                context.window_manager.event_timer_remove(self._timer)
+                return self._end(context, message)
+            self._heard(message)
+        return {"PASS_THROUGH"}
+
+    def cancel(self, context):
+        """Blender gives the operator up: another file is opened, or it quits."""
+        self._process.kill()
+        context.window_manager.event_timer_remove(self._timer)
+        run_state().running = False
+
+    # ------------------------------------------------------------------ the body
+
+    def _start(self, context) -> bool:
+        global current
+        state = run_state()
+        if is_running():
+            self.report({"ERROR"}, "the engine is running already; wait for it or cancel it")
+            return False
+        self._scene = context.scene.name
+        state.error = state.summary = state.message = state.stage = ""
+        state.fraction = 0.0
+        state.warnings.clear()
+        try:
+            arguments = self.begin(context)
+            engine = engine_process.find_engine(bpy.path.abspath(preferences.get(context).engine))
+            self._process = current = engine_process.EngineProcess(engine, arguments)
+        except InputError as error:
+            self._fail(str(error))
+            return False
+        state.running, state.task = True, self.task
+        redraw()
+        return True
+
+    def _heard(self, message) -> None:
+        state = run_state()
+        if isinstance(message, engine_process.Progress):
+            state.stage, state.fraction, state.message = message.stage, message.fraction, message.message
+        elif isinstance(message, engine_process.Notice):
+            state.warnings.add().name = message.message
+            self.report({"WARNING"}, message.message)
+        redraw()
+
+    def _end(self, context, last):
+        global current
+        current = None
+        state = run_state()
+        state.running = False
+        state.stage = state.message = ""
+        redraw()
+        if isinstance(last, engine_process.Cancelled):
+            state.summary = f"{self.task}: cancelled"
+            self.report({"WARNING"}, state.summary)
+            return {"CANCELLED"}
+        if isinstance(last, engine_process.Failed):
+            if last.details:
+                sys.stderr.write(last.details + "\n")  # the traceback, for the one who reports the bug
+            self._fail(last.message)
+            return {"CANCELLED"}
+        try:
+            state.summary = self.finish(context, last.result)
+        except InputError as error:
+            self._fail(str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, state.summary)
+        return {"FINISHED"}
+
+    def _fail(self, message: str) -> None:
+        run_state().error = message
+        self.report({"ERROR"}, message)
+        redraw()
+
+    def scene(self):
+        """The scene that the run was started for; it may have been deleted meanwhile. Raises InputError."""
+        scene = bpy.data.scenes.get(self._scene)
+        if scene is None:
+            raise InputError(f"scene '{self._scene}'", "it is gone", "run it again in the scene you want")
+        return scene
+
+
+def redraw() -> None:
+    """Has the panels drawn again."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in {"VIEW_3D", "PREFERENCES"}:
+                area.tag_redraw()
