@@ -9,12 +9,18 @@ low-rank matrix approximation", 2017), here with signs instead of Gaussians:
     Y = Omega M  (few rows)     -> the angular factor U, least squares of  Y = (Omega V) U^T
 
 The first component is always the constant texel, so that the mean ABRDF is that of the measurement exactly.
+The texel patterns are those of *relative* deviations: each column is divided by its mean (plus a little, for the
+dark ones), and a deviation counts at most CLIP times the mean. Otherwise the few columns with a highlight, and in
+them the glints of single texels, would be all that the patterns explain.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
+
+CLIP = 2.0
+FLOOR = 0.5  # of the mean of the first block: below this a column's mean is not made 1
 
 
 @dataclass(frozen=True)
@@ -25,8 +31,8 @@ class Factors:
     ----------
     texels : (t, k) float32; column 0 is 1, the others have mean 0 and mean square 1, sorted by their weight
     angular : (columns, k) float32; column 0 is the mean over the texels
-    relative_error : ||M - texels @ angular.T|| / ||M|| (Frobenius), estimated from the sketch; it includes the
-        measurement's noise, which the factors average out
+    relative_error : ||(M - texels @ angular.T) / m|| / ||M / m|| (Frobenius; m as above), estimated from the sketch.
+        It includes the measurement's noise, which the factors average out
     """
 
     texels: np.ndarray
@@ -54,18 +60,22 @@ class StreamingFactoriser:
         signs = self.rng.choice(np.array([-1.0, 1.0], np.float32), texels)
         self.omega = csr_array((signs, (group, np.arange(texels))), shape=(kept_rows, texels))
         self.omega_sum = self.omega.sum(1)
-        self.means, self.w, self.y = [], [], []
-        self.total = 0.0
+        self.means, self.scales, self.w, self.y = [], [], [], []
+        self.total, self.floor = 0.0, None
 
     def add(self, block) -> None:
         """One block of columns, (texels, columns) float32."""
         block = np.ascontiguousarray(block, np.float32)
         mean = block.mean(0, dtype=np.float64).astype(np.float32)
+        if self.floor is None:
+            self.floor = FLOOR * max(float(np.abs(mean).mean()), 1e-6)
+        scale = 1 / (np.abs(mean) + np.float32(self.floor))
         kept = min(self.kept_columns, block.shape[1])
-        psi = self.rng.choice(np.array([-1.0, 1.0], np.float32), (block.shape[1], kept)) / np.sqrt(kept)
-        self.total += float(np.vdot(block, block))
+        psi = self.rng.choice(np.array([-1.0, 1.0], np.float32), (block.shape[1], kept))
+        self.total += float(np.einsum("ij,ij,j->", block, block, scale**2, dtype=np.float64, optimize=False))
         self.means.append(mean)
-        self.w.append(block @ psi.astype(np.float32) - (mean @ psi.astype(np.float32)))
+        self.scales.append(scale)
+        self.w.append(np.clip((block - mean) * scale, -CLIP, CLIP) @ psi)
         self.y.append(self.omega @ block - np.outer(self.omega_sum, mean))
 
     def finish(self) -> Factors:
@@ -78,7 +88,7 @@ class StreamingFactoriser:
         seen = self.omega @ patterns
         u = np.linalg.lstsq(seen, y.astype(np.float64), rcond=None)[0] if k else np.zeros((0, y.shape[1]))
         free = max(len(y) - k, 1) / len(y)  # the fit took k of the rows' degrees of freedom
-        residual = float(((y - seen @ u) ** 2).sum()) / free
+        residual = float((((y - seen @ u) * np.concatenate(self.scales)) ** 2).sum()) / free
         return Factors(
             texels=np.concatenate([np.ones((self.texels, 1)), patterns], 1).astype(np.float32),
             angular=np.concatenate([mean[:, None], u.T], 1).astype(np.float32),

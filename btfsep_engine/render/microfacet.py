@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 TABLE = 32  # nodes along n.v and along roughness
+MAX_WEIGHT = 2.0  # of a sampled direction; beyond it are grazing views of facets, rare and noisy
 
 
 @lru_cache(maxsize=8)
@@ -96,3 +97,29 @@ class Dielectric:
         (e_l, mean), (e_v, _) = self._albedo(roughness, nl), self._albedo(roughness, nv)
         diffuse = dr.inv_pi * (1 - e_l) * (1 - e_v) / (1 - mean)
         return dr.select(lit, base * diffuse + d * v * fresnel, 0)
+
+    def sample(self, base, roughness, normal, view, u1, u2, choice):
+        """A direction onward, and f cos / pdf for it: half the time by the base's cosine, half by the layer's D.
+
+        Parameters
+        ----------
+        u1, u2, choice : random numbers in [0, 1)
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        frame = mi.Frame3f(normal)
+        cosine = frame.to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2)))
+        if not self.layered:
+            return cosine, base
+        alpha2 = dr.square(dr.square(roughness))
+        c2 = (1 - u1) / (1 + (alpha2 - 1) * u1)
+        s, (sin, cos) = dr.safe_sqrt(1 - c2), dr.sincos(2 * dr.pi * u2)
+        half = frame.to_world(mi.Vector3f(s * cos, s * sin, dr.sqrt(c2)))
+        light = dr.select(choice < 0.5, cosine, 2 * dr.dot(view, half) * half - view)
+        half = dr.normalize(view + light)
+        nh, vh, nl = dr.dot(normal, half), dr.dot(view, half), dr.dot(normal, light)
+        d = alpha2 * dr.inv_pi / dr.square(nh * nh * (alpha2 - 1) + 1)
+        pdf = 0.5 * dr.maximum(nl, 0) * dr.inv_pi + 0.5 * d * dr.abs(nh) / (4 * dr.maximum(vh, 1e-4))
+        value = self.value(base, roughness, normal, view, light) * dr.maximum(nl, 0)
+        return light, dr.minimum(value / dr.maximum(pdf, 1e-6), MAX_WEIGHT)

@@ -25,6 +25,7 @@ from btfsep_engine.render.backend import import_mitsuba
 from btfsep_engine.render.microfacet import Dielectric
 
 BOUNCES = 3  # path vertices that are connected to the lights
+INDIRECT_ROUGHNESS = 0.4  # least roughness of what is seen by reflection: its highlights would be fireflies
 SHADOW_SAMPLES = 4  # visibility rays a light and cell of the patch
 
 
@@ -190,6 +191,8 @@ class Patch:
             geometric = dr.gather(mi.Normal3f, si.n, alive)
             to_eye = dr.gather(mi.Vector3f, -ray.d, alive)
             base, roughness, normal = self._surface(place)
+            if bounce:
+                roughness = dr.maximum(roughness, INDIRECT_ROUGHNESS)
             dr.eval(texel, weight, place, to_eye, base, roughness, normal, geometric)
             vertices.append({
                 "texel": texel, "weight": weight, "place": place, "to_eye": to_eye,
@@ -197,10 +200,9 @@ class Patch:
             })  # fmt: skip
             if bounce == BOUNCES - 1:
                 break
-            local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(rng.next_float32(), rng.next_float32()))
-            onward = mi.Frame3f(normal).to_world(local)
-            # value * cos / pdf, pdf = cos / pi
-            weight = weight * self.material.value(base, roughness, normal, to_eye, onward) * dr.pi
+            numbers = (rng.next_float32() for _ in range(3))
+            onward, factor = self.material.sample(base, roughness, normal, to_eye, *numbers)
+            weight = weight * factor
             ray = mi.Ray3f(place + mi.Vector3f(geometric) * (1e-4 * self.size), onward)
             dr.eval(ray, weight, rng)
         return vertices
