@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tests inside Blender: the ``bpy`` wheel, in this process, nothing mocked."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -33,12 +34,48 @@ def scene():
 
 @pytest.fixture
 def addon(scene):
-    """The add-on, registered for one test."""
-    import blender_btfsep
+    """The add-on, switched on as Blender does it, for one test."""
+    import addon_utils
 
-    blender_btfsep.register()
-    yield blender_btfsep
-    blender_btfsep.unregister()
+    module = addon_utils.enable("blender_btfsep", default_set=True)
+    assert module is not None
+    yield module
+    addon_utils.disable("blender_btfsep", default_set=True)
+
+
+@pytest.fixture
+def fake_engine(addon, tmp_path):
+    """fake_engine(**behaviour): what the engine that the preferences name will do (fake_engine.py)."""
+    program = tmp_path / "fake" / "btfsep"
+    behaviour = tmp_path / "fake" / "behaviour.json"
+    program.parent.mkdir()
+    script = Path(__file__).with_name("fake_engine.py")
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{script}" "{behaviour}" "$@"\n')
+    program.chmod(0o755)
+    bpy.context.preferences.addons["blender_btfsep"].preferences.engine = str(program)
+
+    def set_behaviour(**fields):
+        behaviour.write_text(json.dumps(fields))
+        return str(program)
+
+    set_behaviour()
+    return set_behaviour
+
+
+@pytest.fixture
+def photographed(addon, scene, add_camera, tmp_path):
+    """A scene ready for a run: a cube, its camera, its photo, all in the panel's settings."""
+    scene.render.resolution_x, scene.render.resolution_y = 48, 32
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    add_camera(scene, (0, -6, 2))
+    image = bpy.data.images.new("photo", 48, 32)
+    image.filepath_raw, image.file_format = str(tmp_path / "photo.png"), "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+    scene.btfsep.image = bpy.data.images.load(str(tmp_path / "photo.png"))
+    scene.btfsep.objects.add().object = cube
+    return scene
 
 
 @pytest.fixture

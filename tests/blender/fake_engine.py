@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A real child process that speaks the engine's protocol, for tests of what stands on the other side of it.
+
+fake_engine.py BEHAVIOUR-FILE ARGUMENTS… --json: does what the file's JSON says, so that a test chooses by a file.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+
+def say(**fields):
+    sys.stdout.write(json.dumps(fields) + "\n")
+    sys.stdout.flush()
+
+
+def main():
+    behaviour = json.loads(Path(sys.argv[1]).read_text())
+    arguments = sys.argv[2:]
+    if "log" in behaviour:
+        Path(behaviour["log"]).write_text(json.dumps(arguments))
+    if behaviour.get("deaf"):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if "child" in behaviour:
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        Path(behaviour["child"]).write_text(f"{os.getpid()} {child.pid}")
+    for line in behaviour.get("lines", []):
+        if isinstance(line, str):
+            sys.stdout.write(line + "\n")
+            sys.stdout.flush()
+        else:
+            say(**line)
+    sys.stderr.write(behaviour.get("stderr", ""))
+    sys.stderr.flush()
+    if "lighting" in behaviour and arguments[0] == "estimate":
+        out = Path(arguments[arguments.index("--out") + 1])
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "lighting.json").write_text(json.dumps(behaviour["lighting"]))
+        result = behaviour.get("result", {}) | {"out": str(out), "lighting": str(out / "lighting.json")}
+        say(type="done", result=result)
+    time.sleep(behaviour.get("sleep", 0))
+    if "signal" in behaviour:
+        os.kill(os.getpid(), behaviour["signal"])
+    sys.exit(behaviour.get("exit", 0))
+
+
+main()

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line inside Blender, in processes of its own: exit status, words, the saved file."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LIGHTING = {
+    "format": "btfsep-lighting",
+    "version": 1,
+    "basis": "real-sh",
+    "order": 0,
+    "coefficients": [[1, 2, 3]],
+    "stddev": None,
+    "determined": None,
+    "frame": "blender-z-up",
+    "exposure_ev": 0.0,
+}
+DRIVER = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import bpy
+import blender_btfsep
+blender_btfsep.register()
+if sys.argv[2]:
+    bpy.ops.wm.open_mainfile(filepath=sys.argv[2])
+status = blender_btfsep.command.main(sys.argv[3:])
+blender_btfsep.unregister()
+sys.exit(status)
+"""
+
+
+def blender(blend, *arguments):
+    """What ``blender --background BLEND --command btfsep ARGUMENTS`` does, with the wheel."""
+    command = [sys.executable, "-c", DRIVER, str(ROOT), str(blend or ""), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.fixture
+def blend(photographed, tmp_path):
+    """A saved file in which everything is chosen."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    return tmp_path / "scene.blend"
+
+
+def test_estimate_saves_the_world(blend, fake_engine, tmp_path):
+    objects = [{"name": "Cube", "material": "wood/oak", "unknown": False, "candidates": []}]
+    engine = fake_engine(lighting=LIGHTING, result={"objects": objects}, log=str(tmp_path / "log"))
+    done = blender(
+        blend,
+        *("estimate", "--engine", engine, "--material", "wood/oak", "--order", 0, "--preset", "draft"),
+        *("--job", tmp_path / "job", "--out", tmp_path / "out", "--save", tmp_path / "lit.blend"),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Cube: wood/oak" in done.stdout and str(tmp_path / "lit.blend") in done.stdout
+    arguments = json.loads((tmp_path / "log").read_text())
+    assert arguments[arguments.index("--preset") + 1] == "draft"
+    assert json.loads((tmp_path / "job" / "job.json").read_text())["objects"][0]["material"] == "wood/oak"
+    assert (tmp_path / "out" / "lighting.json").is_file()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
+    group = bpy.context.scene.world.node_tree.nodes["BTFsep SH Lighting"]
+    assert tuple(group.inputs["Y 0 0"].default_value) == (1, 2, 3)
+
+
+def test_faults_end_with_2_and_one_line(blend, fake_engine, tmp_path):
+    engine = fake_engine(
+        lines=[{"type": "failed", "message": "photo; all black; expose longer", "exit_code": 2}], exit=2
+    )
+    cases = {
+        ("estimate", "--engine", engine): "error: photo; all black; expose longer",
+        ("estimate", "--object", "Teapot"): "error: object 'Teapot'; scene 'Scene' has none of that name; choose from",
+        ("estimate", "--image", tmp_path / "absent.png"): "error: the photo absent.png; there is no such file;",
+        ("estimate", "--scene", "Other"): "error: scene 'Other'; there is none",
+        ("apply", tmp_path / "absent.json"): "error: absent.json; No such file or directory;",
+        ("estimate", "--world", "sky"): "invalid choice: 'sky'",
+    }
+    for arguments, words in cases.items():
+        done = blender(blend, *arguments, "--save", tmp_path / "never.blend")
+        assert done.returncode == 2, done.stderr
+        assert words in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / "never.blend").exists()
+
+
+def test_a_bug_ends_with_1(blend, fake_engine):
+    done = blender(blend, "recognise", "--engine", fake_engine(exit=7, stderr="Traceback: deep inside"))
+    assert done.returncode == 1 and "deep inside" in done.stderr
+
+
+def test_recognise_and_export(blend, fake_engine, tmp_path):
+    found = {
+        "name": "Cube",
+        "material": "wood/oak",
+        "unknown": True,
+        "candidates": [{"name": "wood/oak", "score": 0.5}],
+    }
+    engine = fake_engine(lines=[{"type": "done", "result": {"objects": [found]}}])
+    done = blender(blend, "recognise", "--engine", engine)
+    assert done.returncode == 0 and "Cube: wood/oak (unsure" in done.stdout and "0.500  wood/oak" in done.stdout
+    done = blender(blend, "export", "--job", tmp_path / "job", "--occluders", "none")
+    assert done.returncode == 0 and json.loads((tmp_path / "job" / "job.json").read_text())["occluders"] == []
+
+
+def test_apply_without_an_engine(blend, tmp_path):
+    (tmp_path / "lighting.json").write_text(json.dumps(LIGHTING))
+    arguments = ("apply", tmp_path / "lighting.json", "--world", "texture", "--save", tmp_path / "lit.blend")
+    done = blender(blend, *arguments)
+    assert done.returncode == 0, done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
+    assert bpy.context.scene.world.node_tree.nodes["Environment Texture"].image.packed_file
