@@ -240,7 +240,7 @@ def _around(directions, samples):
     inverse = np.linalg.inv(corners.transpose(0, 2, 1))
     centres = corners.mean(1)
     centres /= np.linalg.norm(centres, axis=-1, keepdims=True)
-    _, near = cKDTree(centres).query(samples, k=min(6, len(triangles)))
+    _, near = cKDTree(centres).query(samples, k=min(12, len(triangles)))
     best = np.full(len(samples), -np.inf)
     indices, shares = np.zeros((len(samples), 3), np.int64), np.zeros((len(samples), 3))
     for candidate in near.T:

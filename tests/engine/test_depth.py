@@ -110,7 +110,7 @@ def test_half_float_depth_still_has_smooth_normals(camera):
     error = np.degrees(np.arccos(np.clip(mesh.corner_normals @ camera.to_world[:3, :3] @ normal, -1, 1)))
     assert np.median(error) < 1.5
     raw = np.degrees(np.arccos(np.clip(geometric_normals(mesh) @ camera.to_world[:3, :3] @ normal, -1, 1)))
-    assert np.median(error) < np.median(raw) / 3
+    assert np.median(error) < np.median(raw) / 5
 
 
 def test_nothing_in_it(camera):
@@ -121,18 +121,38 @@ def test_nothing_in_it(camera):
     assert mesh_from_depth(lonely, camera) is None
 
 
-def test_holes_and_borders_never_overlap(camera, rng):
-    """Whatever is missing, no two triangles cover the same place of the image."""
-    depth = plane_depth(camera, (0.1, 0, 1), 4.0)
-    depth[rng.random(depth.shape) < 0.3] = 0
+def test_a_step_between_slanted_planes_is_cut(camera):
+    """Both sides slope by one footprint a pixel, the step is eight: no slope that goes on, and no cliff."""
+    depth = plane_depth(camera, unit((1.0, 0, 1)), 3.0)
+    depth[:, 48:] += 8 * depth[:, 48:] / camera.fx
     mesh = mesh_from_depth(depth, camera)
+    assert len(mesh.faces) == 2 * 71 * 95 - 2 * 71
+
+
+def covered(mesh, camera):
+    """Area of the triangles between four neighbouring pixel centres, in pixels, one value per square with any."""
     local = (mesh.vertices - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
     x = local[:, 0] / -local[:, 2] * camera.fx + camera.cx
     y = -local[:, 1] / -local[:, 2] * camera.fy + camera.cy
     image = np.stack([x, y], -1)[mesh.faces]
-    cell = (np.floor(image[..., 1].min(1)) * 96 + np.floor(image[..., 0].min(1))).astype(int)
+    square = np.round(image.min(1) - 0.5).astype(int) @ [1, camera.width]
     along, other = image[:, 1] - image[:, 0], image[:, 2] - image[:, 0]
     area = np.abs(along[:, 0] * other[:, 1] - along[:, 1] * other[:, 0]) / 2
-    covered = np.bincount(cell, area)
-    np.testing.assert_allclose(np.unique(np.round(covered, 6)), [0, 0.5, 1])  # of each square between four centres
-    assert len(np.unique(np.sort(mesh.faces, -1), axis=0)) == len(mesh.faces)
+    total = np.bincount(square, area)
+    return total[total > 0]
+
+
+@pytest.mark.parametrize("kind", ["holes", "cracks", "cracks from the other side"])
+def test_triangles_never_overlap(camera, rng, kind):
+    depth = plane_depth(camera, (0.1, 0, 1), 4.0)
+    if kind == "holes":
+        depth[rng.random(depth.shape) < 0.3] = 0
+    else:  # steps that grow from nothing along a line: at its tip one of four edges is cut
+        rows, columns = np.mgrid[:72, :96]
+        depth += (columns > 48) * np.maximum(rows - 30, 0) * 0.03 + (rows > 36) * np.maximum(columns - 60, 0) * 0.03
+    if "other" in kind:
+        depth = depth[::-1, ::-1]
+    mesh = mesh_from_depth(depth, camera)
+    area = covered(mesh, camera)
+    np.testing.assert_allclose(np.unique(np.round(area, 6)), [0.5, 1])
+    assert (area < 0.75).any() and (area > 0.75).any()

@@ -49,6 +49,16 @@ def test_cell_averages_keep_the_place_of_the_sun(sunny):
     assert (sun > 0.05 * sun.max()).sum() <= 3
 
 
+@pytest.mark.parametrize("n", [12, 200, 3000])
+def test_the_shares_of_a_direction_add_up_to_it(n):
+    d, samples = fibonacci_sphere(n), fibonacci_sphere(7919)
+    indices, shares = li._around(d, samples)
+    mean = (shares[..., None] * d[indices]).sum(1)
+    np.testing.assert_allclose(mean / np.linalg.norm(mean, axis=-1, keepdims=True), samples, atol=1e-9)
+    assert (shares >= 0).all()
+    np.testing.assert_allclose(shares.sum(-1), 1)
+
+
 def test_cell_averages_integrate_low_orders(sunny):
     d = fibonacci_sphere(2048)
     values = sunny.cell_averages(d)
