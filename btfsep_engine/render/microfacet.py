@@ -3,9 +3,10 @@
 
     f = base / pi * (1 - E(n.l)) (1 - E(n.v)) / (1 - E_mean)  +  D V F
 
-D: GGX with alpha = roughness^2; V: Smith, height-correlated; F: Schlick. E is the layer's own directional albedo,
-E_mean its cosine-weighted mean (Kelemen and Szirmay-Kalos 2001): reciprocal, and with base = 1 the albedo is 1
-up to the layer's own loss between facets.
+D: GGX with alpha = roughness^2; V: Smith, height-correlated; F: Fresnel's, of a dielectric. E is the layer's own
+directional albedo, E_mean its cosine-weighted mean (Kelemen and Szirmay-Kalos 2001): reciprocal, and with base = 1
+the albedo is 1 up to the layer's own loss between facets. Blender's Principled BSDF weights its base by
+1 - E(n.v) alone; both agree for light from all sides.
 """
 
 from functools import lru_cache
@@ -14,6 +15,18 @@ import numpy as np
 
 TABLE = 32  # nodes along n.v and along roughness
 MAX_WEIGHT = 2.0  # of a sampled direction; beyond it are grazing views of facets, rare and noisy
+
+
+def _index(f0: float) -> float:
+    """The refractive index whose reflectance at normal incidence is ``f0``."""
+    return (1 + np.sqrt(f0)) / (1 - np.sqrt(f0))
+
+
+def _fresnel(c, index, sqrt):
+    """Unpolarised reflectance at the cosine ``c`` in [0, 1], from outside (Cook and Torrance 1982)."""
+    g = sqrt(index * index - 1 + c * c)
+    a, b = (g - c) / (g + c), (c * (g + c) - 1) / (c * (g - c) + 1)
+    return 0.5 * a * a * (1 + b * b)
 
 
 @lru_cache(maxsize=8)
@@ -33,7 +46,7 @@ def layer_albedo(f0: float) -> np.ndarray:
             up = (nl > 0) & (vh > 0)
             nl = np.where(up, nl, 1.0)
             visible = 0.5 / (nl * np.sqrt(alpha2 + (1 - alpha2) * nv**2) + nv * np.sqrt(alpha2 + (1 - alpha2) * nl**2))
-            fresnel = f0 + (1 - f0) * (1 - vh) ** 5
+            fresnel = _fresnel(vh, _index(f0), np.sqrt)
             # f cos / pdf with pdf = D n.h / (4 v.h)
             table[row, column] = (up * fresnel * visible * 4 * vh * nl / nh).mean()
     return np.minimum(table, 0.999)
@@ -53,7 +66,7 @@ class Dielectric:
 
         self.layered = f0 > 0
         if self.layered:
-            self.f0 = dr.opaque(mi.Float, f0)  # opaque: one compiled kernel serves all materials
+            self.index = dr.opaque(mi.Float, _index(f0))  # opaque: one compiled kernel serves all materials
             table = layer_albedo(float(f0))
             mu = np.linspace(0, 1, TABLE)
             mean = (
@@ -92,11 +105,9 @@ class Dielectric:
         nh, vh = dr.clip(dr.dot(normal, half), 0, 1), dr.clip(dr.dot(view, half), 0, 1)
         d = alpha2 * dr.inv_pi / dr.square(nh * nh * (alpha2 - 1) + 1)
         v = 0.5 / (nl * dr.sqrt(alpha2 + (1 - alpha2) * nv * nv) + nv * dr.sqrt(alpha2 + (1 - alpha2) * nl * nl))
-        m = 1 - vh
-        fresnel = self.f0 + (1 - self.f0) * dr.square(dr.square(m)) * m
         (e_l, mean), (e_v, _) = self._albedo(roughness, nl), self._albedo(roughness, nv)
         diffuse = dr.inv_pi * (1 - e_l) * (1 - e_v) / (1 - mean)
-        return dr.select(lit, base * diffuse + d * v * fresnel, 0)
+        return dr.select(lit, base * diffuse + d * v * _fresnel(vh, self.index, dr.sqrt), 0)
 
     def sample(self, base, roughness, normal, view, u1, u2, choice):
         """A direction onward, and f cos / pdf for it: half the time by the base's cosine, half by the layer's D.

@@ -26,7 +26,7 @@ from btfsep_engine.render.microfacet import Dielectric
 
 BOUNCES = 3  # path vertices that are connected to the lights
 INDIRECT_ROUGHNESS = 0.4  # least roughness of what is seen by reflection: its highlights would be fireflies
-SHADOW_SAMPLES = 4  # visibility rays a light and cell of the patch
+SHADOW_SAMPLES = 2  # visibility rays a light and cell of the patch
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Patch:
         share = dr.zeros(mi.Float, cells * n_lights)
         rng = mi.PCG32(size=cells * n_lights, initstate=self.seed + 1)
         for k in range(SHADOW_SAMPLES):
-            du, dv = (k % 2 + rng.next_float32()) * 0.5, (k // 2 % 2 + rng.next_float32()) * 0.5
+            du, dv = ((k + rng.next_float32()) / SHADOW_SAMPLES for _ in range(2))  # along the cell's diagonal
             x = (mi.Float(cell % self.n) + du) * (self.size / self.n)
             y = (mi.Float(cell // self.n) + dv) * (self.size / self.n)
             down = mi.Ray3f(mi.Point3f(x, y, dr.opaque(mi.Float, self.top)), mi.Vector3f(0, 0, -1))

@@ -45,12 +45,13 @@ def test_flat_lambertian_is_albedo_over_pi():
 
 
 def ggx_reference(base, roughness, f0, views, lights):
-    """f cos(theta_i) by the textbook: D, Smith's G2 from Lambda, Schlick; E by quadrature over light directions."""
+    """f cos(theta_i) by the textbook: D, Smith's G2 from Lambda, Fresnel; E by quadrature over light directions."""
     alpha = roughness**2
 
     def specular(v, l):
         h = v + l
         h = h / np.linalg.norm(h, axis=-1, keepdims=True)
+        c, eta = (v * h).sum(-1), (1 + f0**0.5) / (1 - f0**0.5)
         tan2 = 1 / h[..., 2] ** 2 - 1
         d = 1 / (np.pi * alpha**2 * h[..., 2] ** 4 * (1 + tan2 / alpha**2) ** 2)
 
@@ -58,7 +59,8 @@ def ggx_reference(base, roughness, f0, views, lights):
             return (np.sqrt(1 + alpha**2 * (1 / w[..., 2] ** 2 - 1)) - 1) / 2
 
         g2 = 1 / (1 + smith(v) + smith(l))
-        fresnel = f0 + (1 - f0) * (1 - (v * h).sum(-1)) ** 5
+        inside = np.sqrt(1 - (1 - c**2) / eta**2)  # Snell
+        fresnel = (((c - eta * inside) / (c + eta * inside)) ** 2 + ((inside - eta * c) / (inside + eta * c)) ** 2) / 2
         return d * g2 * fresnel / (4 * v[..., 2] * l[..., 2])
 
     theta, phi = np.meshgrid((np.arange(400) + 0.5) / 400 * np.pi / 2, (np.arange(400) + 0.5) / 400 * 2 * np.pi)
@@ -97,9 +99,9 @@ def test_white_base_keeps_energy(roughness):
 
 def traced_in_2d(amplitude, periods, skew, view, light, base):
     """Mean direct radiance of Lambertian waves along u, by marching rays through the profile."""
-    x = (np.arange(2000) + 0.5) / 2000
+    x = (np.arange(600) + 0.5) / 600
     top = 1.01 * np.abs(ridge_height(np.linspace(0, 1, 5000), amplitude, periods, skew)).max()
-    z = np.linspace(top, -top, 4001)
+    z = np.linspace(top, -top, 2001)
 
     def profile(at):
         return ridge_height(at / 10.0, amplitude, periods, skew)
@@ -111,18 +113,18 @@ def traced_in_2d(amplitude, periods, skew, view, light, base):
     slope = (profile(hit_x + step) - profile(hit_x - step)) / (2 * step)
     normal = np.stack([-slope, np.zeros_like(slope), np.ones_like(slope)], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    rise = np.linspace(0.01 * amplitude, 2.05 * top, 3000)
+    rise = np.linspace(0.01 * amplitude, 2.05 * top, 1200)
     blocked = (profile(hit_x[:, None] + rise * light[0] / light[2]) > hit_z[:, None] + rise).any(1)
     return (base / np.pi * np.maximum(normal @ light, 0) * ~blocked).mean()
 
 
 def test_shadows_and_masking_against_a_2d_tracer():
-    base, amplitude, skew = 0.02, 0.9, 0.25  # so dark that interreflection does not matter
+    base, amplitude, skew = 0.002, 0.9, 0.25  # so dark that interreflection does not matter
     views = local_direction(np.radians([0, 40, 40, 65, 70]), np.radians([0, 0, 180, 30, 170]))
     lights = local_direction(np.radians([10, 50, 50, 60, 70]), np.radians([90, 0, 180, 140, 10]))
     found = radiance(ridges(amplitude, base, skew=skew), views, lights, texels=48, samples=4).mean((-1, -2))
     expected = np.array([[traced_in_2d(amplitude, 2, skew, v, l, base) for l in lights] for v in views])
-    np.testing.assert_allclose(found, expected, rtol=0.03, atol=2e-5)
+    np.testing.assert_allclose(found, expected, rtol=0.03, atol=4e-6)
 
 
 def test_mean_abrdf_is_reciprocal_and_interreflection_brightens():

@@ -4,7 +4,7 @@
 The physical definition, shared by the virtual gonioreflectometer (:mod:`btfsep_engine.render.patch`) and by anyone
 who displaces real geometry with the same maps: a height field over the patch; at each point a dielectric with a
 diffuse base of colour ``base_colour`` under a GGX specular layer of ``roughness`` (alpha = roughness squared) and
-normal-incidence reflectance ``f0``.
+normal-incidence reflectance ``f0`` (refractive index (1 + sqrt f0) / (1 - sqrt f0)): Blender's Principled BSDF, GGX.
 """
 
 import difflib
