@@ -259,7 +259,7 @@ def _mark_seams(mesh, charts) -> None:
     bm.from_mesh(mesh)
     for edge in bm.edges:
         faces = edge.link_faces
-        edge.seam = len(faces) == 2 and charts[faces[0].index] != charts[faces[1].index]
+        edge.seam = bool(len(faces) == 2 and charts[faces[0].index] != charts[faces[1].index])
     bm.to_mesh(mesh)
     bm.free()
 

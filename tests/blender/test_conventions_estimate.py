@@ -8,8 +8,8 @@ What one view of a matte ball can give back is known beforehand, and that is wha
   thousand pixels, leaves 1 to 2 % in the coefficients: the bound is 3 %.
 - Of a real map, the orders above 2 (4, 6, ... in the irradiance) leak into the nine coefficients of an order-2 fit,
   because half of the ball is not seen. How much is a matter of geometry alone: the same least squares, done here in
-  closed form on the true irradiance over the visible half. The engine must return that (8 %: it leaves the rim out), and against the truth
-  itself the error is then 0.15 and 0.33 for these maps: the bound is 0.4.
+  closed form on the true irradiance over the visible half. The engine must return that (8 %: it leaves the rim
+  out). Against the truth itself the error is then 0.15 and 0.33 for these maps: the bound is 0.4.
 """
 
 import json

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The demo: Cycles takes a photo, the add-on and the engine find its material and its light, Cycles renders again.
+
+Started by ``scripts/demo``. Leaves in the output folder: scene.blend (with the estimated World), photo.exr,
+job/, lighting.json, lighting.exr, result.json, rerendered.exr, report.png.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[0] = str(ROOT)  # not this folder: its modules are scripts.cycles'
+
+import blender_btfsep  # noqa: E402
+import bpy  # noqa: E402
+import numpy as np  # noqa: E402
+from blender_btfsep import command  # noqa: E402
+
+from scripts.cycles import engine, figure, objects, studio  # noqa: E402
+
+ORDER = 4
+
+
+def parse():
+    parser = argparse.ArgumentParser(prog="scripts/demo", description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("demo_output"), help="folder for what comes out")
+    parser.add_argument("--object", default="suzanne", choices=[n for n in objects.NAMES if n != "sphere"])
+    parser.add_argument("--material", default="leather/brown-grain", help="a material of the library, or white")
+    parser.add_argument("--light", default="courtyard", choices=sorted(studio.studio_lights()))
+    parser.add_argument("--library", type=Path, help="another material library")
+    parser.add_argument("--quick", action="store_true", help="a smaller photo and the draft settings")
+    return parser.parse_args()
+
+
+@contextlib.contextmanager
+def quiet():
+    """Sends what Blender itself writes to standard output into nowhere (Python's own prints too)."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+class Stages:
+    """Tells the stages and times them."""
+
+    def __init__(self, count):
+        self.count, self.number, self.seconds = count, 0, {}
+
+    @contextlib.contextmanager
+    def stage(self, name, *, hush=True):
+        self.number += 1
+        print(f"[{self.number}/{self.count}] {name} …", flush=True)
+        start = time.perf_counter()
+        with quiet() if hush else contextlib.nullcontext():
+            yield
+        self.seconds[name] = time.perf_counter() - start
+        print(f"      {self.seconds[name]:.1f} s", flush=True)
+
+
+def main() -> int:
+    options = parse()
+    out = options.out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    stages, started = Stages(7), time.perf_counter()
+    resolution, samples = (256, 48) if options.quick else (512, 64)
+    blender_btfsep.register()
+
+    with stages.stage(f"building a scene: {options.object} in {options.material} under '{options.light}'"):
+        scene, camera, base, _ = studio.make_scene(
+            options.object, options.material, options.light, resolution=resolution
+        )
+        base.display_type = "WIRE"  # what the engine is told, over what is photographed
+        scene.cycles.samples = samples
+    with stages.stage(f"taking the photo with Cycles, {resolution} x {resolution}"):
+        photo = studio.render_photo(scene, out / "photo.exr", samples)
+        mask = studio.object_mask(scene)
+    scene.btfsep.image = bpy.data.images.load(str(out / "photo.exr"), check_existing=False)
+    scene.btfsep.objects.add().object = base
+    scene.btfsep.occluders = "NONE"  # the photographed object is the known one: it casts no second shadow
+
+    with stages.stage("BTFsep: job, recognition, estimate, World", hush=False):
+        library = ["--library", str(options.library.resolve())] if options.library else []
+        preset = "draft" if options.quick else "balanced"
+        result_folder = out / "job" / "result"
+        given = ["--job", str(out / "job"), "--out", str(result_folder), "--preset", preset, "--order", str(ORDER)]
+        material = ["--material", "reference/white-diffuse"] if options.material == "white" else []
+        status = command.main(["estimate", *given, *library, *material])
+        if status:
+            return status
+    for name in ("lighting.json", "lighting.exr", "result.json"):
+        shutil.copyfile(result_folder / name, out / name)
+    result = json.loads((out / "result.json").read_text())
+    found = result["objects"][0]["material"]
+    estimate = engine.coefficients(out / "lighting.json")
+
+    with stages.stage("the object as the library has the material"):
+        job_options = ["--lighting", out / "lighting.json", "--out", out / "material.exr"]
+        engine.run("relight", out / "job", *job_options, "--material", found, *library)
+        as_recognised = studio.read_image(out / "material.exr")
+    with stages.stage("rendering again with Cycles, under the estimated World"):
+        rerendered = studio.render_photo(scene, out / "rerendered.exr", samples)
+    with stages.stage("saving scene.blend"):
+        scene.render.filepath = "//rerendered.exr"
+        for image in bpy.data.images:
+            if image.has_data and not image.packed_file and image.type == "IMAGE":
+                image.pack()
+        bpy.ops.wm.save_as_mainfile(filepath=str(out / "scene.blend"), compress=True)
+    with stages.stage("composing report.png"):
+        truth = studio.true_lighting(options.light, ORDER)
+        errors = engine.errors(estimate, truth)
+        solid = mask > 0.99
+        misfit = np.linalg.norm((rerendered - photo)[solid]) / np.linalg.norm(photo[solid])
+        right = found == options.material
+        words = {
+            "photo": f"{options.object}, {options.material}",
+            "material": found + ("" if right or options.material == "white" else f"  (true: {options.material})"),
+            "truth": f"{options.light}, order {ORDER}",
+            "estimate": f"order {ORDER}, error {errors['order2']:.2f} (order 2), {errors['direction']:.0f}°",
+            "rerendered": "Cycles, estimated World",
+            "difference": f"relative error {misfit:.2f}",
+        }
+        figure.write(
+            out / "report.png",
+            photo=photo,
+            mask=mask,
+            material=as_recognised,
+            rerendered=rerendered,
+            truth=truth,
+            estimate=estimate,
+            view=-np.array(camera.matrix_world)[:3, 2],
+            words=words,
+        )
+    total = time.perf_counter() - started
+    known = "given" if options.material == "white" else ("right" if right else f"wrong, it is {options.material}")
+    print(
+        f"""
+material         {found} ({known})
+light, order 1   relative error {errors["order1"]:.3f} with one free scale, {errors["order1_absolute"]:.3f} with none
+light, order 2   relative error {errors["order2"]:.3f} with one free scale, {errors["order2_absolute"]:.3f} with none
+main direction   {errors["direction"]:.1f} degrees off
+re-rendering     relative error {misfit:.3f} on the object
+time             {total:.0f} s, of which the engine {result["seconds"]["total"]:.0f} s
+
+{out}/report.png  scene.blend  lighting.json  lighting.exr""",
+        flush=True,
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
