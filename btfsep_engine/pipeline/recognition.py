@@ -54,6 +54,12 @@ def training_region(region, limit: int) -> np.ndarray:
     return chosen
 
 
+def bounding_window(region) -> tuple[slice, slice]:
+    """Rows and columns that hold all of ``region`` (h, w) bool."""
+    rows, columns = np.flatnonzero(region.any(1)), np.flatnonzero(region.any(0))
+    return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+
+
 def trained_recogniser(scene: PreparedScene, index: int, library, settings: Settings) -> Recogniser:
     """The recogniser for one object of the job: from the cache, or trained now.
 
@@ -62,7 +68,8 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Sett
     """
     reporter, job = scene.reporter, scene.job
     region = training_region(scene.regions[index], settings.training_pixels)
-    lights = training_lights()
+    window = bounding_window(region)
+    lights = training_lights(settings.training_turns)
     mesh, camera = job.objects[index].mesh, job.camera
     geometry = [
         region,
@@ -92,13 +99,12 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Sett
             transport = scene.transport(points, directions=settings.training_directions)
 
         def render(material):
-            images = np.full((len(lights.names), *region.shape, 3), np.nan, np.float32)
-            values = transport.radiance(material, lights)
-            images[:, points.pixels[:, 0], points.pixels[:, 1]] = values.transpose(1, 0, 2)
+            images = np.full((lights.count, *region[window].shape, 3), np.nan, np.float32)
+            images[:, region[window]] = transport.radiance(material, lights).transpose(1, 0, 2)
             return images
 
         return train(
-            render_samples((library.load(n) for n in names), list(lights.names), render, region),
+            render_samples((library.load(n) for n in names), list(lights.names), render, region[window]),
             classifier=settings.classifier,
             seed=settings.seed,
             reporter=reporter,
@@ -115,8 +121,9 @@ def recognise_object(scene: PreparedScene, index: int, library, settings: Settin
     job = scene.job
     region = training_region(scene.regions[index], settings.training_pixels)
     with scene.reporter.stage("recognition"):
-        radiance = np.where(job.photo.usable[..., None], job.photo.radiance, np.nan)
-        answer = recogniser.recognise(radiance, region, what=f"object '{job.objects[index].name}'")
+        window = bounding_window(region)
+        radiance = np.where(job.photo.usable[..., None], job.photo.radiance, np.nan)[window]
+        answer = recogniser.recognise(radiance, region[window], what=f"object '{job.objects[index].name}'")
     if answer.unknown:
         scene.reporter.warn(
             f"object '{job.objects[index].name}' looks like none of the library's materials; "

@@ -23,6 +23,7 @@ class Settings:
     classifier : "svm" or "nearest"
     training_directions : light directions per pixel of the training images
     training_pixels : largest number of pixels of a training image
+    training_turns : turns about the vertical in which each training map is used
     seed : of every random choice
     """
 
@@ -35,13 +36,16 @@ class Settings:
     classifier: str = "svm"
     training_directions: int = 256
     training_pixels: int = 16000
+    training_turns: int = 2
     seed: int = 0
 
 
 PRESETS = {
     "draft": Settings("draft", pixels=1000, directions=256, bounces=2, training_pixels=8000, training_directions=128),
     "balanced": Settings(),
-    "accurate": Settings("accurate", pixels=16000, directions=1024, training_directions=512, training_pixels=24000),
+    "accurate": Settings(
+        "accurate", pixels=16000, directions=1024, training_directions=512, training_pixels=24000, training_turns=4
+    ),
     "paper": Settings("paper", pixels=0, directions=1024, bounces=1),
 }
 

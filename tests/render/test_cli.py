@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The commands as a user runs them: results, JSON lines, errors in one sentence, exit status, nothing half-written."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from btfsep_engine import images, sh
+from btfsep_engine.cli import main
+from btfsep_engine.light.files import exactly, read_lighting, write_lighting
+
+WHITE = ["--material", "reference/white-diffuse"]
+
+
+def json_lines(text) -> list:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def edited(folder, **changes):
+    """The folder's job.json with some of its fields replaced."""
+    job = json.loads((folder / "job.json").read_text())
+    (folder / "job.json").write_text(json.dumps({**job, **changes}))
+
+
+def test_doctor_finds_this_machine_well(capsys):
+    assert main(["doctor"]) == 0
+    said = capsys.readouterr().out
+    assert "test render" in said and "right, with" in said
+
+
+def test_estimate_gives_back_the_light_of_a_white_sphere(sphere_job_folder, capsys):
+    """Closed-form shading, order 2: all that one view of a matte sphere shows."""
+    folder, truth = sphere_job_folder
+    assert main(["estimate", str(folder), *WHITE, "--order", "2", "--json"]) == 0
+    lines = json_lines(capsys.readouterr().out)
+    result = lines[-1]["result"]
+    assert lines[-1]["type"] == "done" and {line["type"] for line in lines} >= {"progress", "done"}
+    found = read_lighting(result["lighting"])
+    assert np.linalg.norm(found.coefficients - truth) < 0.03 * np.linalg.norm(truth)
+    assert result["objects"][0]["material"] == "reference/white-diffuse" and not result["objects"][0]["recognised"]
+    assert result["residual"] < 0.01
+    written = sorted(p.name for p in (folder / "result").iterdir())
+    assert written == ["lighting.exr", "lighting.json", "report.png", "result.json"]
+    kept = json.loads((folder / "result" / "result.json").read_text())
+    assert kept["settings"]["order"] == 2 and kept["versions"]["mitsuba"] and kept["seconds"]["fit"] >= 0
+    sky = images.read_linear(folder / "result" / "lighting.exr").pixels
+    assert np.allclose(sky, sh.to_map(found.coefficients, *sky.shape[:2]), atol=1e-4)
+
+
+def test_presets_and_options_reach_the_run(sphere_job_folder, capsys, tmp_path):
+    folder, _ = sphere_job_folder
+    out = tmp_path / "elsewhere"
+    options = ["--preset", "draft", "--order", "1", "--pixels", "300", "--bounces", "1", "--no-report", "--out", str(out)]
+    assert main(["estimate", str(folder), *WHITE, *options, "--json"]) == 0
+    settings = json_lines(capsys.readouterr().out)[-1]["result"]["settings"]
+    assert (settings["preset"], settings["order"], settings["bounces"], settings["directions"]) == ("draft", 1, 1, 256)
+    assert not (out / "report.png").exists() and (out / "lighting.json").exists()
+    assert not (folder / "result").exists()
+
+
+def test_a_known_light_survives_relight_and_estimate(sphere_job_folder, capsys, tmp_path):
+    """relight makes a photo under a known light; estimate gives that light back."""
+    folder, _ = sphere_job_folder
+    light = exactly(np.array([[3, 2.5, 2], [0.5, 0, 0], [0.3, 0.8, 0.1], [-0.4, 0.2, 0.9]], float))
+    write_lighting(tmp_path / "known.json", light)
+    photo = folder / "photo.exr"
+    command = ["relight", str(folder), *WHITE, "--lighting", str(tmp_path / "known.json"), "--out"]
+    assert main([*command, str(tmp_path / "made.png")]) == 0
+    assert main([*command, str(photo)]) == 0
+    assert main(["estimate", str(folder), *WHITE, "--order", "1", "--no-report"]) == 0
+    found = read_lighting(folder / "result" / "lighting.json")
+    assert np.abs(found.coefficients - light.coefficients).max() < 0.03
+    capsys.readouterr()
+    assert main(["compare", str(folder / "result" / "lighting.json"), str(tmp_path / "known.json"), "--json"]) == 0
+    measures = json_lines(capsys.readouterr().out)[-1]["result"]
+    assert json.dumps(measures)  # all of it plain JSON
+    with_job = ["compare", str(tmp_path / "known.json"), str(tmp_path / "known.json"), "--job", str(folder), *WHITE, "--json"]
+    assert main(with_job) == 0
+    assert json_lines(capsys.readouterr().out)[-1]["result"]["rendering_psnr_free_scale"] > 100
+
+
+def test_saturated_pixels_are_left_out_and_told(sphere_job_folder, capsys):
+    folder, truth = sphere_job_folder
+    photo = images.read_linear(folder / "photo.exr").pixels
+    scale = 1 / np.percentile(photo, 90)
+    images.write_png(folder / "photo.png", photo * scale)
+    edited(folder, image="photo.png")
+    assert main(["estimate", str(folder), *WHITE, "--order", "2", "--no-report", "--json"]) == 0
+    lines = json_lines(capsys.readouterr().out)
+    assert any(line["type"] == "warning" and "saturated" in line["message"] for line in lines)
+    assert lines[-1]["result"]["saturated_pixels"] > 100
+    found = read_lighting(folder / "result" / "lighting.json").coefficients / scale
+    assert np.linalg.norm(found - truth) < 0.05 * np.linalg.norm(truth)
+
+
+def broken(folder, name):
+    """Breaks a job; returns the words that must be said."""
+    if name == "no mesh file":
+        (folder / "sphere.ply").unlink()
+        return "sphere.ply"
+    if name == "NaN":
+        photo = images.read_linear(folder / "photo.exr").pixels
+        photo[3, 5] = np.nan
+        images.write_exr(folder / "photo.exr", photo)
+        return "NaN"
+    if name == "turned away":
+        job = json.loads((folder / "job.json").read_text())
+        job["camera"]["to_world"] = (np.array(job["camera"]["to_world"]) @ np.diag([1, -1, -1, 1])).tolist()
+        edited(folder, camera=job["camera"])
+        return "the camera does not see it"
+    if name == "version":
+        edited(folder, version=7)
+        return "version"
+    if name == "truncated photo":
+        data = (folder / "photo.exr").read_bytes()
+        (folder / "photo.exr").write_bytes(data[: len(data) // 3])
+        return "photo.exr"
+    job = json.loads((folder / "job.json").read_text())
+    edited(folder, objects=[{**job["objects"][0], "material": "reference/white-difuse"}])
+    return "reference/white-diffuse"
+
+
+@pytest.mark.parametrize("name", ["no mesh file", "NaN", "turned away", "version", "truncated photo", "material"])
+def test_bad_input_gets_one_sentence_and_leaves_nothing(sphere_job_folder, capsys, name):
+    folder, _ = sphere_job_folder
+    words = broken(folder, name)
+    before = sorted(p.name for p in folder.iterdir())
+    assert main(["estimate", str(folder)]) == 2
+    captured = capsys.readouterr()
+    (line,) = [text for text in captured.err.splitlines() if text.startswith("error: ")]
+    assert words in line and line.count(";") >= 2
+    assert captured.out == "" and sorted(p.name for p in folder.iterdir()) == before
+    assert main(["estimate", str(folder), "--json"]) == 2
+    last = json_lines(capsys.readouterr().out)[-1]
+    assert last["type"] == "failed" and last["exit_code"] == 2 and words in last["message"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["estimate"],
+        ["estimate", "JOB", "--order", "12"],
+        ["estimate", "JOB", "--preset", "fast"],
+        ["estimate", "JOB", "--appearance", "shiny"],
+        ["estimate", "JOB", "--directions", "1"],
+        ["estimate", "JOB", "--order", "two"],
+        ["relight", "JOB", "--lighting", "none.json", "--out", "x.exr"],
+        ["nonsense"],
+        ["library", "show", "leather/nothing"],
+        ["library", "list", "--library", "/nonexistent"],
+    ],
+)
+def test_misuse_is_told_in_a_line(sphere_job_folder, capsys, arguments):
+    folder, _ = sphere_job_folder
+    assert main([str(folder) if a == "JOB" else a for a in arguments]) == 2
+    assert len([text for text in capsys.readouterr().err.splitlines() if text.startswith("error: ")]) == 1
+
+
+def test_a_folder_that_cannot_be_written_is_told(sphere_job_folder, capsys, tmp_path):
+    folder, _ = sphere_job_folder
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder")
+    assert main(["estimate", str(folder), *WHITE, "--no-report", "--out", str(blocked / "result")]) == 2
+    assert "cannot write" in capsys.readouterr().err
+    assert blocked.read_text() == "not a folder"
+
+
+def test_the_module_and_the_console_script_are_the_same_program():
+    run = subprocess.run([sys.executable, "-m", "btfsep_engine", "--version"], capture_output=True, text=True)
+    assert run.returncode == 0 and run.stdout.startswith("btfsep, version")
+
+
+def test_two_objects_share_one_light(sphere_job_folder, capsys):
+    """A second sphere of another albedo beside the first: the fit uses both."""
+    folder, truth = sphere_job_folder
+    job = json.loads((folder / "job.json").read_text())
+    small = {"name": "small", "mesh": "sphere.ply", "material": "reference/grey18"}
+    small["to_world"] = [[0.1, 0, 0, -1.2], [0, 0.1, 0, 0], [0, 0, 0.1, 0], [0, 0, 0, 1]]
+    first = {**job["objects"][0], "material": "reference/white-diffuse"}
+    edited(folder, objects=[first, small])
+    light = exactly(truth)
+    write_lighting(folder / "light.json", light)
+    assert main(["relight", str(folder), "--lighting", str(folder / "light.json"), "--out", str(folder / "photo.exr")]) == 0
+    assert main(["estimate", str(folder), "--order", "2", "--no-report", "--json"]) == 0
+    result = json_lines(capsys.readouterr().out.split("\n", 1)[1])[-1]["result"]
+    assert [o["material"] for o in result["objects"]] == ["reference/white-diffuse", "reference/grey18"]
+    assert min(o["pixels"] for o in result["objects"]) > 10 and max(o["residual"] for o in result["objects"]) < 0.02
+    found = read_lighting(result["lighting"]).coefficients
+    assert np.linalg.norm(found - truth) < 0.03 * np.linalg.norm(truth)
