@@ -9,8 +9,8 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
 
 
-def examine() -> dict:
-    """Tries the renderer afresh, in a child process, and the shipped library.
+def examine(library_folder=None) -> dict:
+    """Tries the renderer afresh, in a child process, and the material library.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def examine() -> dict:
         facts["test render"] = f"right, with {chosen.variant} {chosen.library}".strip()
         from btfsep_engine.btf.library import open_library
 
-        opened = open_library(None)
+        opened = open_library(library_folder)
         opened.load(next(iter(opened.names())))
         facts["library"] = f"{len(opened.names())} materials"
     except InputError as error:

@@ -14,6 +14,13 @@ from btfsep_engine.cli.output import JsonReporter, TextReporter
 from btfsep_engine.errors import InputError
 
 INPUT_FAULT, BUG = 2, 1
+LIBRARY = click.option(
+    "--library",
+    "library_folder",
+    type=click.Path(path_type=Path),
+    envvar="BTFSEP_LIBRARY",
+    help="Material library.  [default: $BTFSEP_LIBRARY, else the one that comes with BTFsep]",
+)
 
 
 def command(function):
@@ -48,7 +55,7 @@ def estimate_options(function):
     """Options that every command with a job and a library shares."""
     for option in reversed(
         (
-            click.option("--library", "library_folder", type=click.Path(path_type=Path), help="Material library."),
+            LIBRARY,
             click.option("--preset", default="balanced", show_default=True, help="draft, balanced, accurate or paper."),
             click.option("--classifier", help="svm or nearest."),
             click.option("--seed", type=int, help="Seed of every random choice."),
@@ -71,12 +78,13 @@ def cli():
 
 
 @cli.command()
+@LIBRARY
 @command
-def doctor(*, reporter):
+def doctor(*, library_folder, reporter):
     """What works on this machine: renderer, libraries, a test render."""
     from btfsep_engine.cli.doctor import examine
 
-    result = examine()
+    result = examine(library_folder)
     if not result["ok"]:
         raise InputError("this machine", result["problem"], result["remedy"])
     return result, words.doctor(result)
@@ -169,7 +177,7 @@ def relight(*, job, library_folder, preset, lighting, out, material, reporter, *
 @click.argument("b", type=click.Path(path_type=Path))
 @click.option("--job", type=click.Path(path_type=Path), help="Also compare renderings of this job's objects.")
 @click.option("--order", type=int, default=4, show_default=True, help="Order to which environment maps are projected.")
-@click.option("--library", "library_folder", type=click.Path(path_type=Path), help="Material library.")
+@LIBRARY
 @click.option("--material", help="The material of all objects of --job.")
 @command
 def compare(*, a, b, job, order, library_folder, material, reporter):
@@ -187,7 +195,7 @@ def library():
 
 
 @library.command("list")
-@click.option("--library", "library_folder", type=click.Path(path_type=Path), help="Material library.")
+@LIBRARY
 @command
 def library_list(*, library_folder, reporter):
     """The names and classes of all materials."""
@@ -198,7 +206,7 @@ def library_list(*, library_folder, reporter):
 
 @library.command("show")
 @click.argument("name")
-@click.option("--library", "library_folder", type=click.Path(path_type=Path), help="Material library.")
+@LIBRARY
 @click.option("--maps", type=click.Path(path_type=Path), help="Also write the maps it was made from into this folder.")
 @click.option("--resolution", type=int, default=512, show_default=True, help="Edge of the maps in pixels.")
 @command

@@ -11,6 +11,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import EnvironmentMaps, SHLighting
+from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.estimation import object_materials
 from btfsep_engine.pipeline.record import run_record
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -23,12 +24,7 @@ def lighting_of(path):
     path = Path(path)
     if path.suffix.lower() == ".json":
         return SHLighting(read_lighting(path).coefficients)
-    pixels = images.read_linear(path).pixels
-    if not np.isfinite(pixels).all():
-        raise InputError(
-            str(path), f"{int((~np.isfinite(pixels)).any(-1).sum())} NaN or infinite pixels", "export the map again"
-        )
-    return EnvironmentMaps([pixels], [path.stem])
+    return EnvironmentMaps(read_map(path)[None], (path.stem,))
 
 
 def earlier_materials(job, result) -> list:

@@ -53,7 +53,19 @@ def test_estimate_gives_back_the_light_of_a_white_sphere(sphere_job_folder, caps
 def test_presets_and_options_reach_the_run(sphere_job_folder, capsys, tmp_path):
     folder, _ = sphere_job_folder
     out = tmp_path / "elsewhere"
-    options = ["--preset", "draft", "--order", "1", "--pixels", "300", "--bounces", "1", "--no-report", "--out", str(out)]
+    options = [
+        "--preset",
+        "draft",
+        "--order",
+        "1",
+        "--pixels",
+        "300",
+        "--bounces",
+        "1",
+        "--no-report",
+        "--out",
+        str(out),
+    ]
     assert main(["estimate", str(folder), *WHITE, *options, "--json"]) == 0
     settings = json_lines(capsys.readouterr().out)[-1]["result"]["settings"]
     assert (settings["preset"], settings["order"], settings["bounces"], settings["directions"]) == ("draft", 1, 1, 256)
@@ -77,7 +89,15 @@ def test_a_known_light_survives_relight_and_estimate(sphere_job_folder, capsys, 
     assert main(["compare", str(folder / "result" / "lighting.json"), str(tmp_path / "known.json"), "--json"]) == 0
     measures = json_lines(capsys.readouterr().out)[-1]["result"]
     assert json.dumps(measures)  # all of it plain JSON
-    with_job = ["compare", str(tmp_path / "known.json"), str(tmp_path / "known.json"), "--job", str(folder), *WHITE, "--json"]
+    with_job = [
+        "compare",
+        str(tmp_path / "known.json"),
+        str(tmp_path / "known.json"),
+        "--job",
+        str(folder),
+        *WHITE,
+        "--json",
+    ]
     assert main(with_job) == 0
     assert json_lines(capsys.readouterr().out)[-1]["result"]["rendering_psnr_free_scale"] > 100
 
@@ -178,12 +198,15 @@ def test_two_objects_share_one_light(sphere_job_folder, capsys):
     folder, truth = sphere_job_folder
     job = json.loads((folder / "job.json").read_text())
     small = {"name": "small", "mesh": "sphere.ply", "material": "reference/grey18"}
-    small["to_world"] = [[0.1, 0, 0, -1.2], [0, 0.1, 0, 0], [0, 0, 0.1, 0], [0, 0, 0, 1]]
+    small["to_world"] = [[0.1, 0, 0, -0.8], [0, 0.1, 0, 0.8], [0, 0, 0.1, 0], [0, 0, 0, 1]]
     first = {**job["objects"][0], "material": "reference/white-diffuse"}
     edited(folder, objects=[first, small])
     light = exactly(truth)
     write_lighting(folder / "light.json", light)
-    assert main(["relight", str(folder), "--lighting", str(folder / "light.json"), "--out", str(folder / "photo.exr")]) == 0
+    assert (
+        main(["relight", str(folder), "--lighting", str(folder / "light.json"), "--out", str(folder / "photo.exr")])
+        == 0
+    )
     assert main(["estimate", str(folder), "--order", "2", "--no-report", "--json"]) == 0
     result = json_lines(capsys.readouterr().out.split("\n", 1)[1])[-1]["result"]
     assert [o["material"] for o in result["objects"]] == ["reference/white-diffuse", "reference/grey18"]
