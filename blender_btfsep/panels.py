@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tab "BTFsep" in the sidebar of the 3D view."""
 
+import blf
 import bpy
 
 from . import preferences, runs, world
 
-LINE = 0.19  # characters a pixel of sidebar width, about
+FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
+MARGIN = 105  # pixels of the sidebar's width that a label with an icon in a box cannot have, at scale 1
 
 
 class BTFSEP_UL_objects(bpy.types.UIList):
     def draw_item(self, context, layout, data, item, icon, active_data, active_propname):
-        row = layout.row(align=True)
         if item.object is None:
-            row.label(text="(deleted)", icon="ERROR")
+            layout.label(text="(deleted)", icon="ERROR")
             return
+        row = layout.split(factor=0.48, align=True)
         row.prop(item.object, "name", text="", emboss=False, icon="OBJECT_DATA")
-        known = item.material or item.recognised
+        known = (item.material or item.recognised).rsplit("/", 1)[-1]
         sub = row.row()
-        sub.alignment = "RIGHT"
         sub.active = bool(item.material)
         sub.label(text=known or "to recognise", icon="QUESTION" if item.unknown and not item.material else "NONE")
 
@@ -156,12 +157,13 @@ def _same_shape(size, render) -> bool:
 def _wrapped(context, layout, text: str, *, icon: str = "NONE") -> None:
     """A label over as many lines as the sidebar's width needs: Blender's own labels are cut off."""
     scale = context.preferences.system.ui_scale
-    room = max(int((context.region.width / scale - 60) * LINE), 16)
+    blf.size(0, FONT_SIZE * scale)
+    room = max(context.region.width - MARGIN * scale, 80 * scale)
     column = layout.column(align=True)
     column.scale_y = 0.8
     line = ""
     for word in text.split():
-        if line and len(line) + 1 + len(word) > room:
+        if line and blf.dimensions(0, f"{line} {word}")[0] > room:
             column.label(text=line, icon=icon)
             line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
         line = f"{line} {word}".strip()
