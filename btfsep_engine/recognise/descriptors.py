@@ -34,17 +34,20 @@ class Settings:
     floor : radiance, relative to the mean luminance, added before the logarithm, so that black stays finite
     chroma : weight of the two colour-difference samples against lightness
     contrast : standard deviation of the log2 luminance within a patch at which its SIFT counts half
+    shading : pixels; the lightness of colour patches is taken relative to its mean over this radius, which
+        removes the shading that the light makes and leaves the texture; 0 keeps the shading
     """
 
     bins: tuple[int, ...] = (4, 7)
     sift_sigma: float = 1.0
-    target: int = 1200
+    target: int = 900
     max_step: int = 8
     minimum: int = 40
-    white_balance: float = 0.5
+    white_balance: float = 1.0
     floor: float = 0.03
-    chroma: float = 2.0
+    chroma: float = 1.0
     contrast: float = 0.05
+    shading: float = 20.0
 
 
 DEFAULT = Settings()
@@ -137,6 +140,8 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise")
     if not valid.any():
         raise InputError(what, "has no finite pixel in the photo", "export the image again")
     image = _fill(normalise(radiance, valid, settings=settings), valid)
+    if settings.shading:
+        image[..., 0] -= _local_mean(image[..., 0], valid, settings.shading)
     parts = [_at_scale(image, mask, valid, edge, settings) for edge in settings.bins]
     for edge in FALLBACK_BINS:
         if sum(map(len, parts)) >= settings.minimum:
@@ -168,6 +173,17 @@ def _fill(image, valid):
         open_ &= ~reached
     out[open_] = image[valid].mean(0)
     return out
+
+
+def _local_mean(values, valid, radius: float):
+    """Mean of the ``valid`` of ``values : (h, w)`` within about ``radius`` pixels (a Gaussian; at quarter size)."""
+    weights = valid.astype(np.float32)
+    both = np.dstack([values * weights, weights])
+    h, w = values.shape
+    small = cv2.resize(both, (max(1, w // 4), max(1, h // 4)), interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), max(radius / 4, 0.3))
+    both = cv2.resize(small, (w, h), interpolation=cv2.INTER_LINEAR)
+    return both[..., 0] / np.maximum(both[..., 1], 1e-3)
 
 
 def _places(mask, valid, half, settings):

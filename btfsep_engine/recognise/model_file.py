@@ -27,7 +27,7 @@ from btfsep_engine.recognise.vlad import Encoder, Encoding
 
 log = logging.getLogger("btfsep")
 FORMAT = "btfsep-recogniser"
-VERSION = 1
+VERSION = 2
 ENVIRONMENT = "BTFSEP_CACHE"  # names another folder for the cache
 
 
@@ -39,7 +39,8 @@ def save(path, recogniser: Recogniser) -> None:
         "encoder.sift": encoder.sift,
         "encoder.sift_mean": encoder.sift_mean,
         "encoder.sift_axes": encoder.sift_axes,
-        "known": recogniser.known,
+        "centres": recogniser.centres,
+        "known_limits": recogniser.known_limits,
         "model.vectors": model.vectors,
     }
     header = {
@@ -48,7 +49,6 @@ def save(path, recogniser: Recogniser) -> None:
         "settings": dataclasses.asdict(recogniser.settings),
         "encoding": dataclasses.asdict(encoder.encoding),
         "half_contrast": encoder.half_contrast,
-        "known_distance": recogniser.known_distance,
         "kind": model.kind,
         "classes": list(model.classes),
         "sharpness": model.sharpness,
@@ -124,10 +124,8 @@ def _assemble(header, arrays) -> Recogniser:
         model = Nearest(classes, vectors, labels, **common)
     else:
         raise ValueError(f"unknown classifier {header['kind']}")
-    known = array("known", None, encoder.length)
-    if not len(known):
-        raise ValueError("no training vectors")
-    return Recogniser(settings, encoder, model, known, float(header["known_distance"]))
+    centres = array("centres", len(classes), encoder.length)
+    return Recogniser(settings, encoder, model, centres, array("known_limits", len(classes)))
 
 
 def cache_folder() -> Path:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine.recognise import descriptors as dense
-from btfsep_engine.recognise.classifier import Nearest, Svm, scores, squared_distances
+from btfsep_engine.recognise.classifier import Nearest, Svm, scores
 from btfsep_engine.recognise.vlad import Encoder
 
 
@@ -35,8 +35,8 @@ class Recognition:
     material : the best candidate's name
     candidates : (name, score in [0, 1]) of every known material, best first; the scores sum to 1
     unknown : whether the object looks like none of the known materials; ``material`` is then only the nearest
-    unknown_score : distance to the nearest training image over the largest that is usual between images of the
-        same library under different lights; above 1 is unknown
+    unknown_score : distance (1 - cosine) of the whole object to the recognised material's centre, over the
+        largest that is usual for that material under lights left out of the centre; above 1 is unknown
     regions : the object's windows, each judged alone
     """
 
@@ -56,15 +56,16 @@ class Recogniser:
     settings : how images are described
     encoder : dictionaries
     model : the classifier
-    known : (m, d) float16, the VLAD vectors of all whole training images
-    known_distance : L2 distance to the nearest of these from which on a material is judged unknown
+    centres : (materials, d) float32, unit, the mean VLAD vector of each material over its training lights
+    known_limits : (materials,) float64, 1 - cosine to the centre of the recognised material from which on it is
+        judged unknown
     """
 
     settings: dense.Settings
     encoder: Encoder
     model: Svm | Nearest
-    known: np.ndarray
-    known_distance: float
+    centres: np.ndarray
+    known_limits: np.ndarray
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -96,8 +97,8 @@ class Recogniser:
             Region(tuple(float(v) for v in box), names[int(p.argmax())], float(p.max()))
             for box, p in zip(boxes[:-1], alone, strict=True)
         )
-        distance = float(np.sqrt(squared_distances(vectors[-1:], self.known).min()))
-        ratio = distance / self.known_distance if self.known_distance > 0 else float(distance > 0)
+        best = order[0]
+        ratio = float(1 - self.centres[best] @ vectors[-1]) / max(float(self.known_limits[best]), 1e-9)
         return Recognition(
             names[order[0]], tuple((names[i], float(pooled[i])) for i in order), ratio > 1, ratio, regions
         )

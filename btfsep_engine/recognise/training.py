@@ -32,7 +32,8 @@ class TrainingImage:
     Attributes
     ----------
     material : its name in the library, "class/name"
-    light : the name of its lighting; images of one light are never on both sides of a split
+    light : the name of its lighting. What follows an "@" (a turn of the same map, "noon_grass@90") is left out
+        when lights are held apart: images of one map are never on both sides of a split
     radiance : (h, w, 3) float, linear; outside the mask anything, NaN too
     mask : (h, w) bool
     """
@@ -122,7 +123,7 @@ def train(
             described = dense.extract(as_photo(sample.radiance, sample.mask, rng), sample.mask, settings=settings)
             kept.append(described.compact())
             materials.append(sample.material)
-            lights.append(sample.light)
+            lights.append(sample.light.partition("@")[0])
             reporter.progress("training images", (number + 1) / max(expected or 0, number + 2), sample.material)
     if not kept:
         raise InputError("the training of recognition", "got no images", "choose a library with materials")
@@ -147,8 +148,9 @@ def train(
             step=lambda fraction: reporter.progress("classifier", fraction),
         )
         whole = np.stack([e[-1] for e in encoded])
-        limit = known_distance(whole, lights)
-    return Recogniser(settings, encoder, model, whole.astype(np.float16), limit)
+        limits = known_limits(whole, labels, lights, len(classes))
+        centres = class_centres(whole, labels, len(classes))
+    return Recogniser(settings, encoder, model, centres, limits)
 
 
 def _learn_encoder(kept, settings, encoding, rng, seed):
@@ -162,17 +164,37 @@ def _learn_encoder(kept, settings, encoding, rng, seed):
     return vlad.learn_encoder(*parts, half_contrast=settings.contrast, encoding=encoding, seed=seed)
 
 
-def known_distance(vectors, lights) -> float:
-    """The open-set limit: how far a known material under a new light may lie from the nearest training image.
+def class_centres(vectors, labels, class_count: int) -> np.ndarray:
+    """(classes, d) float32: the mean vector of each material over its lights, of unit length."""
+    sums = np.zeros((class_count, vectors.shape[1]), np.float32)
+    np.add.at(sums, labels, vectors)
+    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-12)
 
-    Each training image is compared with those of all *other* lights, as a photo will be; the limit is the 99 %
-    quantile of these distances. With a single light nothing can be said: infinity.
+
+def known_limits(vectors, labels, lights, class_count: int) -> np.ndarray:
+    """The open-set limits: how far an image of each material under a new light may lie from its centre.
+
+    The images of each light are compared with centres made of all *other* lights, as a photo will be; the limit is
+    the 99 % quantile of 1 - cosine. Where a material has a single light nothing can be said: 2, the farthest.
 
     Parameters
     ----------
-    vectors : (n, d) float, one per image; lights : (n,) names
+    vectors : (n, d) float32, one per image; labels : (n,) int; lights : (n,) names
+
+    Returns
+    -------
+    (classes,) float64
     """
     names = np.asarray(lights)
-    same = names[:, None] == names[None, :]
-    distances = np.where(same, np.inf, np.sqrt(classifiers.squared_distances(vectors, vectors))).min(1)
-    return float(np.quantile(distances, KNOWN_QUANTILE)) if len(set(lights)) > 1 else float("inf")
+    distances = np.full(len(vectors), np.nan)
+    for light in sorted(set(lights)):
+        out, rest = names == light, names != light
+        centres = class_centres(vectors[rest], labels[rest], class_count)
+        distances[out] = 1 - (vectors[out] * centres[labels[out]]).sum(1)
+        distances[out & ~np.isin(labels, labels[rest])] = np.nan
+    limits = np.full(class_count, 2.0)
+    for c in range(class_count):
+        own = distances[(labels == c) & ~np.isnan(distances)]
+        if len(own):
+            limits[c] = np.quantile(own, KNOWN_QUANTILE)
+    return limits

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From images to names and back: synthetic textures under made-up lights, files, cache."""
+
+import threading
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from btfsep_engine.errors import InputError
+from btfsep_engine.recognise import descriptors, model_file, training
+from btfsep_engine.recognise.vlad import Encoding
+
+SIDE = 96
+SMALL = Encoding(colour_words=20, sift_words=30, sift_components=16)
+COARSE = descriptors.Settings(target=250)
+MATERIALS = ("fine", "coarse", "stripes", "flat")
+
+
+def disk(side=SIDE):
+    y, x = np.mgrid[:side, :side] - side / 2 + 0.5
+    return np.hypot(x, y) < 0.45 * side
+
+
+def texture(material, rng, side=SIDE):
+    """log2 albedo (side, side)."""
+    noise = rng.standard_normal((side, side))
+    if material == "stripes":
+        x = np.arange(side)
+        return 0.5 * np.sin(x * 2 * np.pi / 7 + rng.uniform(0, 6))[None, :] + 0.05 * noise
+    if material == "flat":
+        return 0.02 * noise
+    smooth = gaussian_filter(noise, {"fine": 0.8, "coarse": 4.0}[material])
+    return 0.5 * smooth / smooth.std()
+
+
+def photo(material, rng, side=SIDE):
+    """A lit disk: a texture, a smooth gradient of light, a tint of the light, some exposure."""
+    y, x = np.mgrid[:side, :side] / side - 0.5
+    a = rng.uniform(0, 2 * np.pi)
+    shading = 1.2 * (x * np.cos(a) + y * np.sin(a))
+    tint = rng.uniform(-0.3, 0.3, 3)
+    log = (texture(material, rng, side) + shading)[..., None] + tint + rng.uniform(-3, 3)
+    return np.where(disk(side)[..., None], np.exp2(log), np.nan).astype(np.float32)
+
+
+def samples(rng, materials=MATERIALS, lights=6):
+    for material in materials:
+        for light in range(lights):
+            yield training.TrainingImage(material, f"light {light}", photo(material, rng), disk())
+
+
+def learn(seed=0, **options):
+    rng = np.random.default_rng(seed)
+    return training.train(samples(rng), settings=COARSE, encoding=SMALL, **options)
+
+
+@pytest.fixture(scope="module")
+def svm():
+    return learn()
+
+
+@pytest.fixture(scope="module")
+def nearest():
+    return learn(classifier="nearest")
+
+
+@pytest.mark.parametrize("kind", ["svm", "nearest"])
+def test_textures_are_told_apart_under_new_lights(kind, request, rng):
+    recogniser = request.getfixturevalue(kind)
+    for material in MATERIALS:
+        for _ in range(3):
+            answer = recogniser.recognise(photo(material, rng), disk())
+            assert answer.material == material
+            assert answer.candidates[0] == (material, max(s for _, s in answer.candidates))
+            assert sum(s for _, s in answer.candidates) == pytest.approx(1)
+            assert len(answer.regions) == SMALL.windows
+
+
+def test_unknown_is_farther_than_known(svm, rng):
+    known = [svm.recognise(photo(m, rng), disk()).unknown_score for m in MATERIALS for _ in range(3)]
+    y, x = np.mgrid[:SIDE, :SIDE]
+    checks = np.exp2(1.5 * np.sign(np.sin(x / 4) * np.sin(y / 4)))[..., None] * np.array([1.0, 0.2, 0.05])
+    strange = svm.recognise(checks.astype(np.float32), disk())
+    assert strange.unknown and strange.unknown_score > max(known)
+    assert np.mean(np.array(known) > 1) < 0.35
+
+
+@pytest.mark.parametrize("factor", [1e-3, 0.7, 4096.0])
+def test_exposure_does_not_matter(svm, rng, factor):
+    image = photo("coarse", rng)
+    here, there = svm.recognise(image, disk()), svm.recognise(image * factor, disk())
+    assert here.material == there.material
+    # 8-bit coding before SIFT may round the odd pixel the other way
+    assert dict(here.candidates)[here.material] == pytest.approx(dict(there.candidates)[here.material], abs=0.02)
+    a, b = descriptors.extract(image, disk()), descriptors.extract(image * factor, disk())
+    np.testing.assert_allclose(a.colour, b.colour, atol=1e-3)
+    np.testing.assert_array_equal(a.xy, b.xy)
+
+
+def test_nan_and_infinite_pixels_are_bridged(svm, rng):
+    image, mask = photo("fine", rng), disk()
+    whole = descriptors.extract(image, mask)
+    holes = rng.uniform(size=mask.shape) < 0.003
+    image[holes] = np.nan
+    image[SIDE // 2, SIDE // 2] = np.inf
+    found = descriptors.extract(image, mask)
+    assert all(np.isfinite(a).all() for a in (found.colour, found.contrast, found.xy))
+    assert len(found) > 0.5 * len(whole)
+    centres = found.xy.astype(int)
+    # no colour patch touches a hole
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            assert not holes[centres[:, 1] + dy, centres[:, 0] + dx].any()
+    assert svm.recognise(image, mask).material == "fine"
+
+
+def test_patches_lie_inside_the_mask(rng):
+    image, mask = photo("fine", rng), disk()
+    edge = max(COARSE.bins)
+    only = descriptors.Settings(bins=(edge,), target=250)
+    found = descriptors.extract(image, mask, settings=only)
+    for x, y in found.xy.astype(int):
+        assert mask[y - 2 * edge : y + 2 * edge + 1, x - 2 * edge : x + 2 * edge + 1].all()
+    beyond = image.copy()
+    beyond[~mask] = 1e6
+    again = descriptors.extract(beyond, mask, settings=only)
+    np.testing.assert_array_equal(found.colour, again.colour)
+    np.testing.assert_array_equal(found.sift, again.sift)
+
+
+def test_position_in_the_photo_does_not_matter(svm, rng):
+    image, mask = photo("coarse", rng), disk()
+    canvas, moved = np.full((200, 300, 3), np.nan, np.float32), np.zeros((200, 300), bool)
+    canvas[70 : 70 + SIDE, 190 : 190 + SIDE], moved[70 : 70 + SIDE, 190 : 190 + SIDE] = image, mask
+    here, there = descriptors.extract(image, mask), descriptors.extract(canvas, moved)
+    np.testing.assert_allclose(there.xy - here.xy, np.broadcast_to([190, 70], here.xy.shape))
+    assert svm.recognise(canvas, moved).candidates == svm.recognise(image, mask).candidates
+
+
+def test_too_small_black_or_absent(svm, rng):
+    image = photo("fine", rng)
+    tiny = np.zeros((SIDE, SIDE), bool)
+    tiny[40:46, 40:46] = True
+    with pytest.raises(InputError, match=r"object 'bean'; covers only 36 pixels"):
+        svm.recognise(image, tiny, what="object 'bean'")
+    with pytest.raises(InputError, match="no pixel"):
+        svm.recognise(image, np.zeros_like(tiny))
+    with pytest.raises(InputError, match="black"):
+        svm.recognise(np.zeros_like(image), disk())
+    with pytest.raises(InputError, match="finite"):
+        svm.recognise(np.full_like(image, np.nan), disk())
+    small = disk(28)
+    assert len(descriptors.extract(photo("fine", rng, 28), small)) >= COARSE.minimum
+
+
+def test_turns_of_one_map_are_one_light():
+    rng = np.random.default_rng(0)
+    turned = [
+        training.TrainingImage(m, f"hall@{k}", photo(m, rng), disk()) for m in ("fine", "coarse") for k in range(3)
+    ]
+    recogniser = training.train(turned, settings=COARSE, encoding=SMALL)
+    assert (recogniser.known_limits == 2).all() and np.isnan(recogniser.model.held_out_accuracy)
+
+
+def test_bad_training():
+    with pytest.raises(InputError, match="svm"):
+        training.train([], classifier="forest")
+    with pytest.raises(InputError, match="no images"):
+        training.train([])
+
+
+def test_the_same_seed_learns_the_same(svm):
+    image = photo("stripes", np.random.default_rng(5))
+    a, b = svm.recognise(image, disk()), learn().recognise(image, disk())
+    assert [n for n, _ in a.candidates] == [n for n, _ in b.candidates]
+    np.testing.assert_allclose([s for _, s in a.candidates], [s for _, s in b.candidates], atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["svm", "nearest"])
+def test_a_file_gives_identical_scores(kind, request, rng, tmp_path):
+    recogniser = request.getfixturevalue(kind)
+    model_file.save(tmp_path / "r.npz", recogniser)
+    again = model_file.load(tmp_path / "r.npz")
+    image = photo("coarse", rng)
+    assert again.recognise(image, disk()) == recogniser.recognise(image, disk())
+    assert again.settings == recogniser.settings and again.encoder.encoding == recogniser.encoder.encoding
+
+
+def test_damaged_files_are_refused(svm, tmp_path):
+    path = tmp_path / "r.npz"
+    model_file.save(path, svm)
+    good = path.read_bytes()
+    for bad in (b"", b"not a file", good[: len(good) // 2], good[:-30], good[:100] + b"\0" * 200 + good[300:]):
+        path.write_bytes(bad)
+        with pytest.raises(InputError, match="damaged"):
+            model_file.load(path)
+    with pytest.raises(InputError, match="no such file"):
+        model_file.load(tmp_path / "absent.npz")
+    with pytest.raises(InputError):
+        model_file.load(tmp_path)
+
+
+def rewrite(path, **changes):
+    with np.load(path) as archive:
+        arrays = {k: archive[k] for k in archive.files}
+    np.savez(path, **arrays | changes)
+
+
+def test_files_whose_parts_do_not_fit_are_refused(svm, tmp_path):
+    path = tmp_path / "r.npz"
+    wrong = {
+        "model.vectors": np.zeros((3, 7), np.float16),
+        "model.bias": np.full_like(svm.model.bias, np.nan),
+        "encoder.sift_mean": np.zeros(128, "U3"),
+        "centres": np.zeros((0, svm.encoder.length), np.float32),
+        "header": np.array('{"format": "btfsep-recogniser", "version": 99}'),
+        "encoder.colour": np.array([object()]),
+    }
+    for name, value in wrong.items():
+        model_file.save(path, svm)
+        rewrite(path, **{name: value})
+        with pytest.raises(InputError):
+            model_file.load(path)
+
+
+def test_cache_keeps_and_mends(svm, nearest, tmp_path, monkeypatch):
+    monkeypatch.setenv(model_file.ENVIRONMENT, str(tmp_path / "cache"))
+    calls = []
+
+    def make():
+        calls.append(1)
+        return svm
+
+    model_file.cached("a", make)
+    assert model_file.cached("a", make).materials == svm.materials and len(calls) == 1
+    assert model_file.cached("b", lambda: nearest).model.kind == "nearest"
+    assert model_file.cached("a", make).model.kind == "svm"
+    for file in (tmp_path / "cache").iterdir():
+        file.write_bytes(b"broken")
+    model_file.cached("a", make)
+    assert len(calls) == 2
+    model_file.cached("a", make)
+    assert len(calls) == 2
+
+
+def test_a_cache_that_cannot_be_written_is_no_error(svm, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    assert model_file.cached("a", lambda: svm, folder=tmp_path / "file") is svm
+
+
+def test_two_at_once(svm, tmp_path):
+    barrier, got = threading.Barrier(2), []
+
+    def make():
+        barrier.wait(timeout=20)  # both are training at the same time
+        return svm
+
+    threads = [
+        threading.Thread(target=lambda: got.append(model_file.cached("k", make, folder=tmp_path))) for _ in range(2)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(got) == 2 and len(list(tmp_path.iterdir())) == 1
+    assert model_file.load(next(tmp_path.iterdir())).materials == svm.materials
+
+
+def test_digest_tells_contents_apart():
+    digest = model_file.digest
+    a = np.arange(6.0)
+    keys = [
+        digest(a), digest(a.reshape(2, 3)), digest(a.astype(np.float32)), digest(a + 1), digest(["a", "b"]),
+        digest(["ab"]), digest("a", "b"), digest(1), digest(1.0), digest("1"), digest(None), digest(SMALL), digest(),
+    ]  # fmt: skip
+    assert len(set(keys)) == len(keys)
+    assert digest(a, SMALL) == digest(a.copy(), SMALL)
+    with pytest.raises(TypeError):
+        digest(object())

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Dictionaries and VLAD against naive loops."""
+
+import numpy as np
+import pytest
+
+from btfsep_engine.recognise import vlad
+
+
+def naive_vlad(points, words):
+    out = np.zeros_like(words, dtype=np.float64)
+    for x in points:
+        j = min(range(len(words)), key=lambda k: float(((x - words[k]) ** 2).sum()))
+        out[j] += x - words[j]
+    return out
+
+
+def test_aggregate_is_equation_2_in_every_group(rng):
+    points, words = rng.normal(size=(300, 5)).astype(np.float32), rng.normal(size=(7, 5)).astype(np.float32)
+    groups = rng.integers(0, 3, 300)
+    sums = vlad.aggregate(points, words, groups, 4)
+    assert sums.shape == (4, 7, 5)
+    for g in range(3):
+        np.testing.assert_allclose(sums[g], naive_vlad(points[groups == g], words), atol=1e-4)
+    assert not sums[3].any()
+
+
+def test_power_and_length():
+    flat = vlad.normalise(np.array([[[4.0, -9.0]], [[0.0, 0.0]]]), 0.5)
+    np.testing.assert_allclose(flat[0], np.array([2, -3]) / np.sqrt(13))
+    assert not flat[1].any()
+    plain = vlad.normalise(np.array([[[3.0, -4.0]]]), 1.0)
+    np.testing.assert_allclose(plain[0], [0.6, -0.8])
+
+
+def descriptors(rng, n):
+    return (
+        rng.normal(size=(n, 27)).astype(np.float32),
+        rng.integers(0, 200, (n, 128)).astype(np.uint8),
+        rng.uniform(0, 1, n).astype(np.float32),
+    )
+
+
+def test_dictionaries_have_the_papers_sizes(rng):
+    encoder = vlad.learn_encoder(*descriptors(rng, 1500), half_contrast=0.05)
+    assert encoder.colour.shape == (150, 27)
+    assert encoder.sift.shape[0] == 250
+    assert encoder.length == 150 * 27 + 250 * encoder.sift_axes.shape[1]
+    assert len(np.unique(encoder.sift, axis=0)) == 250
+
+
+def test_words_are_means_of_their_points(rng):
+    centres = np.array([[0, 0], [50, 0], [0, 50]])
+    points = (centres[:, None] + rng.normal(size=(3, 200, 2))).reshape(-1, 2).astype(np.float32)
+    words = vlad.learn_words(points, 3, seed=1)
+    nearest = vlad.nearest_word(points, words)
+    for j in range(3):
+        np.testing.assert_allclose(words[j], points[nearest == j].mean(0), atol=0.1)
+
+
+def test_fewer_points_than_words(rng):
+    points = rng.normal(size=(4, 3)).astype(np.float32)
+    words = vlad.learn_words(points, 9)
+    assert words.shape == (9, 3)
+    assert (vlad.nearest_word(points, words) == np.arange(4)).all()
+
+
+def test_projection_keeps_the_distances_it_can(rng):
+    sift = np.zeros((400, 128), np.uint8)
+    sift[:, :6] = rng.integers(1, 200, (400, 6))
+    ones = np.ones(400, np.float32)
+    encoding = vlad.Encoding(colour_words=2, sift_words=2, sift_components=8)
+    encoder = vlad.learn_encoder(
+        rng.normal(size=(400, 27)).astype(np.float32), sift, ones, half_contrast=0.05, encoding=encoding
+    )
+    roots, projected = vlad.root_sift(sift, ones, 0.05), encoder.project_sift(sift, ones)
+    assert projected.shape == (400, 8)
+    full = np.linalg.norm(roots[:50, None] - roots[None, :50], axis=-1)
+    kept = np.linalg.norm(projected[:50, None] - projected[None, :50], axis=-1)
+    np.testing.assert_allclose(kept, full, atol=1e-4)
+
+
+def test_a_flat_patch_says_little(rng):
+    sift = rng.integers(1, 200, (2, 128)).astype(np.uint8)
+    lengths = np.linalg.norm(vlad.root_sift(sift, np.array([0.0, 5.0]), 0.05), axis=1)
+    assert lengths[0] == 0 and lengths[1] == pytest.approx(5 / 5.05)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 8])
+def test_windows_are_even_and_local(rng, count):
+    xy = rng.uniform(0, 100, (1000, 2))
+    window = vlad.split_windows(xy, count)
+    sizes = np.bincount(window, minlength=count)
+    assert sizes.sum() == 1000 and np.ptp(sizes) <= 1
+    if count == 4:  # quarters of a square: no window spans it
+        assert all(np.ptp(xy[window == i], axis=0).max() < 60 for i in range(4))
