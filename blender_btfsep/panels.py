@@ -73,7 +73,10 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         entry = settings.objects[settings.active_object] if settings.active_object < len(settings.objects) else None
         if entry is not None:
             row = split.row(align=True)
-            row.prop_search(entry, "material", run, "library", text="Material", icon="MATERIAL")
+            if run.library:
+                row.prop_search(entry, "material", run, "library", text="Material", icon="MATERIAL")
+            else:  # names not read yet: a search would show any name as wrong
+                row.prop(entry, "material", text="Material", icon="MATERIAL")
             row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
         split.prop(settings, "occluders")
         chosen = preferences.get(context)
