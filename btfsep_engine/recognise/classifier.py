@@ -16,6 +16,7 @@ from sklearn.svm import SVC
 C_GRID = (1.0, 10.0, 100.0)
 GAMMA_GRID = (0.25, 0.5, 1.0, 2.0, 4.0)  # in units of 1 / median squared distance
 FOLDS = 3
+KNOWN_SHARE = 0.99  # of known materials under new lights that are to be judged known
 SVM_CACHE_MB = 500
 
 
@@ -54,6 +55,8 @@ class Svm:
     gamma, c : kernel and regularisation parameters
     sharpness : of the softmax over pooled votes
     held_out_accuracy : share of single vectors (windows) right on lights that were held out
+    known_vote : the open-set limit: the winning vote, pooled over an object, that 99 % of the held-out training
+        images reach; an object whose winner has less is judged unknown. -1 (never) where no light could be held out
     """
 
     classes: tuple[str, ...]
@@ -64,6 +67,7 @@ class Svm:
     c: float
     sharpness: float = 10.0
     held_out_accuracy: float = float("nan")
+    known_vote: float = -1.0
     kind = "svm"
 
     def votes(self, vectors) -> np.ndarray:
@@ -74,13 +78,17 @@ class Svm:
 
 @dataclass(frozen=True)
 class Nearest:
-    """Nearest neighbour by L2 distance: the classes, all training vectors (m, d) float16 and their labels (m,)."""
+    """Nearest neighbour by L2 distance: the classes, all training vectors (m, d) float16 and their labels (m,).
+
+    The other attributes are as of :class:`Svm`.
+    """
 
     classes: tuple[str, ...]
     vectors: np.ndarray
     labels: np.ndarray
     sharpness: float = 10.0
     held_out_accuracy: float = float("nan")
+    known_vote: float = -1.0
     kind = "nearest"
 
     def votes(self, vectors) -> np.ndarray:
@@ -158,6 +166,12 @@ def _best_sharpness(votes, labels, objects):
     return float(np.exp(minimize_scalar(loss, bounds=np.log((1.0, 40.0)), method="bounded").x))
 
 
+def _known_vote(votes, labels, objects):
+    """The winning pooled vote that all but ``1 - KNOWN_SHARE`` of the held-out objects reach."""
+    pooled, _ = pool_objects(votes, labels, objects)
+    return float(np.clip(np.quantile(pooled.max(1), 1 - KNOWN_SHARE), -1, 1))
+
+
 def pool_objects(votes, labels, objects):
     """Mean votes (objects, classes) and label (objects,) of the vectors that belong to the same object."""
     _, first, number = np.unique(objects, return_index=True, return_inverse=True)
@@ -209,6 +223,7 @@ def train_svm(vectors, labels, lights, objects, classes, *, seed=0, step=lambda 
         c,
         _best_sharpness(best_votes, labels, objects) if grid else 10.0,
         best[0] if grid else float("nan"),
+        _known_vote(best_votes, labels, objects) if grid else -1.0,
     )
 
 
@@ -216,12 +231,13 @@ def train_nearest(vectors, labels, lights, objects, classes, *, seed=0, step=lam
     """Nearest neighbour; parameters as of :func:`train_svm`. Held-out lights fit only the sharpness of the scores."""
     squared = squared_distances(vectors, vectors)
     fold = grouped_folds(lights, seed=seed)
-    sharpness, accuracy = 10.0, float("nan")
+    sharpness, accuracy, known = 10.0, float("nan"), -1.0
     if fold.max() > 0 and len(classes) > 1:
         votes = np.zeros((len(labels), len(classes)))
         for f in range(fold.max() + 1):
             test, rest = fold == f, fold != f
             votes[test] = nearest_votes(squared[np.ix_(test, rest)], labels[rest], len(classes))
         sharpness, accuracy = _best_sharpness(votes, labels, objects), float((votes.argmax(1) == labels).mean())
+        known = _known_vote(votes, labels, objects)
     step(1.0)
-    return Nearest(tuple(classes), vectors.astype(np.float16), labels.astype(np.int32), sharpness, accuracy)
+    return Nearest(tuple(classes), vectors.astype(np.float16), labels.astype(np.int32), sharpness, accuracy, known)

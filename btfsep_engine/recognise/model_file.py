@@ -39,8 +39,6 @@ def save(path, recogniser: Recogniser) -> None:
         "encoder.sift": encoder.sift,
         "encoder.sift_mean": encoder.sift_mean,
         "encoder.sift_axes": encoder.sift_axes,
-        "centres": recogniser.centres,
-        "known_limits": recogniser.known_limits,
         "model.vectors": model.vectors,
     }
     header = {
@@ -53,6 +51,7 @@ def save(path, recogniser: Recogniser) -> None:
         "classes": list(model.classes),
         "sharpness": model.sharpness,
         "held_out_accuracy": model.held_out_accuracy,
+        "known_vote": model.known_vote,
     }
     if isinstance(model, Svm):
         header |= {"gamma": model.gamma, "c": model.c}
@@ -112,7 +111,9 @@ def _assemble(header, arrays) -> Recogniser:
     if not classes or len(set(classes)) < len(classes):
         raise ValueError("names of materials are missing or repeat")
     vectors = array("model.vectors", None, encoder.length)
-    common = {"sharpness": float(header["sharpness"]), "held_out_accuracy": float(header["held_out_accuracy"])}
+    common = {name: float(header[name]) for name in ("sharpness", "held_out_accuracy", "known_vote")}
+    if not common["sharpness"] > 0 or not -1 <= common["known_vote"] <= 1:
+        raise ValueError("numbers out of range")
     if header["kind"] == "svm":
         pairs = len(classes) * (len(classes) - 1) // 2
         weights, bias = array("model.weights", len(vectors), pairs), array("model.bias", pairs)
@@ -124,8 +125,7 @@ def _assemble(header, arrays) -> Recogniser:
         model = Nearest(classes, vectors, labels, **common)
     else:
         raise ValueError(f"unknown classifier {header['kind']}")
-    centres = array("centres", len(classes), encoder.length)
-    return Recogniser(settings, encoder, model, centres, array("known_limits", len(classes)))
+    return Recogniser(settings, encoder, model)
 
 
 def cache_folder() -> Path:

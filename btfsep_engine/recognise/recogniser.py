@@ -35,8 +35,8 @@ class Recognition:
     material : the best candidate's name
     candidates : (name, score in [0, 1]) of every known material, best first; the scores sum to 1
     unknown : whether the object looks like none of the known materials; ``material`` is then only the nearest
-    unknown_score : distance (1 - cosine) of the whole object to the recognised material's centre, over the
-        largest that is usual for that material under lights left out of the centre; above 1 is unknown
+    unknown_score : how far the winning vote falls short of 1, over the shortfall that 99 % of the library's own
+        materials stay below under lights that were held out; above 1 is unknown
     regions : the object's windows, each judged alone
     """
 
@@ -56,16 +56,11 @@ class Recogniser:
     settings : how images are described
     encoder : dictionaries
     model : the classifier
-    centres : (materials, d) float32, unit, the mean VLAD vector of each material over its training lights
-    known_limits : (materials,) float64, 1 - cosine to the centre of the recognised material from which on it is
-        judged unknown
     """
 
     settings: dense.Settings
     encoder: Encoder
     model: Svm | Nearest
-    centres: np.ndarray
-    known_limits: np.ndarray
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -97,8 +92,8 @@ class Recogniser:
             Region(tuple(float(v) for v in box), names[int(p.argmax())], float(p.max()))
             for box, p in zip(boxes[:-1], alone, strict=True)
         )
-        best = order[0]
-        ratio = float(1 - self.centres[best] @ vectors[-1]) / max(float(self.known_limits[best]), 1e-9)
+        # how far the winning vote falls short, against the most that is usual for known materials
+        ratio = float(1 - votes.mean(0).max()) / max(1 - self.model.known_vote, 1e-9)
         return Recognition(
             names[order[0]], tuple((names[i], float(pooled[i])) for i in order), ratio > 1, ratio, regions
         )

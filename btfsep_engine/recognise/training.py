@@ -19,7 +19,6 @@ from btfsep_engine.recognise import vlad
 from btfsep_engine.recognise.recogniser import Recogniser
 
 SAMPLE = 60_000  # descriptors from which a dictionary is learnt
-KNOWN_QUANTILE = 0.99
 NOISE = 0.01  # of the region's mean radiance; a photo has some, and so must a training image
 BLURS = (0.0, 0.8)  # pixels; photos are a little less sharp than point-sampled renderings
 CLASSIFIERS = {"svm": classifiers.train_svm, "nearest": classifiers.train_nearest}
@@ -147,10 +146,7 @@ def train(
             seed=seed,
             step=lambda fraction: reporter.progress("classifier", fraction),
         )
-        whole = np.stack([e[-1] for e in encoded])
-        limits = known_limits(whole, labels, lights, len(classes))
-        centres = class_centres(whole, labels, len(classes))
-    return Recogniser(settings, encoder, model, centres, limits)
+    return Recogniser(settings, encoder, model)
 
 
 def _learn_encoder(kept, settings, encoding, rng, seed):
@@ -162,39 +158,3 @@ def _learn_encoder(kept, settings, encoding, rng, seed):
         for field in ("colour", "sift", "contrast")
     ]
     return vlad.learn_encoder(*parts, half_contrast=settings.contrast, encoding=encoding, seed=seed)
-
-
-def class_centres(vectors, labels, class_count: int) -> np.ndarray:
-    """(classes, d) float32: the mean vector of each material over its lights, of unit length."""
-    sums = np.zeros((class_count, vectors.shape[1]), np.float32)
-    np.add.at(sums, labels, vectors)
-    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-12)
-
-
-def known_limits(vectors, labels, lights, class_count: int) -> np.ndarray:
-    """The open-set limits: how far an image of each material under a new light may lie from its centre.
-
-    The images of each light are compared with centres made of all *other* lights, as a photo will be; the limit is
-    the 99 % quantile of 1 - cosine. Where a material has a single light nothing can be said: 2, the farthest.
-
-    Parameters
-    ----------
-    vectors : (n, d) float32, one per image; labels : (n,) int; lights : (n,) names
-
-    Returns
-    -------
-    (classes,) float64
-    """
-    names = np.asarray(lights)
-    distances = np.full(len(vectors), np.nan)
-    for light in sorted(set(lights)):
-        out, rest = names == light, names != light
-        centres = class_centres(vectors[rest], labels[rest], class_count)
-        distances[out] = 1 - (vectors[out] * centres[labels[out]]).sum(1)
-        distances[out & ~np.isin(labels, labels[rest])] = np.nan
-    limits = np.full(class_count, 2.0)
-    for c in range(class_count):
-        own = distances[(labels == c) & ~np.isnan(distances)]
-        if len(own):
-            limits[c] = np.quantile(own, KNOWN_QUANTILE)
-    return limits

@@ -160,7 +160,7 @@ def test_turns_of_one_map_are_one_light():
         training.TrainingImage(m, f"hall@{k}", photo(m, rng), disk()) for m in ("fine", "coarse") for k in range(3)
     ]
     recogniser = training.train(turned, settings=COARSE, encoding=SMALL)
-    assert (recogniser.known_limits == 2).all() and np.isnan(recogniser.model.held_out_accuracy)
+    assert recogniser.model.known_vote == -1 and np.isnan(recogniser.model.held_out_accuracy)
 
 
 def test_bad_training():
@@ -213,7 +213,7 @@ def test_files_whose_parts_do_not_fit_are_refused(svm, tmp_path):
         "model.vectors": np.zeros((3, 7), np.float16),
         "model.bias": np.full_like(svm.model.bias, np.nan),
         "encoder.sift_mean": np.zeros(128, "U3"),
-        "centres": np.zeros((0, svm.encoder.length), np.float32),
+        "model.weights": svm.model.weights[1:],
         "header": np.array('{"format": "btfsep-recogniser", "version": 99}'),
         "encoder.colour": np.array([object()]),
     }
