@@ -17,7 +17,7 @@ from btfsep_engine.conventions import fibonacci_sphere, local_direction
 UBO2014_RINGS = (
     (0, 11, 23.5, 30, 37.5, 45, 52.5, 60, 67.5, 75),
     (1, 6, 12, 12, 12, 18, 18, 24, 24, 24),
-    (0, 0, 15, 0, 15, 0, 0, 7.5, 0, 7.5),
+    (0, 15, 0, 15, 0, 0, 7.5, 0, 7.5, 0),
 )
 GRID = 512  # cells of the look-up grid over the parabolic square [-1, 1]^2
 
