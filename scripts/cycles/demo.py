@@ -22,6 +22,7 @@ import bpy  # noqa: E402
 import numpy as np  # noqa: E402
 from blender_btfsep import command  # noqa: E402
 
+from btfsep_engine.fit import compare  # noqa: E402
 from scripts.cycles import engine, figure, objects, studio  # noqa: E402
 
 ORDER = 4
@@ -115,14 +116,15 @@ def main() -> int:
     with stages.stage("saving scene.blend"):
         scene.render.filepath = "//rerendered.exr"
         for image in bpy.data.images:
-            if image.has_data and not image.packed_file and image.type == "IMAGE":
-                image.pack()
+            if image.source in {"GENERATED", "FILE"} and not image.packed_file:
+                image.pack()  # the material's maps live in memory only, the light in Blender's own folder
         bpy.ops.wm.save_as_mainfile(filepath=str(out / "scene.blend"), compress=True)
     with stages.stage("composing report.png"):
         truth = studio.true_lighting(options.light, ORDER)
         errors = engine.errors(estimate, truth)
         solid = mask > 0.99
-        misfit = np.linalg.norm((rerendered - photo)[solid]) / np.linalg.norm(photo[solid])
+        misfit = compare.relative_l2(rerendered[solid].astype(float), photo[solid].astype(float))
+        free, absolute = misfit["relative_l2_free_scale"], misfit["relative_l2"]
         right = found == options.material
         words = {
             "photo": f"{options.object}, {options.material}",
@@ -130,7 +132,7 @@ def main() -> int:
             "truth": f"{options.light}, order {ORDER}",
             "estimate": f"order {ORDER}, error {errors['order2']:.2f} (order 2), {errors['direction']:.0f}°",
             "rerendered": "Cycles, estimated World",
-            "difference": f"relative error {misfit:.2f}",
+            "difference": f"error {absolute:.2f}, with a free scale {free:.2f}",
         }
         figure.write(
             out / "report.png",
@@ -151,7 +153,7 @@ material         {found} ({known})
 light, order 1   relative error {errors["order1"]:.3f} with one free scale, {errors["order1_absolute"]:.3f} with none
 light, order 2   relative error {errors["order2"]:.3f} with one free scale, {errors["order2_absolute"]:.3f} with none
 main direction   {errors["direction"]:.1f} degrees off
-re-rendering     relative error {misfit:.3f} on the object
+re-rendering     relative error {free:.3f} with one free scale, {absolute:.3f} with none
 time             {total:.0f} s, of which the engine {result["seconds"]["total"]:.0f} s
 
 {out}/report.png  scene.blend  lighting.json  lighting.exr""",

@@ -106,7 +106,7 @@ def write(path, *, photo, mask, material, rerendered, truth, estimate, view, wor
     row.label("true light", words["truth"], wide)
     _light(row, estimate, factors, view, wide)
     row.label("estimated light", words["estimate"], wide)
-    row.image(display(rerendered, factor), 0, 0, HEIGHT, HEIGHT)
+    row.image(on_white(display(rerendered, factor), mask), 0, 0, HEIGHT, HEIGHT)
     row.label("re-rendered", words["rerendered"], HEIGHT)
     row.image(on_white(display(difference, factor), mask), 0, 0, HEIGHT, HEIGHT)
     row.label(f"difference × {DIFFERENCE_GAIN:.0f}", words["difference"], HEIGHT)

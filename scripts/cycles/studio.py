@@ -116,7 +116,7 @@ def clear() -> bpy.types.Scene:
     cycles.caustics_reflective = True
     cycles.use_adaptive_sampling = True
     cycles.adaptive_threshold = 0.05
-    scene.render.use_persistent_data = True
+    scene.render.use_persistent_data = False
     scene.view_settings.view_transform = "Standard"
     settings = scene.render.image_settings
     settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
@@ -184,14 +184,13 @@ def render_under(scene, world, path_exr, samples: int = 64) -> np.ndarray:
 
 def object_mask(scene) -> np.ndarray:
     """(h, w) float32 in [0, 1], how much of each pixel is object rather than World."""
-    render, settings = scene.render, scene.render.image_settings
-    kept = render.film_transparent, scene.cycles.max_bounces, scene.cycles.use_adaptive_sampling
-    render.film_transparent, scene.cycles.max_bounces, scene.cycles.use_adaptive_sampling = True, 0, False
+    render, cycles, settings = scene.render, scene.cycles, scene.render.image_settings
+    kept = render.film_transparent, cycles.max_bounces, cycles.use_adaptive_sampling, cycles.samples
+    render.film_transparent, cycles.max_bounces, cycles.use_adaptive_sampling, cycles.samples = True, 0, False, 16
     settings.color_mode = "RGBA"
     try:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "mask.exr"
-            scene.cycles.samples = 16
             scene.render.filepath = str(path)
             bpy.ops.render.render(write_still=True, scene=scene.name)
             image = bpy.data.images.load(str(path))
@@ -201,7 +200,7 @@ def object_mask(scene) -> np.ndarray:
             bpy.data.images.remove(image)
     finally:
         settings.color_mode = "RGB"
-        render.film_transparent, scene.cycles.max_bounces, scene.cycles.use_adaptive_sampling = kept
+        render.film_transparent, cycles.max_bounces, cycles.use_adaptive_sampling, cycles.samples = kept
     return flat.reshape(shape)[::-1, :, 3].copy()
 
 
