@@ -43,7 +43,7 @@ class Settings:
     target: int = 900
     max_step: int = 8
     minimum: int = 40
-    white_balance: float = 1.0
+    white_balance: float = 0.3
     floor: float = 0.03
     chroma: float = 1.0
     contrast: float = 0.05

@@ -35,7 +35,7 @@ class Encoding:
     sift_words: int = SIFT_WORDS
     sift_components: int = 40
     power: float = 0.5
-    colour_weight: float = 0.4
+    colour_weight: float = 0.5
     windows: int = 4
 
 
