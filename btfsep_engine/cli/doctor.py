@@ -5,6 +5,7 @@ import os
 import platform
 
 from btfsep_engine import __version__
+from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
 
@@ -20,7 +21,7 @@ def examine(library_folder=None) -> dict:
         "btfsep": __version__,
         "python": f"{platform.python_version()} on {platform.platform()}",
         "processors": str(os.cpu_count()),
-        "cache": str(backend.cache_folder()),
+        "cache": str(cache_folder()),
         "libLLVM": ", ".join(backend.candidates()) or "none found",
         "CUDA driver": "present" if backend.has_cuda_driver() else "none",
     }
@@ -29,7 +30,7 @@ def examine(library_folder=None) -> dict:
         failure = backend.try_backend(chosen.variant, chosen.library)
         if failure:
             raise InputError(
-                "the renderer worked before and fails now", failure, f"remove {backend.cache_folder() / 'backend.json'}"
+                "the renderer worked before and fails now", failure, f"remove {cache_folder() / 'backend.json'}"
             )
         from btfsep_engine.pipeline.record import versions
 

@@ -1,54 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The commands. Exit status 0: done; 2: the input is at fault; 1: a bug."""
 
-import functools
-import sys
-import traceback
 from pathlib import Path
 
 import click
 
 from btfsep_engine import __version__
 from btfsep_engine.cli import words
-from btfsep_engine.cli.output import JsonReporter, TextReporter
+from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
+from btfsep_engine.cli.library import library
 from btfsep_engine.errors import InputError
-
-INPUT_FAULT, BUG = 2, 1
-LIBRARY = click.option(
-    "--library",
-    "library_folder",
-    type=click.Path(path_type=Path),
-    envvar="BTFSEP_LIBRARY",
-    help="Material library.  [default: $BTFSEP_LIBRARY, else the one that comes with BTFsep]",
-)
-
-
-def command(function):
-    """A command with ``--json``: calls ``function(reporter=…, **options)``, which returns (result, words)."""
-
-    @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, for programs.")
-    @functools.wraps(function)
-    def run(as_json, **options):
-        reporter = JsonReporter() if as_json else TextReporter()
-        try:
-            result, text = function(reporter=reporter, **options)
-        except InputError as error:
-            reporter.failed(str(error), INPUT_FAULT)
-            sys.exit(INPUT_FAULT)
-        except MemoryError:
-            reporter.failed("not enough memory; the scene or the picture is too large; use --preset draft", INPUT_FAULT)
-            sys.exit(INPUT_FAULT)
-        except (click.ClickException, click.Abort, KeyboardInterrupt):
-            raise
-        except Exception as error:
-            traceback.print_exc()
-            reporter.failed(f"a bug in BTFsep: {type(error).__name__}: {error}; please report it", BUG)
-            sys.exit(BUG)
-        reporter.done(result)
-        if not as_json and text:
-            click.echo(text)
-
-    return run
 
 
 def estimate_options(function):
@@ -63,12 +24,6 @@ def estimate_options(function):
     ):
         function = option(function)
     return function
-
-
-def _library(folder):
-    from btfsep_engine.btf.library import open_library
-
-    return open_library(folder)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -110,7 +65,7 @@ def estimate(*, job, library_folder, preset, material, out, with_report, reporte
     settings = choose(preset, **changes)
     result = run_estimate(
         job,
-        _library(library_folder),
+        opened_library(library_folder),
         settings,
         material=material,
         out=out,
@@ -129,7 +84,7 @@ def recognise(*, job, library_folder, preset, reporter, **changes):
     from btfsep_engine.pipeline.commands import run_recognise
     from btfsep_engine.pipeline.settings import choose
 
-    result = run_recognise(job, _library(library_folder), choose(preset, **changes), reporter=reporter)
+    result = run_recognise(job, opened_library(library_folder), choose(preset, **changes), reporter=reporter)
     return result, words.recognise(result)
 
 
@@ -142,7 +97,7 @@ def train(*, job, library_folder, preset, reporter, **changes):
     from btfsep_engine.pipeline.commands import run_train
     from btfsep_engine.pipeline.settings import choose
 
-    result = run_train(job, _library(library_folder), choose(preset, **changes), reporter=reporter)
+    result = run_train(job, opened_library(library_folder), choose(preset, **changes), reporter=reporter)
     return result, words.train(result)
 
 
@@ -162,7 +117,7 @@ def relight(*, job, library_folder, preset, lighting, out, material, reporter, *
 
     result = run_relight(
         job,
-        _library(library_folder),
+        opened_library(library_folder),
         choose(preset, **changes),
         lighting=lighting,
         out=out,
@@ -184,54 +139,12 @@ def compare(*, a, b, job, order, library_folder, material, reporter):
     """Error measures between two lightings; B is the truth."""
     from btfsep_engine.pipeline.commands import run_compare
 
-    library = _library(library_folder) if job else None
+    library = opened_library(library_folder) if job else None
     result = run_compare(a, b, order=order, job=job, library=library, material=material, reporter=reporter)
     return result, words.compare(result)
 
 
-@cli.group()
-def library():
-    """The material library."""
-
-
-@library.command("list")
-@LIBRARY
-@command
-def library_list(*, library_folder, reporter):
-    """The names and classes of all materials."""
-    opened = _library(library_folder)
-    materials = [{"name": n, "class": n.split("/")[0]} for n in opened.names()]
-    return {"materials": materials}, "\n".join(m["name"] for m in materials)
-
-
-@library.command("show")
-@click.argument("name")
-@LIBRARY
-@click.option("--maps", type=click.Path(path_type=Path), help="Also write the maps it was made from into this folder.")
-@click.option("--resolution", type=int, default=512, show_default=True, help="Edge of the maps in pixels.")
-@command
-def library_show(*, name, library_folder, maps, resolution, reporter):
-    """What is known of one material."""
-    opened = _library(library_folder)
-    result = opened.show(name)
-    if maps is not None:
-        opened.export_maps(name, maps, resolution=resolution)
-        result = {**result, "maps": str(maps)}
-    return result, words.facts(result)
-
-
-@library.command("build")
-@click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--only", "names", multiple=True, help="A material to build; may be given several times.  [default: all]")
-@command
-def library_build(*, folder, names, reporter):
-    """Builds the default library into FOLDER by path-tracing displaced patches; resumes where it stopped."""
-    from btfsep_engine.btf.library import build
-
-    with reporter.stage("library"):
-        built = build(folder, names=list(names) or None, reporter=reporter)
-    result = {"library": str(folder), "materials": built.names()}
-    return result, f"{len(result['materials'])} materials in {folder}"
+cli.add_command(library)
 
 
 def main(arguments=None) -> int:

@@ -9,16 +9,15 @@ import dataclasses
 import hashlib
 import json
 import logging
-import os
 import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 
 from btfsep_engine import atomic
+from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.recognise.classifier import Nearest, Svm
 from btfsep_engine.recognise.descriptors import Settings
@@ -28,7 +27,6 @@ from btfsep_engine.recognise.vlad import Encoder, Encoding
 log = logging.getLogger("btfsep")
 FORMAT = "btfsep-recogniser"
 VERSION = 2
-ENVIRONMENT = "BTFSEP_CACHE"  # names another folder for the cache
 
 
 def save(path, recogniser: Recogniser) -> None:
@@ -126,12 +124,6 @@ def _assemble(header, arrays) -> Recogniser:
     else:
         raise ValueError(f"unknown classifier {header['kind']}")
     return Recogniser(settings, encoder, model)
-
-
-def cache_folder() -> Path:
-    """Where recognisers are kept: $BTFSEP_CACHE, or the user's cache folder of this platform."""
-    named = os.environ.get(ENVIRONMENT)
-    return Path(named).expanduser() if named else Path(platformdirs.user_cache_dir("btfsep", appauthor=False))
 
 
 def digest(*parts) -> str:

@@ -15,11 +15,9 @@ import subprocess
 import sys
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from pathlib import Path
-
-from platformdirs import user_cache_dir
 
 from btfsep_engine.atomic import write_text
+from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 
 LLVM_VARIANT, CUDA_VARIANT = "llvm_ad_rgb", "cuda_ad_rgb"
@@ -108,11 +106,6 @@ def try_backend(variant: str, library: str = "") -> str:
 def has_cuda_driver() -> bool:
     """True where an NVIDIA driver's library and device are present."""
     return os.path.exists("/dev/nvidiactl") or (platform.system() == "Windows" and bool(os.environ.get("CUDA_PATH")))
-
-
-def cache_folder() -> Path:
-    """Where everything that can be made again is kept; BTFSEP_CACHE names another."""
-    return Path(os.environ.get("BTFSEP_CACHE") or user_cache_dir("btfsep", appauthor=False))
 
 
 def _fingerprint() -> str:

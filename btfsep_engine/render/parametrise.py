@@ -6,9 +6,9 @@ import hashlib
 import numpy as np
 
 from btfsep_engine.atomic import replacing
+from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
-from btfsep_engine.render.backend import cache_folder
 
 # xatlas charts 5,000 to 20,000 faces a second; finer meshes are projected onto the axes' planes instead, at once
 XATLAS_FACES = 40_000
