@@ -25,7 +25,7 @@ from btfsep_engine.progress import Reporter
 INDEX = "index.json"
 MAX_INDEX_BYTES = 16 << 20
 # What the default library is measured with; the time and size that follow are in docs/library.md.
-DEFAULT_SETTINGS = {"mesh": 256, "texels": 80, "samples": 1, "components": 14, "seed": 0}
+DEFAULT_SETTINGS = {"mesh": 512, "texels": 80, "samples": 1, "components": 14, "seed": 0}
 
 
 class Entry(BaseModel):

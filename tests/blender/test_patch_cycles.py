@@ -28,7 +28,7 @@ def waves(base, f0):
 
 
 def build_scene(m):
-    """Three by three tiles as a smooth mesh, colour and roughness as point attributes, one sun, one camera."""
+    """Three by three tiles as a flat-shaded mesh, colour and roughness as point attributes, one sun, one camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -52,7 +52,7 @@ def build_scene(m):
     mesh.vertices.foreach_set("co", points.astype(np.float32).ravel())
     mesh.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
     mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
-    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))
+    mesh.polygons.foreach_set("use_smooth", np.zeros(len(faces), bool))
     colour = mesh.attributes.new("base", "FLOAT_COLOR", "POINT")
     rgba = np.ones((edge, edge, 4), np.float32)
     rgba[..., :3] = np.tile(m.base_colour, (3, 3, 1))

@@ -12,7 +12,7 @@ from btfsep_engine.btf.procedural import noise
 def test_ranges_and_seams(name):
     maps = procedural.maps(name, 256)
     assert maps.base_colour.shape == (256, 256, 3) and maps.base_colour.dtype == np.float32
-    assert 0 < maps.base_colour.min() and maps.base_colour.max() <= procedural.MAX_ALBEDO
+    assert 0 < maps.base_colour.min() and maps.base_colour.max() <= procedural.MAX_ALBEDO + 1e-6
     assert 0.15 <= maps.roughness.min() and maps.roughness.max() <= 1
     assert abs(float(maps.height_mm.mean())) < 1e-4
     assert 0.05 < np.ptp(maps.height_mm) < 3.5
@@ -20,8 +20,8 @@ def test_ranges_and_seams(name):
     for values in (maps.height_mm, maps.base_colour.mean(-1)):
         for axis in (0, 1):
             steps = np.abs(values - np.roll(values, 1, axis)).mean(1 - axis)
-            # the step over the edge is like the others (grooves may lie on it, so not the mean but the largest)
-            assert steps[0] <= 1.3 * np.sort(steps[1:])[-3], (name, axis)
+            # the step over the edge is like the others (a groove may lie on it, so the largest, not the mean)
+            assert steps[0] <= 1.5 * steps[1:].max(), (name, axis)
 
 
 @pytest.mark.parametrize("name", ["felt/grey-melange", "wood/oak-boards"])
