@@ -77,6 +77,8 @@ class _Scalar:
     def __sub__(self, other):
         return self.builder.math("SUBTRACT", self, other)
 
+CLAMP_GAIN = "Clamp Gain"
+
 
 def coefficient_name(l: int, m: int) -> str:
     """The name of a coefficient's input, as "Y 2 -1"."""
@@ -87,7 +89,7 @@ def build_group(order: int) -> bpy.types.ShaderNodeTree:
     """A new node group of ``order`` (0 to MAX_NODE_ORDER).
 
     Inputs: Strength; Rotation (radians, turns the light counter-clockwise about +Z as seen from above);
-    Clamp Negative; one vector a coefficient (red, green, blue; may be negative). Output: Color, linear radiance
+    Clamp Negative; Clamp Gain (what the clamped light is multiplied by); one vector a coefficient (red, green, blue; may be negative). Output: Color, linear radiance
     along the direction in which the World is looked at.
     """
     if not 0 <= order <= MAX_NODE_ORDER:
@@ -123,7 +125,7 @@ def build_group(order: int) -> bpy.types.ShaderNodeTree:
     by_kind = {(socket.name, socket.type): socket for socket in clamp.inputs}
     build.feed(by_kind["Factor", "VALUE"], inputs.outputs["Clamp Negative"])
     build.feed(by_kind["A", "VECTOR"], total)
-    build.feed(by_kind["B", "VECTOR"], above)
+    build.feed(by_kind["B", "VECTOR"], build.vector("MULTIPLY", above, inputs.outputs[CLAMP_GAIN], label="same light"))
     mixed = next(socket for socket in clamp.outputs if socket.type == "VECTOR")
     strong = build.vector("SCALE", mixed, scale=inputs.outputs["Strength"], label="strength")
     build.feed(build.node("NodeGroupOutput").inputs["Color"], strong)
@@ -142,6 +144,9 @@ def _interface(tree, order: int) -> None:
     clamp = face.new_socket("Clamp Negative", in_out="INPUT", socket_type="NodeSocketBool")
     clamp.default_value = True
     clamp.description = "Black where the sum of the harmonics is negative: no surface gets negative light"
+    gain = face.new_socket(CLAMP_GAIN, in_out="INPUT", socket_type="NodeSocketVector")
+    gain.default_value = (1.0, 1.0, 1.0)
+    gain.description = "Factor on red, green and blue where negative light is clamped: keeps the light's whole amount"
     for l in range(order + 1):
         panel = face.new_panel(f"Order {l}", default_closed=l > 1)
         panel.description = "Coefficients of the real spherical harmonics: red, green and blue of each"

@@ -10,8 +10,8 @@ import numpy as np
 
 from scripts.cycles import objects
 
-FACE_MM = 0.45  # edge of a face of the displaced mesh, at most ...
-MOST_FACES = 1_300_000  # ... unless that takes more faces than this
+FACE_MM = 0.3  # edge of a face of the displaced mesh, at most ...
+MOST_FACES = 2_000_000  # ... unless that takes more faces than this
 WHITE_ALBEDO = 0.8
 
 
@@ -125,7 +125,7 @@ def displaced(base: bpy.types.Object, name: str, maps, *, face_mm: float = FACE_
     mesh.vertex_normals.foreach_get("vector", normals)
     objects.move(mesh, objects.vertex_positions(mesh) + 1e-3 * lift[:, None] * normals.reshape(-1, 3))
 
-    mesh.shade_smooth()
+    mesh.shade_flat()  # the geometry is true: interpolated normals would darken slanting light (shadow terminator)
     mesh.name = f"{base.name} in {name}"
     mesh.materials.clear()
     mesh.materials.append(surface(name, maps))
