@@ -78,7 +78,7 @@ def test_written_files_hold_the_values_and_the_cosine_once(tmp_path, cosine):
     np.testing.assert_allclose(stored, values(m) * factor, atol=6e-3)
     again = fmf.read(tmp_path / "a.btf")
     np.testing.assert_allclose(values(again), values(m), atol=2e-2)
-    overridden = fmf.read(tmp_path / "a.btf", cosine=not cosine)
+    overridden = fmf.read(tmp_path / "a.btf", cosine="excluded" if cosine else "included")
     back = LIGHTS[:, 2, None] if cosine else 1 / LIGHTS[:, 2, None]
     np.testing.assert_allclose(values(overridden), values(again) * back, rtol=1e-4, atol=1e-5)
 
@@ -138,6 +138,7 @@ def offsets():
         ("views", -301, "B", 0x20, "does not begin"),
         ("views", -291, "I", 290, "length does not agree"),
         ("views", 0, "I", 2**32 - 1, "view directions"),
+        ("views", 0, "I", 1025, "view directions"),
         ("views", 4, "f", float("nan"), "not finite"),
         ("views", 4, "f", 1.6, "horizon"),
         ("lights", 0, "I", 2**32 - 1, "cut short"),
@@ -147,7 +148,7 @@ def offsets():
         ("width", 0, "I", 2**31, "texels"),
         ("width", 0, "I", 8, "do not fit"),
         ("width", 8, "I", 2**30, "cut short"),
-        ("extra", 1, "I", 1, "log domain"),
+        ("extra", 1, "I", 2, "dynamic range reduction 2"),
         ("extra", 5, "I", 0, "cut short"),
         ("factors", 4, "B", 3, "scalars of 3 bytes"),
         ("factors", 5, "I", 2**31, "cut short"),
