@@ -2,40 +2,53 @@
 """Direction lists of the databases, and interpolation between tabulated directions.
 
 Interpolation is that of Bonn: a parabolic map of the hemisphere to the disk, Delaunay triangles, barycentric
-weights. Beyond the outermost ring (75 degrees) the nearest tabulated value is held; since the tables are
-without the cosine, the transport's own cos(theta_i) takes the band smoothly to zero at the horizon.
+weights. Beyond the outermost ring (75 degrees) the ring's value is held outwards; since the tables
+are without the cosine, the transport's own cos(theta_i) takes the band smoothly to zero at the horizon. The band is
+26 % of the solid angle and 6.7 % of the projected one, and holding conserves a Lambertian surface's energy exactly
+(fading to 0 at the horizon, as at Bonn, does not).
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import Delaunay
+from scipy.sparse import csr_array
+from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
-from btfsep_engine.conventions import fibonacci_sphere, local_direction
+from btfsep_engine.conventions import local_direction
 
 UBO2014_RINGS = (
     (0, 11, 23.5, 30, 37.5, 45, 52.5, 60, 67.5, 75),
     (1, 6, 12, 12, 12, 18, 18, 24, 24, 24),
     (0, 15, 0, 15, 0, 0, 7.5, 0, 7.5, 0),
 )
+UBO2003_RINGS = ((0, 15, 30, 45, 60, 75), (1, 6, 12, 18, 20, 24), (0, 0, 0, 0, 0, 0))  # ATRIUM's and UTIA's, too
 GRID = 512  # cells of the look-up grid over the parabolic square [-1, 1]^2
 
 
-def ubo2014_angles() -> np.ndarray:
-    """The 151 directions of UBO2014: (151, 2) float64, theta and phi in radians, phi wrapped to (-pi, pi]."""
+def ring_angles(rings) -> np.ndarray:
+    """(n, 2) float64, theta and phi in radians, ring by ring, phi ascending from the offset, wrapped to (-pi, pi]."""
     angles = []
-    for theta, count, offset in zip(*UBO2014_RINGS, strict=True):
+    for theta, count, offset in zip(*rings, strict=True):
         for i in range(count):
             phi = offset + 360.0 * i / count
             angles.append((theta, phi - 360.0 if phi > 180.0 else phi))
     return np.radians(np.array(angles))
 
 
+def ubo2014_angles() -> np.ndarray:
+    """The 151 directions of UBO2014: (151, 2) float64, theta and phi in radians, phi wrapped to (-pi, pi]."""
+    return ring_angles(UBO2014_RINGS)
+
+
 def ubo2014_directions() -> np.ndarray:
     """The 151 directions of UBO2014 as (151, 3) float64 unit vectors."""
-    theta, phi = ubo2014_angles().T
-    return local_direction(theta, phi)
+    return local_direction(*ubo2014_angles().T)
+
+
+def ubo2003_directions() -> np.ndarray:
+    """The 81 directions of UBO2003, ATRIUM and UTIA as (81, 3) float64 unit vectors."""
+    return local_direction(*ring_angles(UBO2003_RINGS).T)
 
 
 def parabolic(directions) -> np.ndarray:
@@ -52,7 +65,7 @@ class Interpolator:
     ----------
     triangles : (t, 3) int32, indices into the direction list
     affine : (t, 3, 3) float64, weights = affine @ (x, y, 1) at parabolic (x, y)
-    grid : (GRID, GRID) int32, triangle at each cell centre, [row y, column x]; outside the hull the nearest
+    grid : (GRID, GRID) int32, triangle at each cell centre, [row y, column x]; they cover the whole disk
     """
 
     triangles: np.ndarray
@@ -79,25 +92,64 @@ class Interpolator:
 @lru_cache(maxsize=16)
 def _interpolator(key: bytes, count: int) -> Interpolator:
     points = parabolic(np.frombuffer(key, np.float64).reshape(count, 3))
-    if count < 3:  # one direction: constant
-        affine = np.array([[[0, 0, 1.0], [0, 0, 0], [0, 0, 0]]])
-        return Interpolator(np.zeros((1, 3), np.int32), affine, np.zeros((GRID, GRID), np.int32))
-    mesh = Delaunay(points)
-    corners = np.concatenate([points[mesh.simplices], np.ones((len(mesh.simplices), 3, 1))], -1)
-    regular = np.abs(np.linalg.det(corners)) > 1e-9  # slivers on the hull
-    triangles = mesh.simplices[regular].astype(np.int32)
-    affine = np.linalg.inv(corners[regular]).transpose(0, 2, 1)
     centres = (np.arange(GRID) + 0.5) * (2 / GRID) - 1
     x, y = np.meshgrid(centres, centres)
-    # the triangle whose smallest barycentric weight is largest: the containing one, or the nearest outside
+    none = np.zeros((0, 3), np.int32)
+    try:
+        simplices, hull = (Delaunay(points).simplices, ConvexHull(points)) if count >= 3 else (none, None)
+    except QhullError:  # all on a line
+        simplices, hull = none, None
+    corners = np.concatenate([points[simplices], np.ones((len(simplices), 3, 1))], -1)
+    regular = np.abs(np.linalg.det(corners)) > 1e-9  # slivers on the hull
+    if not regular.any():  # no triangle: the nearest direction
+        affine = np.broadcast_to([[0, 0, 1.0], [0, 0, 0], [0, 0, 0]], (count, 3, 3))
+        triangles = np.repeat(np.arange(count, dtype=np.int32)[:, None], 3, 1)
+        nearest = cKDTree(points).query(np.stack([x, y], -1))[1]
+        return Interpolator(triangles, affine, nearest.astype(np.int32))
+    vertices, simplices, held = _with_band(points, simplices[regular], hull)
+    corners = np.concatenate([vertices[simplices], np.ones((len(simplices), 3, 1))], -1)
+    affine = np.linalg.inv(corners).transpose(0, 2, 1)
+    # the triangle whose smallest barycentric weight is largest contains the cell's centre
     best = np.full((GRID, GRID), -np.inf)
     grid = np.zeros((GRID, GRID), np.int32)
+    low = np.clip(np.floor((vertices[simplices].min(1) + 1) * (GRID / 2)).astype(int) - 1, 0, GRID)
+    high = np.clip(np.ceil((vertices[simplices].max(1) + 1) * (GRID / 2)).astype(int) + 1, 0, GRID)
     for number, a in enumerate(affine):
-        smallest = (a[:, 0, None, None] * x + a[:, 1, None, None] * y + a[:, 2, None, None]).min(0)
-        better = smallest > best
-        best[better] = smallest[better]
-        grid[better] = number
-    return Interpolator(triangles, affine, grid)
+        box = np.s_[low[number, 1] : high[number, 1], low[number, 0] : high[number, 0]]
+        smallest = (a[:, 0, None, None] * x[box] + a[:, 1, None, None] * y[box] + a[:, 2, None, None]).min(0)
+        better = smallest > best[box]
+        best[box][better] = smallest[better]
+        grid[box][better] = number
+    return Interpolator(held[simplices].astype(np.int32), affine, grid)
+
+
+def _with_band(points, simplices, hull):
+    """Adds the band out to the rim of the disk: layers of the hull, blown up about its centre.
+
+    A vertex of a layer stands for the vertex of the hull that it was; so the hull's values are held outwards.
+
+    Returns
+    -------
+    vertices : (m, 2), triangles : (t, 3) of them, held : (m,) which of ``points`` each vertex stands for
+    """
+    ring = hull.vertices  # counter-clockwise
+    centre = points[ring].mean(0)
+    inside = -(hull.equations[:, :2] @ centre + hull.equations[:, 2]).max()  # distance to the nearest edge
+    scale = max(1.01 * (1 + np.hypot(*centre)) / max(inside, 1e-3), 1.0)
+    layers = int(np.clip(np.ceil(np.log(scale) / np.log(1.12)), 1, 24))  # thin ones: a quad is nearly symmetric
+    vertices, held, triangles = [points], [np.arange(len(points))], [simplices]
+    inner, n = ring, len(ring)
+    for layer in range(1, layers + 1):
+        vertices.append(centre + (points[ring] - centre) * scale ** (layer / layers))
+        held.append(ring)
+        outer = len(points) + (layer - 1) * n + np.arange(n)
+        a, b, c, d = inner, np.roll(inner, -1), np.roll(outer, -1), outer
+        split = [(a, b, c), (a, c, d)] if layer % 2 else [(a, b, d), (b, c, d)]
+        triangles += [np.stack(t, 1) for t in split]
+        inner = outer
+    vertices, triangles = np.concatenate(vertices), np.concatenate(triangles)
+    edges = vertices[triangles[:, 1:]] - vertices[triangles[:, :1]]
+    return vertices, triangles[np.abs(np.linalg.det(edges)) > 1e-12], np.concatenate(held)
 
 
 def interpolator(directions) -> Interpolator:
@@ -106,13 +158,38 @@ def interpolator(directions) -> Interpolator:
     return _interpolator(d.tobytes(), len(d))
 
 
-def cosine_weights(directions, count: int = 20000) -> np.ndarray:
+def hemisphere_quadrature(rings: int = 96):
+    """Nodes (n, 3) and weights (n,) of the upper hemisphere, n = 2 rings^2: Gauss and Legendre's in z, uniform in phi.
+
+    Exact for spherical harmonics, and for their products with z, below order ``rings``.
+    """
+    x, w = np.polynomial.legendre.leggauss(rings)
+    z, w = (x + 1) / 2, w / 2
+    azimuth = (np.arange(2 * rings) + 0.5) * (np.pi / rings)
+    r = np.sqrt(1 - z * z)[:, None]
+    nodes = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), np.repeat(z[:, None], 2 * rings, 1)], -1)
+    return nodes.reshape(-1, 3), np.repeat(w * (np.pi / rings), 2 * rings)
+
+
+def cosine_weights(directions) -> np.ndarray:
     """(n,) float64: sum(w * f) is the integral of f(omega) cos(theta) over the hemisphere, for f interpolated from
     ``directions : (n, 3)`` as :func:`interpolator` does (and held beyond the outermost ring). The sum is pi.
     """
-    sphere = fibonacci_sphere(2 * count)
-    upper = sphere[sphere[:, 2] > 0]
-    index, w = interpolator(directions).weights(upper)
-    total = np.zeros(len(directions))
-    np.add.at(total, index, w * (upper[:, 2:] * (2 * np.pi / len(upper))))
-    return total * (np.pi / total.sum())
+    return light_projection(directions, lambda nodes: np.ones((len(nodes), 1)))[:, 0]
+
+
+def light_projection(directions, functions) -> np.ndarray:
+    """(n, m) float64: ``q`` such that ``f @ q`` are the integrals of f(omega) g_j(omega) cos(theta) over the hemisphere
+    for f interpolated from ``directions : (n, 3)``, held beyond the outermost ring.
+
+    Parameters
+    ----------
+    functions : of (p, 3) directions, gives (p, m)
+    """
+    nodes, weights = hemisphere_quadrature()
+    index, share = interpolator(directions).weights(nodes)
+    values = functions(nodes) * (weights * nodes[:, 2])[:, None]
+    hats = csr_array(
+        (share.ravel(), (index.ravel(), np.repeat(np.arange(len(nodes)), 3))), (len(directions), len(nodes))
+    )
+    return hats @ values

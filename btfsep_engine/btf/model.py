@@ -12,6 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
+from btfsep_engine.btf.directions import cosine_weights, interpolator, light_projection
+from btfsep_engine.sh import evaluate
+
 
 @dataclass(frozen=True)
 class Tabulated:
@@ -44,6 +47,53 @@ class Tabulated:
     def mean_abrdf(self) -> np.ndarray:
         """(views, lights, 3) float32, the ABRDF averaged over all texels."""
         return self.angular @ self.mean_texel
+
+    def light_coefficients(self, order: int) -> np.ndarray:
+        """The light side projected onto real spherical harmonics, per view.
+
+        Under a light of coefficients L in the local frame, a texel t seen from view v sends
+        ``sum_jk result[v, c, k, j] texels[t, k] L[j, c]`` (nothing blocks the light, which comes from above).
+
+        Returns
+        -------
+        (views, 3, k, (order + 1)^2) float32: the integrals of angular(view, omega) cos(theta) Y_j(omega)
+        """
+        q = light_projection(self.lights, lambda nodes: evaluate(order, nodes)).astype(np.float32)
+        return np.einsum("vlck,lj->vckj", self.angular, q, optimize=True)
+
+    def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
+        """Values at points: 3 x 3 directions and 2 x 2 texels are blended.
+
+        Parameters
+        ----------
+        position_mm : (n, 2) float, along the tangent and the bitangent; the texture is periodic
+        to_light, to_eye : (n, 3) float, unit, local, upper hemisphere
+
+        Returns
+        -------
+        (n, 3) float32, 1/sr, without the cosine
+        """
+        h, w, _ = self.texels.shape
+        x, y = (np.asarray(position_mm, np.float64) / self.texel_mm - 0.5).T
+        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+        fx, fy = (x - column).astype(np.float32)[:, None], (y - row).astype(np.float32)[:, None]
+        low, high = (
+            self.texels[r % h, column % w] * (1 - fx) + self.texels[r % h, (column + 1) % w] * fx
+            for r in (row, row + 1)
+        )
+        texel = low * (1 - fy) + high * fy
+        views, view_share = interpolator(self.views).weights(to_eye)
+        lights, light_share = interpolator(self.lights).weights(to_light)
+        total = np.zeros((len(texel), 3), np.float32)
+        for i in range(3):
+            for j in range(3):
+                value = np.einsum("nck,nk->nc", self.angular[views[:, i], lights[:, j]], texel)
+                total += (view_share[:, i] * light_share[:, j]).astype(np.float32)[:, None] * value
+        return total
+
+    def albedo(self) -> np.ndarray:
+        """(views, 3) float64: directional-hemispherical reflectance of the mean ABRDF; below 1 for what can exist."""
+        return np.einsum("vlc,l->vc", self.mean_abrdf.astype(np.float64), cosine_weights(self.lights))
 
     def mean_material(self) -> "Tabulated":
         """The same material with one texel: its mean ABRDF (the paper's regulariser, section 3.3)."""
