@@ -128,8 +128,9 @@ def test_the_shipped_library_is_whole():
         albedo = library.mean_albedo(material)
         base = procedural.maps(name, 64).base_colour.reshape(-1, 3).mean(0)
         assert (albedo < 0.9).all()
-        # shadows and interreflection take, the layer's gloss adds; the hue stays that of the base
-        assert (albedo > 0.35 * base).all() and (albedo < base + 0.12).all(), (name, albedo, base)
+        # shadows and interreflection take, the layer's gloss adds (0.09 over all directions; the values held beyond
+        # 75 degrees make it more); the hue stays that of the base
+        assert (albedo > 0.35 * base).all() and (albedo < base + 0.14).all(), (name, albedo, base)
         assert (np.argsort(albedo) == np.argsort(base)).all() or np.ptp(base) < 0.1
 
 
@@ -137,4 +138,4 @@ def test_the_shipped_materials_are_reciprocal_in_the_mean():
     opened = library.open_library()
     for name in procedural.NAMES:
         f = opened.load(name).mean_abrdf.sum(-1)
-        assert np.median(np.abs(f - f.T) / (f + f.T)) < 0.03, name
+        assert np.median(np.abs(f - f.T) / (f + f.T)) < 0.015, name
