@@ -77,6 +77,7 @@ class _Scalar:
     def __sub__(self, other):
         return self.builder.math("SUBTRACT", self, other)
 
+
 CLAMP_GAIN = "Clamp Gain"
 
 

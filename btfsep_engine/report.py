@@ -101,7 +101,9 @@ def write_estimate_report(path, found, settings) -> None:
     indirect = scene.indirect(materials, lighting, bounces=settings.bounces)
     shown = [m if textured or not hasattr(m, "mean_material") else m.mean_material() for m in materials]
     again = render_objects(scene, shown, lighting, textured=textured, directions=DIRECTIONS, indirect=indirect)[0]
-    sample = render_objects(scene, materials, training_lights(rotations=1).selected([0]), textured=True, directions=DIRECTIONS)[0]
+    sample = render_objects(
+        scene, materials, training_lights(rotations=1).selected([0]), textured=True, directions=DIRECTIONS
+    )[0]
     factor = exposure(photo, region)
     background = np.full_like(photo, 1.0)
     difference = np.where(region[..., None], np.abs(again - photo) * factor, 1.0)
