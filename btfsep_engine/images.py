@@ -64,13 +64,14 @@ def luminance(pixels) -> np.ndarray:
     return np.asarray(pixels) @ REC709_LUMINANCE.astype(np.asarray(pixels).dtype)
 
 
-def read_linear(path, *, colorspace: str = "auto") -> Image:
+def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None) -> Image:
     """Reads EXR, HDR, PNG, JPEG, TIFF or WebP as linear Rec.709. Grey images become three equal channels.
 
     Parameters
     ----------
     path : file
     colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb" or "linear"
+    max_pixels : refuse larger images, and those that do not say their size, before anything is decoded
 
     Raises
     ------
@@ -82,9 +83,14 @@ def read_linear(path, *, colorspace: str = "auto") -> Image:
     path = Path(path)
     data = _read_bytes(path)
     if data[:4] == b"\x76\x2f\x31\x01":
-        stored, alpha, inside = _read_exr(path)
+        stored, alpha, inside = _read_exr(path, max_pixels)
         peak = None
     else:
+        if max_pixels is not None:
+            size = _declared_size(data)
+            if size is None:
+                raise InputError(path.name, "it does not say its size as PNG, JPEG, TIFF, WebP or HDR do", _KINDS)
+            _check_size(path, *size, max_pixels)
         stored, alpha, peak = _decode(path, data)
         inside = np.ones(stored.shape[:2], bool)
     saturated = np.zeros(stored.shape[:2], bool)
@@ -192,9 +198,13 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _check_size(path: Path, width: int, height: int) -> None:
+def _check_size(path: Path, width: int, height: int, max_pixels: int | None = None) -> None:
     if width < 1 or height < 1:
         raise InputError(path.name, f"the image has no pixels ({width} x {height})", "export it again")
+    if max_pixels is not None and width * height > max_pixels:
+        raise InputError(
+            path.name, f"it claims {width} x {height} pixels; {max_pixels} are the limit", "make it smaller"
+        )
     if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS:
         raise InputError(
             path.name,
@@ -288,7 +298,7 @@ def _webp_size(data: bytes):
     return width & 0x3FFF, height & 0x3FFF
 
 
-def _exr_parts(path: Path):
+def _exr_parts(path: Path, max_pixels: int | None = None):
     """The parts of an EXR as (channels by name, header), flat images only.
 
     The library prints its complaints about damaged parts and leaves the part out; they are caught here.
@@ -299,9 +309,9 @@ def _exr_parts(path: Path):
             header_only = OpenEXR.File(str(path), header_only=True)
             for part in header_only.parts:
                 low, high = part.header["displayWindow"]
-                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)))
+                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
                 low, high = part.header["dataWindow"]
-                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)))
+                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
             count = len(header_only.parts)
             parts = OpenEXR.File(str(path), separate_channels=True).parts if count else []
     except (RuntimeError, ValueError, TypeError, KeyError, MemoryError) as error:
@@ -311,9 +321,9 @@ def _exr_parts(path: Path):
     return [(part.channels, part.header) for part in parts if "deep" not in str(part.header.get("type", ""))]
 
 
-def _read_exr(path: Path):
+def _read_exr(path: Path, max_pixels: int | None = None):
     """(h, w, 1 or 3) floats, alpha or None, and where the data window is, of the first part with colours."""
-    for channels, header in _exr_parts(path):
+    for channels, header in _exr_parts(path, max_pixels):
         names = set(channels)
         layers = ["", *sorted((n[:-1] for n in names if n.endswith(".R")), key=lambda n: ("ombined" not in n, n))]
         for layer in layers:

@@ -7,6 +7,7 @@ The index is written last, so that a library which is being built is the one bef
 import difflib
 import hashlib
 import json
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -18,12 +19,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from btfsep_engine import atomic
 from btfsep_engine.btf import fmf, procedural
 from btfsep_engine.btf.directions import cosine_weights, ubo2014_directions
+from btfsep_engine.btf.lock import locked
 from btfsep_engine.btf.model import REFERENCE, Lambertian, Material, Mirror, Tabulated
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
 
 INDEX = "index.json"
 MAX_INDEX_BYTES = 16 << 20
+NAME = r"^[a-z0-9]+/[A-Za-z0-9._-]+$"
 # What the default library is measured with; the time and size that follow are in docs/library.md.
 DEFAULT_SETTINGS = {"mesh": 512, "texels": 80, "samples": 1, "components": 14, "seed": 0}
 
@@ -33,7 +36,7 @@ class Entry(BaseModel):
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
-    name: str = Field(pattern=r"^[a-z0-9]+/[A-Za-z0-9._-]+$", max_length=100)
+    name: str = Field(pattern=NAME, max_length=100)
     material_class: str = Field(alias="class", max_length=50)
     file: str = Field(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*\.btf$", max_length=150)  # a plain name: no way out
     texel_mm: float = Field(gt=0, lt=1000)
@@ -42,6 +45,7 @@ class Entry(BaseModel):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
     size: int = Field(gt=0)  # bytes
     relative_error: float | None = None  # of the factorisation against the measurement, its noise included
+    source: str = Field("", max_length=300)  # what it was imported from
     made_by: str = ""  # digest of the settings and of the maps; a build with the same one is not repeated
 
 
@@ -93,7 +97,7 @@ class Library:
     def _load_file(self, entry: Entry) -> Tabulated:
         path = self.folder / entry.file
         try:
-            right = path.stat().st_size == entry.size and _sha256(path) == entry.sha256
+            right = path.stat().st_size == entry.size and file_sha256(path) == entry.sha256
         except OSError as error:
             raise InputError(
                 f"material '{entry.name}'", f"{path}: {error.strerror}", "build or download the library again"
@@ -203,7 +207,7 @@ def build(
         if name not in procedural.NAMES:
             raise _unknown(name, procedural.NAMES)
     folder, reporter = Path(folder), reporter or Reporter()
-    entries = dict(open_library(folder).entries) if (folder / INDEX).exists() else {}
+    entries = entries_of(folder)
     for number, name in enumerate(names):
         reporter.progress("library", number / len(names), name)
         maps = procedural.maps(name, settings["mesh"])
@@ -212,8 +216,9 @@ def build(
             continue
         rest = {key: value for key, value in settings.items() if key != "mesh"}
         measured = measure(maps, reporter=reporter, **rest)
-        entries[name] = _store(folder, measured.material, maps, measured.relative_error, made_by)
-        _write_index(folder, entries)
+        entry = _store(folder, measured.material, maps, measured.relative_error, made_by)
+        with changing(folder) as entries:
+            entries[name] = entry
     reporter.progress("library", 1.0)
     return open_library(folder)
 
@@ -231,11 +236,28 @@ def _store(folder: Path, material: Tabulated, maps, relative_error: float, made_
         texel_mm=material.texel_mm,
         texels=material.texels.shape[:2],
         components=material.texels.shape[2],
-        sha256=_sha256(folder / file),
+        sha256=file_sha256(folder / file),
         size=(folder / file).stat().st_size,
         relative_error=round(relative_error, 4),
         made_by=made_by,
     )
+
+
+def entries_of(folder) -> dict:
+    """The entries of a library's index, name -> :class:`Entry`; empty where there is no index yet."""
+    return dict(open_library(folder).entries) if (Path(folder) / INDEX).exists() else {}
+
+
+@contextmanager
+def changing(folder):
+    """Yields the entries of ``folder``, read under a lock; what the block makes of them is the new index.
+
+    Two processes may add to one folder at once: each sees what the other has added. On an error nothing is written.
+    """
+    with locked(folder):
+        entries = entries_of(folder)
+        yield entries
+        _write_index(Path(folder), entries)
 
 
 def _write_index(folder: Path, entries: dict) -> None:
@@ -282,9 +304,10 @@ def _digest(maps: procedural.Maps, settings: dict) -> str:
 
 def _is_whole(folder: Path, entry: Entry) -> bool:
     path = folder / entry.file
-    return path.is_file() and path.stat().st_size == entry.size and _sha256(path) == entry.sha256
+    return path.is_file() and path.stat().st_size == entry.size and file_sha256(path) == entry.sha256
 
 
-def _sha256(path: Path) -> str:
+def file_sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -8,7 +8,6 @@ factorised anew in the linear domain, and kept in the cache folder under the has
 import json
 import zipfile
 import zlib
-from dataclasses import replace
 
 import numpy as np
 
@@ -30,7 +29,12 @@ MAX_DECODED_TEXELS = 1024 * 1024  # of a file that has to be decoded
 CLASSES = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
 
 
-def to_material(
+def to_material(file: BtfFile, **options) -> Tabulated:
+    """The material of an opened file; options and errors as in :func:`to_material_and_error`."""
+    return to_material_and_error(file, **options)[0]
+
+
+def to_material_and_error(
     file: BtfFile,
     *,
     name: str | None = None,
@@ -39,8 +43,8 @@ def to_material(
     components: int | None = None,
     flip_v: bool = False,
     reporter: Reporter | None = None,
-) -> Tabulated:
-    """The material of an opened file.
+) -> tuple[Tabulated, float]:
+    """The material of an opened file, and the relative error of factors that were made anew (else 0).
 
     Parameters
     ----------
@@ -72,7 +76,7 @@ def to_material(
     stem = file.path.name.split(".")[0]
     if material_class is None:
         material_class = next((c for c in CLASSES if stem.lower().startswith(c)), "unknown")
-    return Tabulated(
+    material = Tabulated(
         name=name or stem,
         material_class=material_class,
         texels=np.ascontiguousarray(texels[::-1] if flip_v else texels),
@@ -81,6 +85,7 @@ def to_material(
         lights=header.lights,
         texel_mm=1 / header.pixels_per_mm if header.pixels_per_mm > 0 else 0.25,
     )
+    return material, factors.relative_error
 
 
 def _own_factors(file: BtfFile, components: int | None) -> LinearFactors | None:
@@ -176,9 +181,3 @@ def cosine_included(file: BtfFile, cosine: str = "header", *, reporter: Reporter
                 )
             return not said
     return said
-
-
-def without_cosine(material: Tabulated) -> Tabulated:
-    """``material`` divided by cos(theta_i)."""
-    cosine = np.maximum(material.lights[:, 2], 1e-3).astype(np.float32)
-    return replace(material, angular=material.angular / cosine[None, :, None, None])
