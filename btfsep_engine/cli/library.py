@@ -7,6 +7,7 @@ import click
 
 from btfsep_engine.cli import words
 from btfsep_engine.cli.command import LIBRARY, command, opened_library
+from btfsep_engine.errors import InputError
 
 
 @click.group()
@@ -16,11 +17,23 @@ def library():
 
 @library.command("list")
 @LIBRARY
+@click.option("--thumbnails", type=click.Path(path_type=Path), help="Also write a PNG of each material here.")
+@click.option("--side", type=click.IntRange(16, 2048), default=160, show_default=True, help="Pixels of a thumbnail.")
 @command
-def library_list(*, library_folder, reporter):
+def library_list(*, library_folder, thumbnails, side, reporter):
     """The names and classes of all materials."""
     opened = opened_library(library_folder)
     materials = [{"name": n, "class": n.split("/")[0]} for n in opened.names()]
+    if thumbnails is not None:
+        from btfsep_engine.btf.thumbnail import render
+        from btfsep_engine.images import write_png
+
+        for number, material in enumerate(materials):
+            reporter.progress("thumbnails", number / len(materials), material["name"])
+            path = thumbnails / (material["name"].replace("/", "_") + ".png")
+            write_png(path, render(opened.load(material["name"]), side))
+            material["thumbnail"] = str(path)
+        reporter.progress("thumbnails", 1.0)
     return {"materials": materials}, "\n".join(m["name"] for m in materials)
 
 
@@ -54,3 +67,69 @@ def library_build(*, folder, names, reporter):
         built = build(folder, names=list(names) or None, reporter=reporter)
     result = {"library": str(folder), "materials": built.names()}
     return result, f"{len(result['materials'])} materials in {folder}"
+
+
+@library.command("import")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--name", required=True, help="Its name in the library.")
+@click.option("--class", "material_class", required=True, help="Its class: carpet, fabric, felt, leather, stone, …")
+@click.option("--library", "folder", required=True, type=click.Path(path_type=Path), help="Folder to add it to.")
+@click.option("--size-mm", type=float, help="Width of the patch.  [default: as the file says]")
+@click.option("--texel-mm", type=float, help="Edge of a texel, instead of --size-mm.")
+@click.option(
+    "--cosine",
+    type=click.Choice(["auto", "included", "excluded", "header"]),
+    default="auto",
+    show_default=True,
+    help="Whether cos(theta) of the light is in the data; auto asks reciprocity, then the file's header.",
+)
+@click.option("--components", type=int, help="Components kept.  [default: a linear file's own, else 32]")
+@click.option("--gamma", type=float, help="Of 8-bit images.  [default: sRGB]")
+@click.option("--scale", type=float, default=1.0, show_default=True, help="Multiplies images.")
+@click.option("--flip-v", is_flag=True, help="Turns the rows of texels over.")
+@click.option("--replace", "replace_old", is_flag=True, help="Replaces a material of the same name.")
+@command
+def library_import(*, source, folder, reporter, **options):
+    """Adds SOURCE: a UBO2014 .btf file, or a folder or zip of 81 x 81 images (UBO2003, ATRIUM, UTIA)."""
+    from btfsep_engine.btf.importing import import_material
+
+    with reporter.stage("import"):
+        result = import_material(folder, source, reporter=reporter, **options)
+    return {"library": str(folder), **result}, words.imported(result)
+
+
+@library.command("check")
+@click.argument("name", required=False)
+@LIBRARY
+@command
+def library_check(*, name, library_folder, reporter):
+    """Looks over NAME, or all: content against the index, finite, reciprocal, less light out than in."""
+    from btfsep_engine.btf.checks import check
+
+    opened, results = opened_library(library_folder), []
+    names = [name] if name else opened.names()
+    for number, one in enumerate(names):
+        reporter.progress("check", number / len(names), one)
+        results.append(check(opened, one))
+        for problem in results[-1]["problems"]:
+            reporter.warn(f"{one}: {problem}")
+    reporter.progress("check", 1.0)
+    bad = [r for r in results if not r["ok"]]
+    if bad:
+        first = f"{bad[0]['name']}: {bad[0]['problems'][0]}"
+        raise InputError(
+            f"library {opened.folder}", f"{len(bad)} of {len(results)} materials are bad ({first})", "import them again"
+        )
+    return {"library": str(opened.folder), "materials": results}, words.checked(results)
+
+
+@library.command("remove")
+@click.argument("name")
+@click.option("--library", "folder", required=True, type=click.Path(path_type=Path), help="Folder to take it out of.")
+@command
+def library_remove(*, name, folder, reporter):
+    """Takes the material NAME out of a library folder, and its file."""
+    from btfsep_engine.btf.importing import remove
+
+    remove(folder, name)
+    return {"library": str(folder), "removed": name}, f"removed {name} from {folder}"

@@ -61,3 +61,27 @@ def facts(result: dict, indent: str = "") -> str:
 
 def _number(value) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def imported(result: dict) -> str:
+    """What an import has put into the library."""
+    h, w = result["texels"]
+    found = result["reciprocity"]
+    size = f"{w * result['texel_mm']:.3g} x {h * result['texel_mm']:.3g} mm"
+    return (
+        f"{result['name']}: {w} x {h} texels, {size}, {result['components']} components, "
+        f"{result['size'] / 1e6:.1f} MB\n"
+        f"cosine {result['cosine']} in the data (reciprocity error {found['as_stored']:.2f} as stored, "
+        f"{found['divided']:.2f} divided by the cosine: {found['verdict']})"
+    )
+
+
+def checked(results: list) -> str:
+    """A line for each material that was looked over."""
+    lines = []
+    for r in results:
+        facts = f"albedo {r['albedo'][0]:.2f} to {r['albedo'][1]:.2f}" if "albedo" in r else "could not be read"
+        if "reciprocity_error" in r:
+            facts += f", reciprocity error {r['reciprocity_error']:.3f}"
+        lines.append(f"{'good' if r['ok'] else 'BAD ':<5} {r['name']:<32} {facts}")
+    return "\n".join(lines)
