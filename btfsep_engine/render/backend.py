@@ -99,6 +99,8 @@ def try_backend(variant: str, library: str = "") -> str:
     if run.returncode == 0 and '"ok": true' in run.stdout:
         return ""
     lines = [line for line in run.stderr.strip().splitlines() if line.strip()]
+    # a shared library that is missing stands above the error that it led to
+    lines = [line for line in lines if "cannot open shared object file" in line][:1] or lines
     how = f"killed by signal {-run.returncode}" if run.returncode < 0 else f"exit status {run.returncode}"
     return f"{how}: {lines[-1].strip()[:200]}" if lines else how
 
@@ -154,6 +156,9 @@ def _try_all() -> Backend:
             if not failure:
                 return Backend(LLVM_VARIANT, library, ".".join(map(str, llvm_version(library))))
             failures.append(f"{library} ({failure})")
+    missing = next((word.rstrip(":") for f in failures for word in f.split() if "libatomic" in word), None)
+    if missing:
+        raise InputError("the renderer cannot start", f"{missing} is missing", "install it (apt-get install libatomic1)")
     raise InputError(
         "the renderer cannot start",
         "no libLLVM was found on this machine" if not failures else "tried " + ", ".join(failures),
