@@ -202,6 +202,7 @@ class _Reader:
                 if match is None:
                     return path, False
                 line = b"\n-Y %s +X %s\n" % (match[2], match[1])
+                self.scratch.unlink(missing_ok=True)  # writing over a file would wait for the disk
                 self.scratch.write_bytes(start[: match.start()] + line + start[match.end() :] + handle.read())
         except OSError as error:
             raise InputError(path.name, error.strerror or str(error), "check the file") from error
