@@ -14,6 +14,7 @@ dark ones), and a deviation counts at most CLIP times the mean. Otherwise the fe
 them the glints of single texels, would be all that the patterns explain.
 """
 
+import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,6 +78,38 @@ class StreamingFactoriser:
         self.scales.append(scale)
         self.w.append(np.clip((block - mean) * scale, -CLIP, CLIP) @ psi)
         self.y.append(self.omega @ block - np.outer(self.omega_sum, mean))
+
+    def taken(self, start: int = 0) -> dict:
+        """All that is kept of the blocks from number ``start`` on, as arrays by name; for :meth:`take_back`."""
+        floor = np.nan if self.floor is None else self.floor
+        return {
+            "start": np.array(start),
+            "lengths": np.array([len(m) for m in self.means[start:]]),
+            "means": np.concatenate(self.means[start:]),
+            "scales": np.concatenate(self.scales[start:]),
+            "w": np.concatenate(self.w[start:], 1),
+            "y": np.concatenate(self.y[start:], 1),
+            "total_and_floor": np.array([self.total, floor]),
+            "random": np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8),
+        }
+
+    def take_back(self, kept: dict) -> None:
+        """Goes on after the blocks that :meth:`taken` gave, in a factoriser made alike; bit by bit the same factors.
+
+        Raises
+        ------
+        ValueError
+            They do not follow on what is here.
+        """
+        if int(kept["start"]) != len(self.means):
+            raise ValueError(f"blocks from number {int(kept['start'])} on, after {len(self.means)} blocks")
+        ends = np.cumsum(kept["lengths"])[:-1]
+        self.means += np.split(kept["means"], ends)
+        self.scales += np.split(kept["scales"], ends)
+        self.w += np.split(kept["w"], np.cumsum(np.minimum(kept["lengths"], self.kept_columns))[:-1], 1)
+        self.y += np.split(kept["y"], ends, 1)
+        self.total, self.floor = (float(v) for v in kept["total_and_floor"])
+        self.rng.bit_generator.state = json.loads(bytes(kept["random"]))
 
     def finish(self) -> Factors:
         """The factors of all blocks, in the order they came."""

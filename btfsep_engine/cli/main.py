@@ -9,6 +9,7 @@ from btfsep_engine import __version__
 from btfsep_engine.cli import words
 from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
 from btfsep_engine.cli.library import library
+from btfsep_engine.cli.measure import measure
 from btfsep_engine.errors import InputError
 
 
@@ -144,6 +145,7 @@ def compare(*, a, b, job, order, library_folder, material, reporter):
     return result, words.compare(result)
 
 
+library.add_command(measure)
 cli.add_command(library)
 
 

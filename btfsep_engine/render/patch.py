@@ -45,6 +45,7 @@ def measure(
     views=None,
     seed: int = 0,
     reporter: Reporter | None = None,
+    checkpoints=None,
 ) -> Measurement:
     """Measures and factorises a patch, with cos(theta_i) as the weight of the fit.
 
@@ -56,6 +57,8 @@ def measure(
     components : of the factorisation, the mean included
     lights, views : (n, 3) float, unit, local; None: the 151 directions of UBO2014
     seed : the same seed on the same machine gives the same material
+    checkpoints : where finished views are kept (:class:`btfsep_engine.checkpoints.Checkpoints`), or None: nowhere.
+        A run that takes them up gives the same material, bit by bit
 
     Returns
     -------
@@ -65,9 +68,16 @@ def measure(
     lights, views = (ubo2014_directions() if d is None else np.asarray(d, np.float64) for d in (lights, views))
     factoriser = StreamingFactoriser(texels * texels, components, seed=seed)
     patch = Patch(maps, lights, seed=seed)
-    for number, block in enumerate(patch.views(views, texels=texels, samples=samples)):
+    for kept in checkpoints.load() if checkpoints else ():
+        factoriser.take_back(kept)
+    saved = len(factoriser.means)
+    first = saved // 3  # three blocks a view, one a channel
+    for number, block in enumerate(patch.views(views, texels=texels, samples=samples, first=first), first):
         for channel in block:
             factoriser.add(channel)
+        if checkpoints and checkpoints.due(last=number == len(views) - 1):
+            checkpoints.save(factoriser.taken(saved))
+            saved = len(factoriser.means)
         reporter.progress("measure", (number + 1) / len(views), maps.name)
     factors = factoriser.finish()
     angular = factors.angular.reshape(len(views), 3, len(lights), -1).transpose(0, 2, 1, 3)
@@ -117,15 +127,15 @@ class Patch:
 
         return mi.Vector3f(*(dr.gather(mi.Float, c, index) for c in (self.light_x, self.light_y, self.light_z)))
 
-    def views(self, views, *, texels: int, samples: int) -> Iterator[np.ndarray]:
-        """Looks at the patch from each view in turn.
+    def views(self, views, *, texels: int, samples: int, first: int = 0) -> Iterator[np.ndarray]:
+        """Looks at the patch from each view in turn, from number ``first`` on (each has its own random numbers).
 
         Yields
         ------
         (3, texels * texels, lights) float32, radiance under a directional light of unit irradiance (measured across
         its beam): the BTF **times cos(theta_i)**, 1/sr; texel = row * texels + column, row 0 at the smallest v
         """
-        for number, view in enumerate(np.asarray(views, np.float64)):
+        for number, view in enumerate(np.asarray(views, np.float64)[first:], first):
             total = None
             for sample in range(samples):
                 vertices = self._paths(view, texels, self.seed + 7919 * (number * samples + sample) + 2)
