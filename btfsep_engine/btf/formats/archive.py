@@ -3,6 +3,7 @@
 
 import lzma
 import os
+import struct
 import tempfile
 import zipfile
 import zlib
@@ -16,7 +17,17 @@ MAX_MEMBER_BYTES = 64 << 20
 MAX_TOTAL_BYTES = 64 << 30
 MAX_RATIO = 100  # images do not shrink so much; a bomb does
 SMALL = 1 << 20  # bytes below which the ratio says nothing
-DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, RuntimeError, NotImplementedError, ValueError)
+DAMAGED = (  # all that the zipfile module lets out on damaged input
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    LookupError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+)
 
 
 class Members:
@@ -74,7 +85,7 @@ class Members:
             path = PurePosixPath(info.filename.replace("\\", "/"))
             if path.is_absolute() or ".." in path.parts or info.filename[1:2] == ":":
                 raise self._fail(f"the name {info.filename[:80]!r} in it leads out of the folder")
-            if not info.is_dir():
+            if info.filename and not info.filename.endswith("/"):
                 self.infos[info.filename] = info
 
     @contextmanager
