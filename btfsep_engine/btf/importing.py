@@ -163,6 +163,7 @@ def add(
     *,
     height_mm=None,
     setup: str = "",
+    layout: str = "fmf",
     source: str = "",
     relative_error: float | None = None,
     made_by: str = "",
@@ -173,7 +174,7 @@ def add(
     Parameters
     ----------
     material : Tabulated; its name is "class/name"
-    height_mm, setup : as in :func:`write`
+    height_mm, setup, layout : as in :func:`write`
     source, relative_error, made_by : for the index
     overwrite : whether a material of this name is replaced
 
@@ -194,7 +195,7 @@ def add(
         ) from error
     scratch = Path(scratch)
     try:
-        write(scratch, material, height_mm=height_mm, setup=setup)
+        write(scratch, material, height_mm=height_mm, setup=setup, layout=layout)
         digest, size = file_sha256(scratch), scratch.stat().st_size
         with changing(folder) as entries:
             old = entries.get(material.name)

@@ -155,13 +155,12 @@ def _measure_and_add(read: TextureMaps, settings, directions, library, made_by, 
     albedo = found.material.albedo()
     if albedo.max() >= 1:
         reporter.warn(f"{maps.name}: from some views it reflects {albedo.max():.0%} of the light; take more --samples")
-    step = max(1, len(maps.height_mm) // settings.texels)  # the file keeps the height at about the texels' resolution
     with reporter.stage("writing"):
         entry = add(
             library,
             found.material,
-            height_mm=maps.height_mm[::step, ::step],
             setup="virtual gonioreflectometer, displaced patch",
+            layout="dfmf",  # what other programs read, pysmtb among them; it has no place for the height
             source="maps: " + ", ".join(read.files.values()),
             relative_error=found.relative_error,
             made_by=made_by,
