@@ -14,7 +14,7 @@ import numpy as np
 from btfsep_engine import atomic
 from btfsep_engine.btf import reciprocity
 from btfsep_engine.btf.formats.mapped import EXPORT, sha256
-from btfsep_engine.btf.formats.ubo2014 import BtfFile
+from btfsep_engine.btf.formats.ubo2014 import LARGEST, BtfFile
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.recompress import LinearFactors, recompress
 from btfsep_engine.cache import cache_folder
@@ -63,16 +63,23 @@ def to_material_and_error(
     """
     header, reporter = file.header, reporter or Reporter()
     included = cosine_included(file, cosine, reporter=reporter)
-    factors = _own_factors(file, components) or converted(file, components=components or COMPONENTS, reporter=reporter)
+    with np.errstate(over="ignore", invalid="ignore"):  # looked for below
+        factors = _own_factors(file, components)
+    if factors is None:
+        factors = converted(file, components=components or COMPONENTS, reporter=reporter)
     angular, texels = factors.angular, factors.spatial
-    for factor, label in ((angular, "the angular factor"), (texels, "the spatial factor")):
-        if not np.isfinite(factor).all():
-            raise InputError(str(file.path), f"{label} holds NaN or infinite values", EXPORT)
     k = texels.shape[1]
     angular = angular.reshape(len(header.views), len(header.lights), 3, k)
     texels = texels.reshape(header.height, header.width, k)
-    if included:
-        angular /= np.maximum(header.lights[:, 2], 1e-3).astype(np.float32)[None, :, None, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        if included:
+            angular /= np.maximum(header.lights[:, 2], 1e-3).astype(np.float32)[None, :, None, None]
+        largest = [max(factor.max(), -factor.min()) for factor in (angular, texels)]  # NaN stays NaN
+        possible = float(largest[0]) * float(largest[1]) * k < LARGEST
+    if not possible:
+        raise InputError(
+            str(file.path), f"its factors hold NaN or infinite values, or some beyond {LARGEST:.0e}", EXPORT
+        )
     stem = file.path.name.split(".")[0]
     if material_class is None:
         material_class = next((c for c in CLASSES if stem.lower().startswith(c)), "unknown")
