@@ -13,6 +13,7 @@ import numpy as np
 
 from btfsep_engine import atomic
 from btfsep_engine.btf import reciprocity
+from btfsep_engine.btf.formats.colour import RGB
 from btfsep_engine.btf.formats.mapped import EXPORT, sha256
 from btfsep_engine.btf.formats.ubo2014 import LARGEST, BtfFile
 from btfsep_engine.btf.model import Tabulated
@@ -100,10 +101,12 @@ def _own_factors(file: BtfFile, components: int | None) -> LinearFactors | None:
     if not file.linear:
         return None
     file = file if components is None else file.truncated(components)
-    if file.shared_spatial:
-        angular = np.stack([np.asarray(a, np.float32) for a in file.angular], 1)
-        return LinearFactors(np.array(file.spatial[0], np.float32), angular, 0.0)
     matrix, offset = file.colour.affine()
+    if file.shared_spatial and not offset.any():
+        angular = np.stack([np.asarray(a, np.float32) for a in file.angular], 1)
+        if file.colour.model != RGB:
+            angular = matrix @ angular
+        return LinearFactors(np.array(file.spatial[0], np.float32), angular, 0.0)
     total = sum(file.components) + int(offset.any())
     if components is not None and total > components:
         return None

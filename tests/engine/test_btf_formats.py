@@ -83,9 +83,11 @@ def test_both_layouts_and_all_signatures_of_fmf(tmp_path, rng, signature, transp
     np.testing.assert_allclose(some, truth[[1, 7]][:, [3, 0, 11]], rtol=2e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("repeated", [False, True])
 @pytest.mark.parametrize("model", [0, 1, 3, 4])
-def test_linear_models_keep_their_factors_and_become_rgb(tmp_path, rng, model):
-    u, sxv = factors(rng)
+def test_linear_models_keep_their_factors_and_become_rgb(tmp_path, rng, model, repeated):
+    u, sxv = factors(rng, (4, 4, 4) if repeated else (4, 3, 2))
+    sxv = [sxv[0]] * 3 if repeated else sxv
     data = btf_files.dfmf(u, sxv, model=model, mean=MEAN, matrix=MATRIX, dtype="<f4", cosine=1, **COMMON)
     (tmp_path / "felt03_x.btf").write_bytes(data)
     material = fmf.read(tmp_path / "felt03_x.btf")
@@ -94,6 +96,7 @@ def test_linear_models_keep_their_factors_and_become_rgb(tmp_path, rng, model):
     truth = truth.reshape(HEIGHT, WIDTH, len(VIEWS), len(LIGHTS), 3) / np.cos(LIGHTS[:, 0])[:, None]
     found = np.einsum("yxk,vlck->yxvlc", material.texels, material.angular)
     np.testing.assert_allclose(found, truth, rtol=1e-4, atol=1e-5)
+    assert material.texels.shape[2] == (4 if repeated and model != 3 else sum(len(a[0]) for a in u) + (model == 3))
     coarse = open_btf(tmp_path / "felt03_x.btf").truncated(2)
     assert coarse.components == (2, 2, 2)
     cut = expected(

@@ -11,6 +11,7 @@ and the colour model (or the dynamic range reduction) makes linear RGB of the th
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -55,10 +56,10 @@ class BtfFile:
         """Whether the factors can be used as they are."""
         return self.colour.linear
 
-    @property
+    @cached_property
     def shared_spatial(self) -> bool:
-        """Whether the three channels have one spatial factor in common."""
-        return self.spatial[0] is self.spatial[1] is self.spatial[2]
+        """Whether the three channels have one spatial factor in common, also where a file repeats it for each."""
+        return all(_alike(self.spatial[0], other) for other in self.spatial[1:])
 
     @property
     def texels(self) -> int:
@@ -117,6 +118,13 @@ class BtfFile:
         """(views, lights, 3) float32 of one texel."""
         values = self.decode([row * self.header.width + column], slice(None))
         return values.reshape(len(self.header.views), len(self.header.lights), 3)
+
+
+def _alike(a, b) -> bool:
+    """Whether two factors are the same; of different ones, which is the rule, little is read."""
+    if a is b:
+        return True
+    return a.shape == b.shape and np.array_equal(a[:16], b[:16]) and np.array_equal(a, b)
 
 
 def open_btf(path) -> BtfFile:
