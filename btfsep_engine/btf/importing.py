@@ -64,7 +64,7 @@ def read_source(
     name, material_class : as the material is to be called
     texel_mm, size_mm : edge of a texel, or width of the patch; None: as the file says
     cosine : "auto", "included", "excluded" or "header"; images have no header: "auto" then falls back to "included"
-    components : K at most; None: the file's own where they are linear, else 32
+    components : K at most; None: the file's own where they are linear and shared by the channels, else 32
     gamma, scale, flip_v : as in :func:`import_images`; scale is for images only
     reporter : told the progress
 
@@ -84,6 +84,8 @@ def read_source(
         file = open_btf(source)
         size = _texel_mm(file.header.width, texel_mm, size_mm, file.header.pixels_per_mm)
         included = linear.cosine_included(file, cosine, reporter=reporter)
+        if components is None and not (file.linear and file.shared_spatial):
+            components = linear.COMPONENTS  # three factors side by side would be three times the work for ever
         material, error = linear.to_material_and_error(
             file,
             name=name,

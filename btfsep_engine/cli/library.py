@@ -83,7 +83,7 @@ def library_build(*, folder, names, reporter):
     show_default=True,
     help="Whether cos(theta) of the light is in the data; auto asks reciprocity, then the file's header.",
 )
-@click.option("--components", type=int, help="Components kept.  [default: a linear file's own, else 32]")
+@click.option("--components", type=int, help="Components kept.  [default: a linear FMF file's own, else 32]")
 @click.option("--gamma", type=float, help="Of 8-bit images.  [default: sRGB]")
 @click.option("--scale", type=float, default=1.0, show_default=True, help="Multiplies images.")
 @click.option("--flip-v", is_flag=True, help="Turns the rows of texels over.")

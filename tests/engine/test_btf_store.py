@@ -89,6 +89,25 @@ def test_import_check_show_thumbnails_and_remove_by_commands(tmp_path, rng, caps
     assert status == 2 and "is not in" in lines[-1]["message"]
 
 
+def test_how_many_components_an_import_keeps(tmp_path, rng):
+    """A linear FMF file's own; three factors of their own become one; --components is obeyed by all."""
+    common = {"views": ANGLES, "lights": ANGLES, "width": 8, "height": 8}
+    pairs = len(ANGLES) ** 2
+    u = [rng.uniform(0.1, 0.2, (pairs, 20)) for _ in range(3)]
+    sxv = [rng.uniform(0, 0.05, (64, 20)) for _ in range(3)]
+    (tmp_path / "dfmf.btf").write_bytes(btf_files.dfmf(u, sxv, **common))
+    (tmp_path / "fmf.btf").write_bytes(btf_files.fmf(np.stack(u, 1).reshape(-1, 20), sxv[0], **common))
+    truth = np.stack([s @ a.T for a, s in zip(u, sxv, strict=True)], -1).reshape(8, 8, len(ANGLES), -1, 3)
+    for file, asked, kept in (("dfmf", None, 32), ("fmf", None, 20), ("dfmf", 5, 5), ("fmf", 5, 5)):
+        read = importing.read_source(
+            tmp_path / f"{file}.btf", name="a/b", material_class="a", cosine="excluded", components=asked
+        )
+        assert read.material.texels.shape[2] == kept
+        if file == "dfmf":
+            found = np.einsum("yxk,vlck->yxvlc", read.material.texels, read.material.angular)
+            assert np.linalg.norm(found - truth) < (0.02 if kept == 32 else 0.15) * np.linalg.norm(truth)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
