@@ -187,10 +187,14 @@ def test_the_shipped_materials_pass_the_check():
 
 
 WRITER = """
-import sys
+import sys, time
+from pathlib import Path
 from tests.engine.test_btf_store import flat
 from btfsep_engine.btf import importing
-for i in range(6):
+Path(sys.argv[3], sys.argv[2]).touch()
+while len(list(Path(sys.argv[3]).iterdir())) < 2:  # both begin together
+    time.sleep(0.001)
+for i in range(30):
     importing.add(sys.argv[1], flat(f"felt/{sys.argv[2]}{i}"))
 importing.remove(sys.argv[1], f"felt/{sys.argv[2]}0")
 """
@@ -198,14 +202,15 @@ importing.remove(sys.argv[1], f"felt/{sys.argv[2]}0")
 
 def test_two_processes_add_and_remove_at_once(tmp_path, request):
     folder = tmp_path / "library"
-    commands = [[sys.executable, "-c", WRITER, str(folder), who] for who in ("a", "b")]
+    (tmp_path / "ready").mkdir()
+    commands = [[sys.executable, "-c", WRITER, str(folder), who, str(tmp_path / "ready")] for who in ("a", "b")]
     running = [subprocess.Popen(c, cwd=request.config.rootpath) for c in commands]
     assert [p.wait(120) for p in running] == [0, 0]
     opened = library.open_library(folder)
-    assert set(opened.entries) == {f"felt/{who}{i}" for who in "ab" for i in range(1, 6)}
+    assert set(opened.entries) == {f"felt/{who}{i}" for who in "ab" for i in range(1, 30)}
     for name in opened.entries:
         opened.load(name)
-    assert len(list(folder.glob("*.btf"))) == 10 and not list(folder.glob(".adding-*"))
+    assert len(list(folder.glob("*.btf"))) == 58 and not list(folder.glob(".adding-*"))
 
 
 def test_two_conversions_at_once_leave_one_whole_file(tmp_path, rng):
