@@ -158,7 +158,8 @@ def _try_all() -> Backend:
             failures.append(f"{library} ({failure})")
     missing = next((word.rstrip(":") for f in failures for word in f.split() if "libatomic" in word), None)
     if missing:
-        raise InputError("the renderer cannot start", f"{missing} is missing", "install it (apt-get install libatomic1)")
+        remedy = "install it (Debian, Ubuntu: apt-get install libatomic1)"
+        raise InputError("the renderer cannot start", f"{missing} is missing", remedy)
     raise InputError(
         "the renderer cannot start",
         "no libLLVM was found on this machine" if not failures else "tried " + ", ".join(failures),
