@@ -5,9 +5,9 @@ import atexit
 
 import bpy
 
-from . import command, importer, operators, panels, preferences, properties
+from . import command, importer, measure, operators, panels, preferences, properties
 
-MODULES = (properties, preferences, operators, importer, panels, command)
+MODULES = (properties, preferences, operators, importer, measure, panels, command)
 
 
 def register():

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_process, export, lighting_file, preferences, runs, world
+from . import engine_process, export, lighting_file, measure, preferences, runs, world
 from .errors import InputError
 from .operators import chosen, take_materials
 from .properties import PRESETS
@@ -102,6 +102,8 @@ def _parser() -> argparse.ArgumentParser:
     apply.add_argument("lighting")
     apply.add_argument("--scene", help="name of the scene (default: the active one)")
     apply.set_defaults(run=_apply)
+
+    measure.add_command(commands, scene_of=_scene, object_of=_object, run_engine=_run_engine, say=_say)
     return parser
 
 

@@ -82,6 +82,7 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         chosen = preferences.get(context)
         if isinstance(chosen, bpy.types.AddonPreferences):
             split.prop(chosen, "library", text="Library")
+        layout.operator("btfsep.measure_material", icon="NODE_MATERIAL")
         if entry is not None and entry.candidates:
             self._candidates(context, layout, entry)
 

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Measuring the active object's material into a material library: its maps are baked, the engine measures them."""
+
+import re
+import shutil
+import tempfile
+from pathlib import Path
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+
+from . import bake, preferences, runs
+from .errors import InputError
+
+CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
+RESOLUTION = 512  # pixels along an edge of the baked maps
+TEXELS, SAMPLES = 80, 1  # the engine's own defaults
+
+runs.STAGES |= {"maps": ("Reading the maps", 0.0, 0.02), "measure": ("Measuring", 0.02, 0.97)}
+
+
+def material_of(thing):
+    """The active material of an object. Raises InputError."""
+    if thing is None:
+        raise InputError("the active object", "there is none", "select the object whose material is to be measured")
+    if thing.active_material is None:
+        raise InputError(f"object '{thing.name}'", "it has no material", "give it one, or select another object")
+    return thing.active_material
+
+
+def default_name(material) -> str:
+    """The material's name as the library takes names: letters, digits, dots, - and _."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", material.name).strip("-.") or "material"
+
+
+def library_folder(given: str = "") -> Path:
+    """Where a measured material goes: ``given``, else the preferences' library. Raises InputError."""
+    folder = given or preferences.get().library
+    if not folder:
+        raise InputError(
+            "the material library",
+            "none is chosen, and the engine's own is not written to",
+            "choose a folder in the preferences of BTFsep; it is made if it is not there",
+        )
+    return Path(bpy.path.abspath(folder)).absolute()
+
+
+def write_maps(scene, thing, material, folder, *, size_mm: float, height_mm: float = 0.0, resolution=RESOLUTION):
+    """Bakes the maps of ``material`` on ``thing`` into ``folder``.
+
+    Parameters
+    ----------
+    scene : its unit scale says what a millimetre is
+    thing : bpy.types.Object; its UV maps' names and its scale are used
+    size_mm : edge of the square that is measured; UV 0 to 1, object coordinates around the origin
+    height_mm : 0: as the material says; else what the lowest and the highest place differ by
+
+    Returns
+    -------
+    options for the engine, warnings. Raises InputError
+    """
+    if not 0 <= height_mm <= size_mm:
+        raise InputError("the height", f"{height_mm:g} mm", "give 0 (as the material says) to the size of the patch")
+    millimetres = 1000 * scene.unit_settings.scale_length
+    names = [layer.name for layer in thing.data.uv_layers] if thing.type == "MESH" else []
+    grown = abs(thing.matrix_world.determinant()) ** (1 / 3)
+    maps = bake.bake_material(
+        material, size=size_mm / millimetres, resolution=resolution, uv_names=names or ("UVMap",), scale=grown
+    )
+    return bake.write_maps(maps, folder, millimetres=millimetres, height_mm=height_mm), maps.warnings
+
+
+def engine_arguments(folder, name, material_class, size_mm, options) -> list:
+    """The engine's command for baked maps, without ``--library``."""
+    named = ["--name", name, "--class", material_class, "--size-mm", size_mm]
+    return ["library", "measure", "--maps", folder, *named, *options]
+
+
+class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
+    """Measure the active object's material into the material library, as a BTF that photos can be matched with"""
+
+    bl_idname = "btfsep.measure_material"
+    bl_label = "Measure Material"
+    bl_options = {"REGISTER"}
+    task = "Measuring"
+
+    name: StringProperty(
+        name="Name", description="Its name in the library. Empty: the material's", options={"SKIP_SAVE"}
+    )
+    material_class: EnumProperty(name="Class", items=[(c, c.capitalize(), "") for c in CLASSES_OF_MATERIAL])
+    size_mm: FloatProperty(
+        name="Size",
+        description="What is measured, in millimetres: a square, UV 0 to 1, around the object's origin",
+        default=30.0,
+        min=0.1,
+        max=10_000,
+    )
+    height_mm: FloatProperty(
+        name="Height",
+        description="From the lowest to the highest place, in millimetres. 0: as the material says",
+        min=0,
+    )
+    texels: IntProperty(
+        name="Texels", description="Along an edge; the time grows with their square", default=TEXELS, min=8, max=1024
+    )
+    samples: IntProperty(
+        name="Samples", description="Paths a texel and view; the time grows with them", default=SAMPLES, min=1, max=256
+    )
+    replace: BoolProperty(name="Replace", description="Replace a material of this name", options={"SKIP_SAVE"})
+    library: StringProperty(
+        name="Library",
+        description="Folder of the library, made if it is not there. Empty: the preferences' one",
+        subtype="DIR_PATH",
+    )
+    ask: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        reason = ""
+        if runs.is_running():
+            reason = "The engine is running: wait or cancel"
+        elif context.object is None or context.object.active_material is None:
+            reason = "Select an object that has a material"
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def invoke(self, context, event):
+        if bpy.app.background or not self.ask:
+            return super().invoke(context, event)
+        self.name = self.name or default_name(material_of(context.object))
+        self.library = self.library or preferences.get(context).library
+        self._asked = True
+        return context.window_manager.invoke_props_dialog(self, width=340)
+
+    def execute(self, context):
+        if not getattr(self, "_asked", False):
+            return super().execute(context)
+        chosen = {name: getattr(self, name) for name in self.__annotations__ if name != "ask"}
+        bpy.ops.btfsep.measure_material("INVOKE_DEFAULT", ask=False, **chosen)  # the dialog ends, the run begins
+        return {"FINISHED"}
+
+    def begin(self, context):
+        thing = context.object
+        material = material_of(thing)
+        library = library_folder(self.library)
+        self._folder = Path(tempfile.mkdtemp(prefix="btfsep-maps-", dir=bpy.app.tempdir))
+        try:
+            options, warnings = write_maps(
+                context.scene, thing, material, self._folder, size_mm=self.size_mm, height_mm=self.height_mm
+            )
+        except InputError:
+            self._clear()
+            raise
+        for warning in warnings:
+            runs.run_state().warnings.add().name = warning
+            self.report({"WARNING"}, warning)
+        options += ["--texels", self.texels, "--samples", self.samples, *(["--replace"] if self.replace else [])]
+        name = self.name or default_name(material)
+        arguments = engine_arguments(self._folder, name, self.material_class, self.size_mm, options)
+        return [*arguments, "--library", library]
+
+    def _end(self, context, last):
+        self._clear()
+        return super()._end(context, last)
+
+    def cancel(self, context):
+        super().cancel(context)
+        self._clear()
+
+    def _clear(self):
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def finish(self, context, result):
+        if not result.get("measured", True):
+            return f"{result['name']} is in the library already, measured in the same way"
+        return f"{result['name']} is in {result['library']}; relief {result['relief_mm']:.2g} mm"
+
+
+def add_command(commands, *, scene_of, object_of, run_engine, say) -> None:
+    """Adds ``measure`` to the command line of :mod:`.command`; the functions are that module's."""
+    parser = commands.add_parser("measure", help="measure an object's material into a library")
+    parser.add_argument("--scene", help="name of the scene (default: the active one)")
+    parser.add_argument("--object", help="name of the object (default: the active one)")
+    parser.add_argument("--material", help="name of its material (default: its active one)")
+    parser.add_argument("--name", help="in the library (default: the material's)")
+    parser.add_argument("--class", dest="material_class", required=True, help=", ".join(CLASSES_OF_MATERIAL))
+    parser.add_argument("--size-mm", type=float, required=True, help="edge of the square that is measured")
+    parser.add_argument(
+        "--height-mm", type=float, default=0.0, help="lowest to highest (default: as the material says)"
+    )
+    parser.add_argument("--resolution", type=int, default=RESOLUTION, help="pixels of the baked maps")
+    parser.add_argument("--maps", help="folder for the baked maps (default: one that is removed afterwards)")
+    parser.add_argument("--library", help="folder to add it to (default: the preferences')")
+    parser.add_argument("--engine", help="Python, virtual environment or btfsep program (default: the preferences')")
+    for option in ("texels", "samples", "components", "seed"):
+        parser.add_argument(f"--{option}", type=int, help="as the engine has it")
+    parser.add_argument("--replace", action="store_true", help="replace a material of the same name")
+
+    def run(options):
+        scene = scene_of(options)
+        thing = object_of(scene, options.object) if options.object else scene.view_layers[0].objects.active
+        material = material_of(thing)
+        if options.material:
+            material = next((s.material for s in thing.material_slots if s.name == options.material), None)
+            if material is None:
+                names = ", ".join(f"'{s.name}'" for s in thing.material_slots)
+                raise InputError(
+                    f"object '{thing.name}'", f"it has no material '{options.material}'", f"choose from {names}"
+                )
+        if not 0.1 <= options.size_mm <= 10_000 or not 16 <= options.resolution <= 4096:
+            raise InputError(
+                f"{options.size_mm:g} mm of {options.resolution} pixels",
+                "that cannot be measured",
+                "give 0.1 to 10000 mm and 16 to 4096 pixels",
+            )
+        library = library_folder(options.library or "")
+        options.library = str(library)
+        folder = Path(options.maps).absolute() if options.maps else Path(tempfile.mkdtemp(prefix="btfsep-maps-"))
+        try:
+            arguments, warnings = write_maps(
+                scene,
+                thing,
+                material,
+                folder,
+                size_mm=options.size_mm,
+                height_mm=options.height_mm,
+                resolution=options.resolution,
+            )
+            for warning in warnings:
+                say(f"warning: {warning}")
+            for option in ("texels", "samples", "components", "seed"):
+                if getattr(options, option) is not None:
+                    arguments += [f"--{option}", getattr(options, option)]
+            arguments += ["--replace"] if options.replace else []
+            name = options.name or default_name(material)
+            result = run_engine(
+                options, engine_arguments(folder, name, options.material_class, options.size_mm, arguments)
+            )
+        finally:
+            if not options.maps:
+                shutil.rmtree(folder, ignore_errors=True)
+        say(f"{result['name']}: {library / result['file']}")
+
+    parser.set_defaults(run=run)
+
+
+def register():
+    bpy.utils.register_class(BTFSEP_OT_measure_material)
+
+
+def unregister():
+    bpy.utils.unregister_class(BTFSEP_OT_measure_material)
