@@ -280,3 +280,48 @@ def test_the_button_needs_a_library_and_a_material(thing, fake_engine):
     with pytest.raises(RuntimeError, match="Select an object that has a material"):
         bpy.ops.btfsep.measure_material()
     assert measure.default_name(bpy.data.materials["Checked Noise!"]) == "Checked-Noise"
+
+
+def test_the_command_line(thing, fake_engine, tmp_path, capsys):
+    from blender_btfsep import command
+
+    log, maps, lib = tmp_path / "log", tmp_path / "maps", tmp_path / "lib"
+    engine = fake_engine(log=str(log), lines=[{"type": "done", "result": RESULT}])
+    bpy.context.preferences.addons["blender_btfsep"].preferences.library = str(tmp_path / "another")
+    words = ["measure", "--engine", engine, "--class", "stone", "--size-mm", "25", "--resolution", "32"]
+    assert command.main([*words, "--library", str(lib), "--maps", str(maps), "--object", "Cube", "--seed", "7"]) == 0
+    assert str(lib / "stone_checks.btf") in capsys.readouterr().out
+    arguments = json.loads(log.read_text())
+    assert arguments[arguments.index("--name") + 1] == "Checked-Noise"
+    assert arguments[arguments.index("--seed") + 1] == "7" and arguments.count("--library") == 1
+    assert arguments[arguments.index("--library") + 1] == str(lib)
+    assert sorted(p.name for p in maps.iterdir()) == ["basecolor.exr", "height.exr", "roughness.exr"]
+    for faulty, said in (
+        (["--object", "Teapot"], "object 'Teapot'"),
+        (["--material", "Nothing"], "it has no material 'Nothing'; choose from 'Checked Noise!'"),
+        (["--height-mm", "26"], "the height; 26 mm"),
+        (["--resolution", "9"], "9 pixels"),
+    ):
+        assert command.main([*words, *faulty]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("error: ") and said in error and error.count("\n") == 1
+    thing.data.materials.clear()
+    assert command.main(words) == 2
+    assert "object 'Cube'; it has no material" in capsys.readouterr().err
+
+
+def test_the_engine_reads_what_was_baked(thing, scene, tmp_path):
+    """The same places, the same millimetres on both sides."""
+    from btfsep_engine.btf.texture_maps import read_maps
+
+    nodes = Nodes(thing.active_material)
+    displacement = nodes.add("Displacement", Height=nodes.waves(), Scale=0.002)
+    displacement.space = "WORLD"
+    nodes.put(displacement.outputs[0], nodes.output.inputs["Displacement"])
+    nodes.put(checker(nodes), nodes.shader.inputs["Base Color"])
+    options, _ = measure.write_maps(scene, thing, thing.active_material, tmp_path / "m", size_mm=SIZE_MM, resolution=N)
+    height_mm = float(options[options.index("--height-mm") + 1])
+    found = read_maps(tmp_path / "m", name="stone/x", size_mm=SIZE_MM, height_mm=height_mm, resolution=N).maps
+    expected = 2.0 * (expected_waves() - expected_waves().mean())
+    np.testing.assert_allclose(found.height_mm, expected, atol=2 * MEAN_OF_PIXEL)
+    np.testing.assert_allclose(found.base_colour, expected_checker(), atol=1e-4)
