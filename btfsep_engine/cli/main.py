@@ -51,6 +51,7 @@ def doctor(*, library_folder, reporter):
 @click.option("--material", help="The material of all objects, instead of recognition.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]")
 @click.option("--order", type=int, help="Order of the spherical harmonics, 0 to 9.")
+@click.option("--estimator", help="map (natural-light prior) or least-squares (the paper's).")
 @click.option("--appearance", help="mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=int, help="Light directions per pixel.")

@@ -33,6 +33,12 @@ class Fit:
     condition : 2-norm condition number of A (the worst channel)
     singular_values : (terms,) of A, descending, of the channel with the worst condition
     pixels : number of pixels used
+    effective_degrees_of_freedom : of a channel's unknowns, how many the photo decides (all, without a prior)
+    all_coefficients : with all orders of the fit, where it has more than it reports; else None
+    determined : (terms,) bool, where the fit itself can say (with a prior); else None
+    noise : standard deviation of a pixel's misfit over the photo's root mean square; None without a prior
+    block_correlation : the misfit's variance that a block shares, over a pixel's own; None without a prior
+    prior_scale : how strongly the light varies, over what natural light does on average; None without a prior
     """
 
     coefficients: np.ndarray
@@ -42,6 +48,12 @@ class Fit:
     condition: float
     singular_values: np.ndarray
     pixels: int
+    effective_degrees_of_freedom: float
+    all_coefficients: np.ndarray | None = None
+    determined: np.ndarray | None = None
+    noise: float | None = None
+    block_correlation: float | None = None
+    prior_scale: float | None = None
 
 
 def block_labels(pixels) -> np.ndarray:
@@ -112,7 +124,7 @@ def solve(basis, radiance, *, blocks) -> Fit:
     energy = np.maximum((radiance.astype(np.float64) ** 2).sum(0), 1e-300)
     per_channel = np.sqrt((residual**2).sum(0) / energy)
     total = float(np.sqrt((residual**2).sum() / energy.sum()))
-    return Fit(x, stddev, total, per_channel, condition, singular, p)
+    return Fit(x, stddev, total, per_channel, condition, singular, p, float(terms))
 
 
 def determined(coefficients, stddev, natural_amplitude) -> np.ndarray:

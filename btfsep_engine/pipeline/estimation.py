@@ -10,10 +10,11 @@ import numpy as np
 from btfsep_engine import report, sh
 from btfsep_engine.btf.model import Material, Tabulated
 from btfsep_engine.fit.least_squares import Fit, block_labels, determined, solve
+from btfsep_engine.fit.map_estimate import solve_map
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.light.natural import natural_amplitude, natural_prior
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -100,7 +101,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     materials = object_materials(scene, library, settings, names=names)
     sizes = np.array([r.sum() for r in scene.regions], np.float64)
     shares = np.maximum((settings.pixels * sizes / sizes.sum()).astype(int), 1) if settings.pixels else [0] * len(sizes)
-    basis_lights = SHBasis(settings.order)
+    basis_lights = SHBasis(settings.fit_order)
     with reporter.stage("transport"):
         chosen = [chosen_points(scene, i, int(shares[i]), settings) for i in range(len(materials))]
         indirect = scene.indirect([m.material for m in materials], basis_lights, bounces=settings.bounces)
@@ -116,18 +117,27 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
             labels = block_labels(points.pixels) + first
             first = labels.max() + 1 if len(labels) else first
             blocks.append(labels)
-        fit = solve(np.concatenate(basis), np.concatenate(measured), blocks=np.concatenate(blocks))
+        fit = _solved(np.concatenate(basis), np.concatenate(measured), np.concatenate(blocks), settings)
+    fitted = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
     residuals = [
-        float(np.linalg.norm(b - np.einsum("pmc,mc->pc", a, fit.coefficients)) / max(np.linalg.norm(b), 1e-30))
+        float(np.linalg.norm(b - np.einsum("pmc,mc->pc", a, fitted)) / max(np.linalg.norm(b), 1e-30))
         for a, b in zip(basis, measured, strict=True)
     ]
-    known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
+    known = fit.determined
+    if known is None:
+        known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
     lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev)
-    _warn(scene, materials, fit, residuals, lighting)
+    _warn(scene, materials, fit, residuals, lighting, settings)
     return Estimate(scene, materials, fit, lighting, residuals, [len(p) for p in chosen])
 
 
-def _warn(scene, materials, fit: Fit, residuals, lighting: Lighting) -> None:
+def _solved(basis, radiance, blocks, settings: Settings) -> Fit:
+    if settings.estimator == "least-squares":
+        return solve(basis, radiance, blocks=blocks)
+    return solve_map(basis, radiance, blocks=blocks, prior=natural_prior(settings.fit_order), order=settings.order)
+
+
+def _warn(scene, materials, fit: Fit, residuals, lighting: Lighting, settings: Settings) -> None:
     warn = scene.reporter.warn
     for obj, found, residual in zip(scene.job.objects, materials, residuals, strict=True):
         if residual > POOR_RESIDUAL:
@@ -135,10 +145,16 @@ def _warn(scene, materials, fit: Fit, residuals, lighting: Lighting) -> None:
                 f"the light explains object '{obj.name}' poorly (relative residual {residual:.2f}): the material "
                 f"({found.name}), the geometry or the camera may be wrong"
             )
-    if fit.condition > POOR_CONDITION:
+    count, terms = int(lighting.determined.sum()), len(lighting.determined)
+    if settings.estimator == "least-squares" and fit.condition > POOR_CONDITION:
         warn(
-            f"the fit is badly conditioned (condition number {fit.condition:.0f}): {int(lighting.determined.sum())} of "
-            f"{len(lighting.determined)} coefficients are determined by the photo; a lower --order is steadier"
+            f"the fit is badly conditioned (condition number {fit.condition:.0f}): {count} of {terms} coefficients are "
+            "determined by the photo; --estimator map or a lower --order is steadier"
+        )
+    if settings.estimator == "map" and not lighting.determined[: min(terms, 4)].all():
+        warn(
+            f"the photo determines {count} of {terms} coefficients, and not all of the first four, which hold the "
+            "main direction of the light: the others are natural light's average; see stddev in lighting.json"
         )
     radiance = sh.to_map(lighting.coefficients, 32, 64)
     if radiance.min() < -0.1 * radiance.max():
@@ -204,7 +220,12 @@ def result_record(found: Estimate, settings: Settings) -> dict:
         "residual": fit.residual,
         "residual_per_channel": fit.residual_per_channel,
         "order": settings.order,
-        "effective_degrees_of_freedom": terms,
+        "estimator": settings.estimator,
+        "fit_order": settings.fit_order,
+        "effective_degrees_of_freedom": fit.effective_degrees_of_freedom,
+        "noise": fit.noise,
+        "block_correlation": fit.block_correlation,
+        "prior_scale": fit.prior_scale,
         "determined": f"the photo determines {count} of {terms} coefficients",
         "condition_number": fit.condition,
         "saturated_pixels": scene.job.photo.saturated,

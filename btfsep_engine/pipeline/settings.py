@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from btfsep_engine.errors import InputError
 
 LARGEST_ORDER = 9
+ESTIMATORS = ("map", "least-squares")
 
 
 @dataclass(frozen=True)
@@ -16,6 +17,8 @@ class Settings:
     ----------
     preset : the name of the preset that these settings started from
     order : order of the spherical harmonics, 0 to 9
+    estimator : "map" (all orders up to 9 under a prior of natural light, ``order`` of them reported) or
+        "least-squares" (the paper's: the orders up to ``order`` and no others)
     appearance : "mean" (mean ABRDF, the paper's regulariser) or "textured" (the BTF with the computed charts)
     pixels : pixels used for the fit, 0: all
     directions : light directions per pixel
@@ -29,6 +32,7 @@ class Settings:
 
     preset: str = "balanced"
     order: int = 4
+    estimator: str = "map"
     appearance: str = "mean"
     pixels: int = 4000
     directions: int = 512
@@ -39,6 +43,11 @@ class Settings:
     training_turns: int = 2
     seed: int = 0
 
+    @property
+    def fit_order(self) -> int:
+        """The order up to which basis images are made and fitted."""
+        return LARGEST_ORDER if self.estimator == "map" else self.order
+
 
 PRESETS = {
     "draft": Settings("draft", pixels=1000, directions=256, bounces=2, training_pixels=8000, training_directions=128),
@@ -46,7 +55,7 @@ PRESETS = {
     "accurate": Settings(
         "accurate", pixels=16000, directions=1024, training_directions=512, training_pixels=24000, training_turns=4
     ),
-    "paper": Settings("paper", pixels=0, directions=1024, bounces=1),
+    "paper": Settings("paper", estimator="least-squares", pixels=0, directions=1024, bounces=1),
 }
 
 
@@ -63,6 +72,8 @@ def choose(preset: str = "balanced", **changes) -> Settings:
     settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
     if not 0 <= settings.order <= LARGEST_ORDER:
         raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}")
+    if settings.estimator not in ESTIMATORS:
+        raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
     if settings.appearance not in ("mean", "textured"):
         raise InputError("--appearance", f"'{settings.appearance}'", "choose 'mean' or 'textured'")
     if settings.classifier not in ("svm", "nearest"):
