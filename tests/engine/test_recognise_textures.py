@@ -235,7 +235,7 @@ def test_files_whose_parts_do_not_fit_are_refused(svm, tmp_path):
 
 
 def test_cache_keeps_and_mends(svm, nearest, tmp_path, monkeypatch):
-    monkeypatch.setenv(model_file.ENVIRONMENT, str(tmp_path / "cache"))
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
     calls = []
 
     def make():
