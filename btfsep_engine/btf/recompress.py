@@ -81,15 +81,19 @@ def recompress(
     basis = np.linalg.qr(sketch)[0].astype(np.float32)
 
     # sweep 2: M ~ basis @ projected.T on the sampled rows
-    projected = np.empty((pairs, 3, rank), np.float32)
+    projected, gram = np.empty((pairs, 3, rank), np.float32), np.zeros((rank, rank))
     for part in sweeps:
         block = decode(chosen, part) * scale[part]
         projected[part] = np.einsum("tnc,tr->ncr", block, basis, optimize=True)
+        flat = projected[part].reshape(-1, rank).astype(np.float64)
+        gram += flat.T @ flat
         tell(block.size // 3)
-    gram = np.einsum("ncr,ncs->rs", projected, projected, dtype=np.float64, optimize=True)
     values, vectors = np.linalg.eigh(gram)
     k = max(1, min(components, int((values > values.max() * 1e-12).sum())))
-    angular = projected @ vectors[:, ::-1][:, :k].astype(np.float32)
+    leading = vectors[:, ::-1][:, :k].astype(np.float32)
+    angular = np.empty((pairs, 3, k), np.float32)
+    for part in sweeps:
+        angular[part] = projected[part] @ leading
     del projected
 
     # sweep 3: every texel's coordinates, by the sampled columns
