@@ -14,7 +14,6 @@ from .errors import InputError
 
 CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
 RESOLUTION = 512  # pixels along an edge of the baked maps
-TEXELS, SAMPLES = 80, 1  # the engine's own defaults
 
 runs.STAGES |= {"maps": ("Reading the maps", 0.0, 0.02), "measure": ("Measuring", 0.02, 0.97)}
 
@@ -101,10 +100,10 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
         min=0,
     )
     texels: IntProperty(
-        name="Texels", description="Along an edge; the time grows with their square", default=TEXELS, min=8, max=1024
+        name="Texels", description="Along an edge; the time grows with their square. 0: by the size", min=0, max=1024
     )
     samples: IntProperty(
-        name="Samples", description="Paths a texel and view; the time grows with them", default=SAMPLES, min=1, max=256
+        name="Samples", description="Paths a texel and view; the time grows with them", default=1, min=1, max=256
     )
     replace: BoolProperty(name="Replace", description="Replace a material of this name", options={"SKIP_SAVE"})
     library: StringProperty(
@@ -155,7 +154,8 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
         for warning in warnings:
             runs.run_state().warnings.add().name = warning
             self.report({"WARNING"}, warning)
-        options += ["--texels", self.texels, "--samples", self.samples, *(["--replace"] if self.replace else [])]
+        options += ["--samples", self.samples, *(["--texels", self.texels] if self.texels else [])]
+        options += ["--replace"] if self.replace else []
         name = self.name or default_name(material)
         arguments = engine_arguments(self._folder, name, self.material_class, self.size_mm, options)
         return [*arguments, "--library", library]

@@ -21,7 +21,7 @@ def _number(name: str, words: str):
 @click.option("--size-mm", required=True, type=float, help="What the (longer) edge of the maps spans on the material.")
 @click.option("--height-mm", type=float, help="From black to white of the height map; needless with normals alone.")
 @click.option("--library", "folder", required=True, type=click.Path(path_type=Path), help="Folder to add it to.")
-@_number("texels", "Texels along an edge; the time grows with their square.")
+@click.option("--texels", type=int, help="Along an edge; time grows with their square.  [default: 2 a mm, 80 to 160]")
 @_number("components", "Components of the factorisation.")
 @_number("samples", "Paths a texel and view; the time grows with them.")
 @_number("seed", "Of all random numbers; the same one gives the same file.")

@@ -3,7 +3,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from btfsep_engine.progress import Reporter
 from btfsep_engine.render.patch import measure
 
 LIMITS = {"texels": (8, 1024), "samples": (1, 256), "components": (2, 64), "seed": (0, 2**31 - 1), "mesh": (4, 2048)}
+TEXEL_MM, FEWEST_AND_MOST = 0.5, (80, 160)  # the grain of leather, 80 mm of it, is lost with 1 mm and seen with 0.5
 VERSION = 1  # of the measurement; another one when the same maps would give another material
 
 
@@ -30,13 +31,16 @@ class MeasureSettings:
 
     Attributes
     ----------
-    texels : along an edge; samples : paths a texel and view; components : of the factorisation
-    seed : of all random numbers; mesh : vertices along an edge of a tile
+    texels : along an edge; None: see :func:`default_texels`
+    samples : paths a texel and view
+    components : of the factorisation
+    seed : of all random numbers
+    mesh : vertices along an edge of a tile
     f0 : specular reflectance at normal incidence
     normal_convention : "auto", "opengl" or "directx"
     """
 
-    texels: int = DEFAULT_SETTINGS["texels"]
+    texels: int | None = None
     samples: int = DEFAULT_SETTINGS["samples"]
     components: int = DEFAULT_SETTINGS["components"]
     seed: int = DEFAULT_SETTINGS["seed"]
@@ -44,12 +48,19 @@ class MeasureSettings:
     f0: float = 0.04
     normal_convention: str = "auto"
 
-    def checked(self) -> "MeasureSettings":
-        """Itself. Raises InputError where a number is out of its range."""
+    def checked(self, size_mm: float) -> "MeasureSettings":
+        """Itself, the texels filled in. Raises InputError where a number is out of its range."""
         for key, (low, high) in LIMITS.items():
-            if not low <= getattr(self, key) <= high:
-                raise InputError(f"--{key} {getattr(self, key)}", "it is out of range", f"give {low} to {high}")
-        return self
+            value = getattr(self, key)
+            if value is not None and not low <= value <= high:
+                raise InputError(f"--{key} {value}", "it is out of range", f"give {low} to {high}")
+        return self if self.texels else replace(self, texels=default_texels(size_mm))
+
+
+def default_texels(size_mm: float) -> int:
+    """Texels along an edge of about :data:`TEXEL_MM`, within :data:`FEWEST_AND_MOST` (time grows with the square)."""
+    fewest, most = FEWEST_AND_MOST
+    return int(min(max(fewest, np.ceil(np.nan_to_num(size_mm) / TEXEL_MM)), most))
 
 
 def measure_maps(
@@ -92,7 +103,7 @@ def measure_maps(
     InputError
         Maps, name, numbers or library folder that will not do; no working renderer.
     """
-    settings, reporter = (settings or MeasureSettings()).checked(), reporter or Reporter()
+    settings, reporter = (settings or MeasureSettings()).checked(size_mm), reporter or Reporter()
     full = full_name(name, material_class)
     if material_class not in CLASSES:
         reporter.warn(

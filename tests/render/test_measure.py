@@ -155,7 +155,8 @@ def test_damaged_checkpoints_are_made_again(tmp_path, cache):
     parts = kept(cache)
     assert [p.name for p in parts] == ["0000.part", "0001.part", "0002.part", "0003.part"]
     data = parts[1].read_bytes()
-    parts[1].write_bytes(data[:-500])
+    parts[1].write_bytes(bytes(32) + data[32:])  # not the digest of what follows
+    parts[3].write_bytes(parts[3].read_bytes()[:-500])
     count = Count()
     again = run(maps, tmp_path / "again", reporter=count)
     assert count.views == 7
@@ -211,6 +212,11 @@ def test_bad_options_are_refused_before_the_work(tmp_path, options, words):
     with pytest.raises(InputError) as caught:
         run(write_maps(tmp_path), tmp_path / "lib", options.pop("settings", SMALL), **options)
     assert words in str(caught.value) and not (tmp_path / "lib").exists()
+
+
+def test_texels_follow_the_size_unless_given():
+    assert [MeasureSettings().checked(mm).texels for mm in (5, 30, 60, 80, 500)] == [80, 80, 120, 160, 160]
+    assert MeasureSettings(texels=16).checked(500).texels == 16
 
 
 def test_the_command(tmp_path, capsys, monkeypatch):
