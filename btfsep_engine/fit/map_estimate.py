@@ -37,7 +37,7 @@ from btfsep_engine import sh
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.least_squares import Fit
 
-COARSENING = 7.0
+COARSENING = 5.0
 BLOCK_CORRELATIONS = (0.0, 0.03, 0.1, 0.3)  # c: variance that a block's pixels share over a pixel's own
 LOG_RATIOS = np.linspace(-8, 30, 153)  # of q, for A of unit response to the first basis light
 LEAST_NOISE = 1e-12  # of the photo's energy: noiseless synthetic photos

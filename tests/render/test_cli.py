@@ -73,6 +73,26 @@ def test_presets_and_options_reach_the_run(sphere_job_folder, capsys, tmp_path):
     assert not (folder / "result").exists()
 
 
+@pytest.mark.parametrize("how, fitted", [(["--preset", "paper"], 2), (["--estimator", "map"], 9), ([], 9)])
+def test_the_estimator_is_the_presets_or_as_told(sphere_job_folder, capsys, how, fitted):
+    """The paper's fit has the reported orders and no others; the prior's has all, and reports what was asked for."""
+    folder, truth = sphere_job_folder
+    assert main(["estimate", str(folder), *WHITE, "--order", "2", "--no-report", *how, "--json"]) == 0
+    result = json_lines(capsys.readouterr().out)[-1]["result"]
+    assert result["settings"]["estimator"] == result["estimator"] == ("map" if fitted == 9 else "least-squares")
+    assert (result["fit_order"], result["order"]) == (fitted, 2)
+    found = read_lighting(result["lighting"])
+    assert found.coefficients.shape == (9, 3)
+    assert np.linalg.norm(found.coefficients - truth) < 0.03 * np.linalg.norm(truth)
+    count = int(found.determined.sum())
+    assert result["determined"] == f"the photo determines {count} of 9 coefficients"
+    if fitted == 2:
+        assert result["effective_degrees_of_freedom"] == 9 and result["noise"] is None
+    else:
+        assert 8 < result["effective_degrees_of_freedom"] < 100 and result["noise"] < 0.05
+        assert 0.02 < result["prior_scale"] < 10 and result["block_correlation"] >= 0
+
+
 def test_a_known_light_survives_relight_and_estimate(sphere_job_folder, capsys, tmp_path):
     """relight makes a photo under a known light; estimate gives that light back."""
     folder, _ = sphere_job_folder
@@ -166,6 +186,7 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(sphere_job_folder, capsy
         ["estimate", "JOB", "--preset", "fast"],
         ["estimate", "JOB", "--appearance", "shiny"],
         ["estimate", "JOB", "--directions", "1"],
+        ["estimate", "JOB", "--estimator", "bayes"],
         ["estimate", "JOB", "--order", "two"],
         ["relight", "JOB", "--lighting", "none.json", "--out", "x.exr"],
         ["nonsense"],

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The estimate under a prior: against full covariance matrices, its limits, its calibration, truncation, turns."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from btfsep_engine import sh
+from btfsep_engine.errors import InputError
+from btfsep_engine.fit import map_estimate
+from btfsep_engine.fit.least_squares import solve
+from btfsep_engine.fit.map_estimate import Photo, posterior, solve_map
+from btfsep_engine.light.natural import held_out, learn, natural_prior, relative_coefficients
+
+
+def view_of_a_sphere(rng, pixels=700, order=6):
+    """A slightly glossy sphere from one side: basis images (p, terms, 3), and blocks that are patches of it."""
+    n = rng.normal(size=(pixels, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    n[:, 1] = -np.abs(n[:, 1])  # the camera looks along +y
+    eye = np.array([0.0, -1.0, 0.0])
+    mirrored = 2 * (n @ eye)[:, None] * n - eye
+    l = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    matte = sh.evaluate(order, n) * np.concatenate([sh.cosine_lobe(order)])[l] / np.pi
+    gloss = 0.3 * sh.evaluate(order, mirrored) * np.exp(-l * (l + 1) * 0.03)
+    blocks = np.unique((n[:, 0] // 0.25) * 100 + n[:, 2] // 0.25, return_inverse=True)[1].reshape(-1)
+    return np.stack([albedo * matte + gloss for albedo in (0.7, 0.5, 0.3)], -1), blocks
+
+
+def drawn(rng, prior, *, level=2.0, scale=1.0):
+    """A light from the prior, (terms, 3), with its level given."""
+    terms = len(prior.mean)
+    channels = np.linalg.cholesky(np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3))
+    x = prior.mean[:, None] + scale * prior.deviation[:, None] * (rng.normal(size=(terms, 3)) @ channels.T)
+    x[0] = 1 + scale * prior.deviation[0] * rng.normal(size=3)
+    return level * x
+
+
+def photographed(rng, basis, x, blocks, *, noise, shared=0.0):
+    """The photo of a light with noise of the model: independent by pixel, ``shared`` of its variance by block."""
+    b = np.einsum("pmc,mc->pc", basis, x)
+    size = noise * np.sqrt((b**2).mean())
+    together = rng.normal(size=(blocks.max() + 1, 3))[blocks] * np.sqrt(shared)
+    return b + size * np.sqrt((basis[:, 0] ** 2).mean(0)) * 2 * (rng.normal(size=b.shape) + together)
+
+
+def by_noise(fit):
+    """The stated spread without its part for a wrong model."""
+    return np.sqrt(fit.stddev**2 - (fit.residual**2 * (fit.coefficients**2).mean(1, keepdims=True)))
+
+
+def test_it_is_the_posterior_of_full_covariance_matrices(rng):
+    """Gauss's formulas with every covariance written out: pixels by pixels, channels and blocks in it."""
+    basis, blocks = view_of_a_sphere(rng, pixels=90, order=2)
+    prior = natural_prior(2)
+    b = photographed(rng, basis, drawn(rng, prior), blocks, noise=0.1)
+    photo, c, q, v = Photo(basis, b, blocks), 0.4, 3.0, 0.02
+    channels = np.array([[1.2, 0.5, 0.1], [0.5, 1.0, 0.3], [0.1, 0.3, 0.8]])
+    values, vectors = np.linalg.eigh(prior.covariance())
+    factor = vectors * np.sqrt(np.maximum(values, 0))
+    evidence = photo.evidence(factor, c, channels)
+    x, stddev, freedom = posterior(evidence, factor, q, v)
+
+    response = np.sqrt((basis[:, 0] ** 2).mean(0))
+    a = np.zeros((3, 90, 3, 9))
+    for i in range(3):
+        a[i, :, i] = basis[:, :, i] / response[i]
+    a, y = a.reshape(270, 27), (b / response).T.ravel()
+    noise = v * np.kron(channels, np.eye(90) + c * (blocks[:, None] == blocks[None]))
+    signal = q * v * prior.covariance()
+    gain = signal @ a.T @ np.linalg.inv(a @ signal @ a.T + noise)
+    covariance = signal - gain @ a @ signal
+    assert np.allclose(x.T.ravel(), gain @ y, rtol=1e-6, atol=1e-9)
+    assert np.allclose(stddev.T.ravel(), np.sqrt(np.diag(covariance)), rtol=1e-6)
+    gram = a.T @ np.linalg.inv(noise) @ a
+    hat = np.linalg.inv(gram + np.linalg.inv(signal)) @ gram
+    assert freedom == pytest.approx(np.trace(hat), rel=1e-8)
+    # the evidence, up to a constant, is the density of y
+    total = a @ signal @ a.T + noise
+    growth = 1 + q * evidence.eigenvalues
+    left = evidence.energy - (q * evidence.projected**2 / growth).sum()
+    mine = np.log(growth).sum() + 270 * np.log(v) + evidence.log_determinant + left / v
+    assert mine == pytest.approx(np.linalg.slogdet(total)[1] + y @ np.linalg.solve(total, y), rel=1e-8)
+
+
+def test_without_a_prior_it_is_least_squares(rng):
+    basis, blocks = view_of_a_sphere(rng, order=2)
+    prior = natural_prior(2)
+    b = photographed(rng, basis, drawn(rng, prior), blocks, noise=0.1)
+    photo = Photo(basis, b, blocks)
+    factor = np.linalg.cholesky(prior.covariance())
+    plain = solve(basis, b, blocks=blocks).coefficients
+    distance = []
+    for q in (1e0, 1e3, 1e12):
+        x, _, freedom = posterior(photo.evidence(factor, 0.0, np.eye(3)), factor, q, 1.0)
+        distance.append(np.linalg.norm(x - plain))
+    assert distance[0] > distance[1] > distance[2] and distance[2] < 1e-6
+    assert freedom == pytest.approx(27, abs=1e-4)
+
+
+def test_the_stated_spread_covers_as_stated(rng, monkeypatch):
+    """Lights and noise of the model, its correlated part too: 68 % and 95 % intervals hold what they say."""
+    monkeypatch.setattr(map_estimate, "BLOCK_CORRELATIONS", (0.0, 0.1, 0.3, 1.0))
+    basis, blocks = view_of_a_sphere(rng, pixels=400, order=3)
+    prior = natural_prior(3)
+    inside = []
+    for _ in range(60):
+        x = drawn(rng, prior)
+        b = photographed(rng, basis, x, blocks, noise=0.05, shared=0.3)
+        photo_fit = solve_map(basis, b, blocks=blocks, prior=prior, order=3, coarsening=1)
+        stddev = by_noise(photo_fit)  # there is no wrong model here
+        # the terms of a photo fall together; the middle of the channels of every third counts as one try
+        z = np.abs((photo_fit.coefficients - x)[::3, 1] / stddev[::3, 1])
+        inside.append([z < 1, z < 1.96])
+    inside = np.array(inside)
+    tries = inside.shape[0] * inside.shape[2]
+    for k, share in enumerate((0.683, 0.95)):
+        low, high = binom.interval(0.999, tries, share)
+        assert low - 0.03 * tries <= inside[:, k].sum() <= high + 0.03 * tries
+
+
+def test_many_orders_under_a_prior_beat_a_series_cut_off(rng):
+    """Light with all orders, order 2 reported: at most half of plain least squares' error at order 4, in the median."""
+    basis, blocks = view_of_a_sphere(rng, order=9)
+    prior = natural_prior(9)
+    ratios = []
+    for _ in range(15):
+        x = drawn(rng, prior)
+        b = photographed(rng, basis, x, blocks, noise=0.01)
+        fit = solve_map(basis, b, blocks=blocks, prior=prior, order=2)
+        plain = solve(basis[:, :25], b, blocks=blocks)
+        assert fit.coefficients.shape == fit.stddev.shape == (9, 3) and fit.all_coefficients.shape == (100, 3)
+        ratios.append(np.linalg.norm(fit.coefficients - x[:9]) / np.linalg.norm(plain.coefficients[:9] - x[:9]))
+    assert np.median(ratios) < 0.5
+
+
+def test_what_is_reported_does_not_depend_on_the_reported_order(rng):
+    basis, blocks = view_of_a_sphere(rng, pixels=300, order=4)
+    b = photographed(rng, basis, drawn(rng, natural_prior(4)), blocks, noise=0.05)
+    low, high = (solve_map(basis, b, blocks=blocks, prior=natural_prior(4), order=k) for k in (1, 4))
+    assert np.array_equal(low.coefficients, high.coefficients[:4]) and np.array_equal(low.stddev, high.stddev[:4])
+    assert low.residual == high.residual and np.array_equal(low.determined, high.determined[:4])
+
+
+def test_a_turn_about_the_vertical_turns_the_answer(rng):
+    """World and light turned together: A D^T for A. A photo twice as bright: twice the light."""
+    basis, blocks = view_of_a_sphere(rng, order=4)
+    prior = learn(relative_coefficients(4), mean_order=2)  # with means, which only turns about the vertical keep
+    x = drawn(rng, prior)
+    b = photographed(rng, basis, x, blocks, noise=0.05)
+    fit = solve_map(basis, b, blocks=blocks, prior=prior, order=4)
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = sh.rotation_matrix(4, [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    turned = solve_map(np.einsum("pmc,nm->pnc", basis, turn), b, blocks=blocks, prior=prior, order=4)
+    assert np.allclose(turned.coefficients, turn @ fit.coefficients, atol=1e-6 * np.abs(x).max())
+    assert turned.effective_degrees_of_freedom == pytest.approx(fit.effective_degrees_of_freedom, rel=1e-6)
+    bright = solve_map(basis, 2 * b, blocks=blocks, prior=prior, order=4)
+    assert np.allclose(bright.coefficients, 2 * fit.coefficients) and np.allclose(bright.stddev, 2 * fit.stddev)
+
+
+def test_misfit_that_neighbours_share_is_seen_and_makes_it_less_sure(rng):
+    """Noise of one size: where blocks share it, the found correlation and the stated spread are larger."""
+    basis, blocks = view_of_a_sphere(rng, pixels=2000, order=4)
+    basis = np.repeat(basis[:100], 20, 0)  # neighbours see nearly the same
+    blocks = np.repeat(np.arange(100), 20)
+    prior = natural_prior(4)
+    x = drawn(rng, prior)
+    truth = np.einsum("pmc,mc->pc", basis, x)
+    size = 0.05 * truth.std()
+    apart = size * rng.normal(size=truth.shape)
+    together = size * np.sqrt([0.5]) * (rng.normal(size=(100, 3))[blocks] + rng.normal(size=truth.shape))
+    how = dict(blocks=blocks, prior=prior, order=2, coarsening=1)
+    one, other = (solve_map(basis, truth + n, **how) for n in (apart, together))
+    assert one.block_correlation <= 0.03 < 0.3 <= other.block_correlation
+    best = np.unravel_index(one.stddev.argmin(), one.stddev.shape)  # the others are the prior's affair
+    assert by_noise(other)[best] > 1.6 * by_noise(one)[best]
+
+
+def test_what_the_camera_cannot_see_is_not_determined(rng):
+    """A basis light without any effect keeps its prior's spread, is zero and not determined; the others are."""
+    basis, blocks = view_of_a_sphere(rng, order=2)
+    basis[:, 4:] = 0
+    prior = natural_prior(2)
+    x = drawn(rng, prior)
+    fit = solve_map(basis, photographed(rng, basis, x, blocks, noise=0.01), blocks=blocks, prior=prior, order=2)
+    assert fit.determined.tolist() == [True] * 4 + [False] * 5
+    assert np.abs(fit.coefficients[4:]).max() < 1e-6 * np.abs(fit.coefficients).max()
+    assert fit.effective_degrees_of_freedom < 4.01
+    level = fit.coefficients[0].mean()
+    expected = fit.prior_scale * level * prior.deviation[4]
+    assert np.allclose(fit.stddev[4:], expected, rtol=0.2)
+
+
+def test_few_pixels_and_degenerate_photos(rng):
+    basis, blocks = view_of_a_sphere(rng, pixels=40, order=9)
+    prior = natural_prior(9)
+    x = drawn(rng, prior)
+    few = solve_map(basis, photographed(rng, basis, x, blocks, noise=0.02), blocks=blocks, prior=prior, order=2)
+    assert np.isfinite(few.coefficients).all() and np.isfinite(few.stddev).all()
+    assert np.linalg.norm(few.coefficients - x[:9]) < 0.8 * np.linalg.norm(x[:9])
+    constant = solve_map(basis, np.full((40, 3), 0.5), blocks=blocks, prior=prior, order=2)
+    assert np.isfinite(constant.coefficients).all() and constant.coefficients[0].min() > 0
+    single = solve_map(basis[:1], np.ones((1, 3)), blocks=blocks[:1], prior=prior, order=1)
+    assert np.isfinite(single.stddev).all() and not single.determined[1:].any()
+    for change, words in (
+        (dict(radiance=np.zeros((40, 3))), "black"),
+        (dict(basis=np.zeros_like(basis)), "reflects nothing"),
+        (dict(basis=basis[:0], radiance=np.zeros((0, 3)), blocks=blocks[:0]), "no usable pixels"),
+    ):
+        given = {"basis": basis, "radiance": np.ones((40, 3)), "blocks": blocks, **change}
+        with pytest.raises(InputError, match=words):
+            solve_map(given["basis"], given["radiance"], blocks=given["blocks"], prior=prior, order=2)
+
+
+def test_large_photos_go_through_in_pieces(rng, monkeypatch):
+    basis, blocks = view_of_a_sphere(rng, pixels=300, order=3)
+    b = photographed(rng, basis, drawn(rng, natural_prior(3)), blocks, noise=0.05)
+    whole = solve_map(basis, b, blocks=blocks, prior=natural_prior(3), order=3)
+    monkeypatch.setattr(map_estimate, "CHUNK", 37)
+    pieces = solve_map(basis, b, blocks=blocks, prior=natural_prior(3), order=3)
+    assert np.allclose(whole.coefficients, pieces.coefficients) and np.allclose(whole.stddev, pieces.stddev)
+
+
+def test_natural_light_is_learned(rng):
+    """What is drawn from a prior teaches that prior; the shipped lights teach no zonal mean above the level."""
+    made = replace(natural_prior(9), log_scale_spread=0.5)
+    lights = np.stack([drawn(rng, made, level=1, scale=np.exp(0.5 * rng.normal())) for _ in range(300)])
+    lights /= lights[:, 0].mean(-1)[:, None, None]
+    again = learn(lights)
+    ratio = again.deviation[1:] / made.deviation[1:]
+    assert 0.8 < ratio.min() and ratio.max() < 1.3
+    assert abs(again.log_scale_spread - 0.5) < 0.12
+    assert (1 - again.correlation) / (1 - made.correlation) == pytest.approx(2, rel=0.25)  # COLOUR_ALLOWANCE
+    shipped = relative_coefficients()
+    likelihood = [held_out(shipped, mean_order=k) for k in range(3)]
+    assert int(np.argmax(likelihood)) == 0
+    covariance = natural_prior(2).covariance()
+    assert np.allclose(covariance, covariance.T) and np.linalg.eigvalsh(covariance).min() > 0
