@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Recognition through the command line: trained on the job's own geometry, asked about a photo of it."""
+
+import json
+import shutil
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from btfsep_engine.cli import main
+from btfsep_engine.light.files import exactly, write_lighting
+from btfsep_engine.pipeline.recognition import bounding_window, training_region
+from tests.render.scenes import positive_light
+
+CHOSEN = ("leather/brown-grain", "felt/green-coarse", "wood/oak-boards")
+
+
+@pytest.fixture
+def small_library(tmp_path):
+    """A folder with three of the shipped materials."""
+    shipped, folder = resources.files("btfsep_engine") / "data" / "library", tmp_path / "library"
+    folder.mkdir()
+    index = json.loads((shipped / "index.json").read_text())
+    index["materials"] = [m for m in index["materials"] if m["name"] in CHOSEN]
+    for material in index["materials"]:
+        shutil.copy(str(shipped / material["file"]), folder)
+    (folder / "index.json").write_text(json.dumps(index))
+    return folder
+
+
+@pytest.mark.parametrize("classifier", ["svm", "nearest"])
+def test_the_material_of_a_photo_is_recognised_and_used(
+    sphere_job_folder, small_library, capsys, tmp_path, monkeypatch, classifier
+):
+    """Each material photographed under a light that is no training light; the second run finds the training kept."""
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+    folder, _ = sphere_job_folder
+    light = tmp_path / "light.json"
+    write_lighting(light, exactly(positive_light(4, seed=3) * [1.1, 1.0, 0.8]))
+    common = ["--library", str(small_library), "--preset", "draft"]
+    for name in CHOSEN[:2]:
+        relit = [
+            "relight",
+            str(folder),
+            "--lighting",
+            str(light),
+            "--material",
+            name,
+            "--out",
+            str(folder / "photo.exr"),
+        ]
+        assert main([*relit, *common]) == 0
+        capsys.readouterr()
+        assert main(["recognise", str(folder), *common, "--classifier", classifier, "--json"]) == 0
+        result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+        (found,) = result["objects"]
+        assert found["material"] == name and found["recognised"]
+        scores = [c["score"] for c in found["candidates"]]
+        assert scores == sorted(scores, reverse=True) and sum(scores) == pytest.approx(1, abs=1e-3)
+        assert {c["name"] for c in found["candidates"]} == {*CHOSEN, "reference/white-diffuse", "reference/chrome"}
+    assert "classifier" not in result["seconds"]  # kept from the first photo: the geometry is the same
+    assert main(["estimate", str(folder), *common, "--classifier", classifier, "--no-report", "--json"]) == 0
+    estimated = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    assert estimated["objects"][0]["material"] == CHOSEN[1]
+
+
+def test_training_looks_at_windows_spread_over_a_large_object():
+    region = np.zeros((512, 640), bool)
+    region[40:500, 60:600] = True
+    assert training_region(region, 10**6) is region
+    chosen = training_region(region, 20_000)
+    assert not (chosen & ~region).any()
+    assert 20_000 <= chosen.sum() < 20_000 + 64 * 64
+    halves = [chosen[:270].sum(), chosen[270:].sum(), chosen[:, :330].sum(), chosen[:, 330:].sum()]
+    assert min(halves) > 0.25 * chosen.sum()
+    thin = np.zeros((512, 640), bool)
+    thin[100, 10:600] = True
+    assert training_region(thin, 100) is thin  # no window is filled enough
+
+
+def test_the_bounding_window_holds_just_the_region():
+    region = np.zeros((30, 40), bool)
+    region[5:9, 12] = region[7, 20] = True
+    window = bounding_window(region)
+    assert region[window].sum() == region.sum() and region[window].shape == (4, 9)
