@@ -88,7 +88,7 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
     )
     material_class: EnumProperty(name="Class", items=[(c, c.capitalize(), "") for c in CLASSES_OF_MATERIAL])
     size_mm: FloatProperty(
-        name="Size",
+        name="Size (mm)",
         description="What is measured, in millimetres: a square, UV 0 to 1, around the object's origin",
         default=30.0,
         min=0.1,
