@@ -187,7 +187,7 @@ def build(
     Parameters
     ----------
     folder : made if it is not there
-    names : some of :data:`btfsep_engine.btf.procedural.NAMES`; None: all. Other entries of the folder stay
+    names : some of :data:`btfsep_engine.btf.procedural.NAMES`; None: all 42. Other entries of the folder stay
     reporter : told the progress of each material
     settings : mesh, texels, samples, components, seed in place of :data:`DEFAULT_SETTINGS`
 
@@ -289,6 +289,10 @@ def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -
 
 
 def _unknown(name: str, known) -> InputError:
+    if name in procedural.NAMES:
+        return InputError(
+            f"material '{name}'", "it is not in the library", f"make it: btfsep library build FOLDER --only {name}"
+        )
     near = difflib.get_close_matches(name, known, 1, 0.0)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return InputError(f"material '{name}'", "it is not in the library", f"{hint}btfsep library list shows all names")

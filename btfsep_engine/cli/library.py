@@ -60,7 +60,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
 @click.option("--only", "names", multiple=True, help="A material to build; may be given several times.  [default: all]")
 @command
 def library_build(*, folder, names, reporter):
-    """Builds the default library into FOLDER by path-tracing displaced patches; resumes where it stopped."""
+    """Builds all 42 materials into FOLDER by path-tracing displaced patches; resumes where it stopped."""
     from btfsep_engine.btf.library import build
 
     with reporter.stage("library"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fourteen procedural materials, two for each class of UBO2014: colour, height and roughness maps of a periodic patch.
+"""Procedural materials, six for each class of UBO2014: colour, height and roughness maps of a periodic patch.
 
 The physical definition, shared by the virtual gonioreflectometer (:mod:`btfsep_engine.render.patch`) and by anyone
 who displaces real geometry with the same maps: a height field over the patch; at each point a dielectric with a
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine.btf.procedural import hard, woven
+from btfsep_engine.btf.procedural import cloth, hard, hides, papers, piles, stones, timber, woven
 from btfsep_engine.btf.procedural.noise import grid
 from btfsep_engine.errors import InputError
 
@@ -52,20 +52,66 @@ class Maps:
 RECIPES = {
     "carpet/loop-sand": (woven.carpet_loop, 32.0, 0.03),
     "carpet/cut-wine": (woven.carpet_cut, 28.0, 0.03),
+    "carpet/shag-cream": (piles.shag, 44.0, 0.03),
+    "carpet/sisal-natural": (piles.sisal, 36.0, 0.04),
+    "carpet/trellis-navy": (piles.trellis_pile, 56.0, 0.03),
+    "carpet/cord-anthracite": (piles.needled_cord, 34.0, 0.03),
     "fabric/linen-plain": (woven.linen, 22.0, 0.03),
     "fabric/denim-twill": (woven.denim, 20.0, 0.03),
+    "fabric/herringbone-wool": (cloth.herringbone, 34.0, 0.03),
+    "fabric/satin-crimson": (cloth.satin, 16.0, 0.05),
+    "fabric/corduroy-olive": (cloth.corduroy, 26.0, 0.03),
+    "fabric/knit-oatmeal": (cloth.knit, 40.0, 0.03),
     "felt/grey-melange": (woven.felt_grey, 22.0, 0.03),
     "felt/green-coarse": (woven.felt_green, 26.0, 0.03),
+    "felt/red-pressed": (piles.felt_red, 24.0, 0.03),
+    "felt/charcoal-needled": (piles.felt_needled, 26.0, 0.03),
+    "felt/striped-ochre": (piles.felt_striped, 34.0, 0.03),
+    "felt/speckled-cream": (piles.felt_speckled, 30.0, 0.03),
     "leather/brown-grain": (hard.leather_brown, 28.0, 0.04),
     "leather/black-nappa": (hard.leather_black, 26.0, 0.04),
+    "leather/crocodile-green": (hides.crocodile, 52.0, 0.05),
+    "leather/perforated-tan": (hides.perforated, 24.0, 0.04),
+    "leather/suede-sand": (hides.suede, 24.0, 0.02),
+    "leather/saffiano-red": (hides.saffiano, 20.0, 0.045),
     "stone/granite-grey": (hard.granite, 44.0, 0.04),
     "stone/sandstone-yellow": (hard.sandstone, 40.0, 0.04),
+    "stone/slate-riven": (stones.slate, 60.0, 0.04),
+    "stone/marble-white": (stones.marble, 60.0, 0.05),
+    "stone/terrazzo-mixed": (stones.terrazzo, 60.0, 0.04),
+    "stone/cobble-river": (stones.cobble, 80.0, 0.04),
     "wallpaper/woodchip-white": (hard.woodchip, 44.0, 0.04),
     "wallpaper/damask-teal": (hard.damask, 48.0, 0.04),
+    "wallpaper/stripes-plum": (papers.stripes, 56.0, 0.04),
+    "wallpaper/dots-blue": (papers.dots, 56.0, 0.045),
+    "wallpaper/grasscloth-straw": (papers.grasscloth, 44.0, 0.035),
+    "wallpaper/fans-emerald": (papers.fans, 56.0, 0.045),
     "wood/oak-boards": (hard.oak, 60.0, 0.04),
     "wood/walnut-lacquered": (hard.walnut, 56.0, 0.04),
+    "wood/pine-knots": (timber.pine, 60.0, 0.04),
+    "wood/bamboo-strips": (timber.bamboo, 56.0, 0.045),
+    "wood/rough-sawn-grey": (timber.rough_sawn, 60.0, 0.03),
+    "wood/parquet-herringbone": (timber.parquet, 88.0, 0.045),
 }
 NAMES = tuple(RECIPES)
+# Those whose measured files are in btfsep_engine/data/library; the others are a `btfsep library build` away. The files
+# were made from these maps: what changes a map of these makes its file, and every number in docs, stale.
+SHIPPED = (
+    "carpet/loop-sand",
+    "carpet/cut-wine",
+    "fabric/linen-plain",
+    "fabric/denim-twill",
+    "felt/grey-melange",
+    "felt/green-coarse",
+    "leather/brown-grain",
+    "leather/black-nappa",
+    "stone/granite-grey",
+    "stone/sandstone-yellow",
+    "wallpaper/woodchip-white",
+    "wallpaper/damask-teal",
+    "wood/oak-boards",
+    "wood/walnut-lacquered",
+)
 
 
 def maps(name: str, resolution: int = 256, *, variation: int = 0) -> Maps:

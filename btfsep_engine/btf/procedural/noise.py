@@ -73,6 +73,22 @@ def nearest(u, v, points, *, k: int = 2, stretch: float = 1.0):
     return distance, index, offset - np.round(offset)
 
 
+def worn_gap(distance, sharpness: float) -> np.ndarray:
+    """How far inside its cell a pixel is: the distance to the nearest point less those to the others, a soft minimum.
+
+    Where three cells meet the corners are rounded off, the more so the lower ``sharpness``.
+
+    Parameters
+    ----------
+    distance : (..., k), ascending, of :func:`nearest`, in units of the points' spacing
+
+    Returns
+    -------
+    (...), in spacings; negative close to borders and corners
+    """
+    return -np.log(np.exp(-sharpness * (distance[..., 1:] - distance[..., :1])).sum(-1)) / sharpness
+
+
 def fibres(n: int, rng, *, count: int, length: float, radius, curl: float, lift: float):
     """Curved fibres lying over each other, all over the tile.
 
