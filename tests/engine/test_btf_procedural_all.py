@@ -78,6 +78,30 @@ def test_the_same_again_and_another_with_a_variation(name, small_work):
     assert first.size_mm == other.size_mm and first.f0 == other.f0
 
 
+@pytest.mark.parametrize("name", procedural.NAMES)
+def test_the_measured_directions_can_hold_the_gloss(name):
+    """Mean normals of texels and GGX on 151 directions 15 degrees apart: more light out than in is a table's error."""
+    from btfsep_engine.btf.directions import cosine_weights, ubo2014_directions
+
+    maps, lights = full(name), ubo2014_directions()
+    view = lights[np.argmin(lights[:, 2])]  # one of the outermost ring, where the error is worst
+    h, cell = maps.height_mm.astype(float), maps.size_mm / 256
+    slopes = [(np.roll(h, -1, axis) - h)[::4, ::4].ravel() / cell for axis in (1, 0)]
+    normal = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])], -1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    alpha = maps.roughness[::4, ::4].ravel().astype(float) ** 2
+    half = lights + view
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    nh = np.clip(normal @ half.T, 0, 1)
+    spread = alpha[:, None] ** 2 / (np.pi * (1 - nh**2 * (1 - alpha[:, None] ** 2)) ** 2)
+    fresnel = maps.f0 + (1 - maps.f0) * (1 - half @ view) ** 5
+    # Schlick-Smith masking; weights hold the cosine to the plane: for facets the projected areas cancel in it
+    k = alpha[:, None] / 2
+    g = [1 / (np.clip(normal @ d.T, 0.05, 1) * (1 - k) + k) for d in (view[None], lights)]
+    gloss = (spread * fresnel * g[0] * g[1] / 4).mean(0) @ cosine_weights(lights)
+    assert gloss < 0.75
+
+
 def look(name):
     """What tells materials apart: colour and its spread, gloss, and how strong the relief is at six sizes in mm."""
     maps = full(name)
@@ -101,6 +125,6 @@ def test_no_two_are_alike():
 def test_gloss_and_relief_vary_as_in_life():
     rough = [float(np.median(full(name).roughness)) for name in procedural.NAMES]
     relief = [float(np.ptp(full(name).height_mm)) for name in procedural.NAMES]
-    assert min(rough) < 0.2 and max(rough) >= 0.9
+    assert min(rough) < 0.32 and max(rough) >= 0.9
     assert min(relief) < 0.1 and max(relief) > 2.5
     assert len({procedural.RECIPES[name][1] for name in procedural.NAMES}) > 10  # sizes
