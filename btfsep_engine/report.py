@@ -107,6 +107,8 @@ def write_estimate_report(path, found, settings) -> None:
     factor = exposure(photo, region)
     background = np.full_like(photo, 1.0)
     difference = np.where(region[..., None], np.abs(again - photo) * factor, 1.0)
+    compared = region & scene.job.photo.usable & np.isfinite(again).all(-1)
+    error = np.linalg.norm((again - photo)[compared]) / max(np.linalg.norm(photo[compared]), 1e-30)
     size = (128, 256)
     estimated = sh.to_map(found.lighting.coefficients, *size)
     names = ", ".join(dict.fromkeys(m.name for m in found.materials))
@@ -115,6 +117,6 @@ def write_estimate_report(path, found, settings) -> None:
         (names, display(np.where(region[..., None], sample * exposure(sample, region), background))),
         (f"estimated light, order {settings.order}", display(estimated, exposure(estimated, ...))),
         ("re-rendered", display(np.where(region[..., None], again * factor, background))),
-        (f"difference (residual {found.fit.residual:.2f})", display(difference)),
+        (f"difference (relative error {error:.2f})", display(difference)),
     ]
     write_row(path, panels)
