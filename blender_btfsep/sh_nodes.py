@@ -89,9 +89,9 @@ def coefficient_name(l: int, m: int) -> str:
 def build_group(order: int) -> bpy.types.ShaderNodeTree:
     """A new node group of ``order`` (0 to MAX_NODE_ORDER).
 
-    Inputs: Strength; Rotation (radians, turns the light counter-clockwise about +Z as seen from above);
-    Clamp Negative; Clamp Gain (what the clamped light is multiplied by); one vector a coefficient (red, green, blue; may be negative). Output: Color, linear radiance
-    along the direction in which the World is looked at.
+    Inputs: Strength; Rotation (radians, turns the light counter-clockwise about +Z as seen from above); Clamp
+    Negative; Clamp Gain (what the clamped light is multiplied by); one vector a coefficient (red, green, blue; may be
+    negative). Output: Color, linear radiance along the direction in which the World is looked at.
     """
     if not 0 <= order <= MAX_NODE_ORDER:
         raise ValueError(f"order {order} is not in 0 to {MAX_NODE_ORDER}")
