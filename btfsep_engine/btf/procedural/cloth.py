@@ -36,7 +36,7 @@ def satin(u, v, rng, size):
     base = mix((0.30, 0.006, 0.020), (0.46, 0.014, 0.034), 0.5 + 0.12 * tone + 0.3 * filament)
     base *= np.where(top, 1.0, 0.80)[..., None] * (1 - 0.22 * np.abs(across) ** 4)[..., None]
     wave = fbm(u, v, 2, 2, 2, rng)  # the cloth does not lie quite flat
-    return base, height * size / yarns + 0.80 * wave + 0.006 * filament, np.where(top, 0.27, 0.42) + 0.03 * filament
+    return base, height * size / yarns + 0.80 * wave + 0.006 * filament, np.where(top, 0.30, 0.42) + 0.03 * filament
 
 
 def corduroy(u, v, rng, size):

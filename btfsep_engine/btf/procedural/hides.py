@@ -20,7 +20,7 @@ def crocodile(u, v, rng, size):
     swell = rng.normal(0, 1, len(points)).clip(-1.5, 1.5)[index[..., 0]]
     height = (1.05 + 0.08 * swell) * cushion + 0.05 * wrinkle * (1.2 - cushion) + 0.05 * fbm(u, v, 4, 4, 2, rng)
     base = mix((0.006, 0.024, 0.012), (0.020, 0.105, 0.050), 0.85 * cushion + 0.10 * wrinkle + 0.06 * swell)
-    return base, height, 0.50 - 0.30 * cushion + 0.03 * wrinkle
+    return base, height, 0.56 - 0.26 * cushion + 0.03 * wrinkle
 
 
 def perforated(u, v, rng, size):

@@ -27,7 +27,7 @@ def slate(u, v, rng, size):
 
 
 def marble(u, v, rng, size):
-    """Polished white marble: soft grey clouds and sharp wandering veins; almost flat."""
+    """Honed white marble: soft grey clouds and sharp wandering veins; almost flat."""
     warp = [0.11 * fbm(u, v, 2, 2, 6, rng, gain=0.55) for _ in range(2)]
     a, b = u + warp[0], v + warp[1]
     main = np.abs(np.sin(np.pi * (a + b) + 0.9 * fbm(a, b, 2, 2, 3, rng)))
@@ -39,9 +39,9 @@ def marble(u, v, rng, size):
     thin = smoothstep(0.035, 0.0, second) * strength
     crystal = fbm(u, v, 70, 70, 2, rng)
     dark = np.clip(0.80 * vein + 0.50 * thin + 0.22 * halo + 0.22 * cloud, 0, 1)
-    base = mix((0.80, 0.79, 0.765), (0.19, 0.20, 0.215), dark) * (1 + 0.03 * crystal)[..., None]
+    base = mix((0.76, 0.75, 0.725), (0.19, 0.20, 0.215), dark) * (1 + 0.03 * crystal)[..., None]
     height = -0.035 * vein - 0.02 * thin + 0.012 * crystal + 0.02 * cloud
-    return base, height, 0.17 + 0.08 * vein + 0.02 * crystal
+    return base, height, 0.36 + 0.08 * vein + 0.02 * crystal
 
 
 def terrazzo(u, v, rng, size):
@@ -66,7 +66,7 @@ def terrazzo(u, v, rng, size):
         level = level * (1 - chip) + seat[i] * chip
     hole = smoothstep(0.44, 0.60, fbm(u, v, 18, 18, 3, rng)) * (level < 0.01)
     height = level + 0.012 * grain - 0.16 * hole
-    return base * (1 - 0.5 * hole)[..., None], height, 0.24 - 1.2 * level + 0.4 * hole + 0.03 * grain
+    return base * (1 - 0.5 * hole)[..., None], height, 0.38 - 1.2 * level + 0.4 * hole + 0.03 * grain
 
 
 def cobble(u, v, rng, size):

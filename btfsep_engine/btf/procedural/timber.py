@@ -57,7 +57,7 @@ def bamboo(u, v, rng, size):
     base = mix(base, (0.19, 0.095, 0.032), 0.85 * line)
     base = base * (1 - 0.60 * joint)[..., None]
     height = 0.02 * fibre - 0.03 * vessel + 0.10 * swell - 0.12 * line - 0.22 * joint
-    return base, height, 0.34 + 0.04 * fibre + 0.10 * vessel + 0.2 * joint
+    return base, height, 0.36 + 0.04 * fibre + 0.10 * vessel + 0.2 * joint
 
 
 def rough_sawn(u, v, rng, size):
@@ -110,4 +110,4 @@ def parquet(u, v, rng, size):
     base = mix((0.40, 0.205, 0.085), (0.165, 0.068, 0.024), 0.42 + 0.24 * tone + 0.30 * late + 0.22 * fibre)
     base *= ((1 - 0.35 * pore) * (1 - 0.85 * joint))[..., None]
     height = 0.025 * late + 0.02 * fibre - 0.06 * pore - 0.12 * bevel - 0.35 * joint + 0.02 * tone
-    return base, height, 0.30 + 0.05 * fibre + 0.12 * pore + 0.3 * joint
+    return base, height, 0.35 + 0.05 * fibre + 0.12 * pore + 0.3 * joint
