@@ -179,3 +179,13 @@ def import_mitsuba():
     mitsuba.set_variant(backend.variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     return mitsuba
+
+
+def limit_threads(count: int) -> None:
+    """This process uses at most ``count`` threads, in Dr.Jit and in the linear algebra: several share the machine."""
+    import_mitsuba()
+    import drjit
+    import threadpoolctl
+
+    threadpoolctl.threadpool_limits(count)
+    drjit.set_thread_count(count)

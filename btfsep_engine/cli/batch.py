@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``btfsep batch``: the estimate of many jobs, on one machine or as one task of a farm's array.
+
+One job that fails does not stop the others. What is done is not done again while job, options and engine stay the same.
+"""
+
+import csv
+import hashlib
+import io
+import json
+from pathlib import Path
+
+import click
+
+from btfsep_engine import __version__
+from btfsep_engine.atomic import write_text
+from btfsep_engine.cli.command import command, opened_library
+from btfsep_engine.cli.lanes import run_all
+from btfsep_engine.errors import InputError
+from btfsep_engine.pipeline.record import write_json
+
+RESULT = "result"  # of a job folder, where --out is not given
+COLUMNS = ("job", "status", "materials", "residual", "effective_degrees_of_freedom", "seconds", "warnings", "message")
+OWN = ("job", "out", "as_json")  # parameters of `estimate` that batch has in its own way
+
+
+def find_jobs(places, list_file=None) -> list[Path]:
+    """Job folders: those named, those in folders that are named, and those that a text file names, a line each.
+
+    Raises
+    ------
+    InputError
+        Where a place is no job and holds none, or there is none at all.
+    """
+    places = [Path(p) for p in places]
+    if list_file is not None:
+        try:
+            with click.open_file(str(list_file), encoding="utf-8") as lines:
+                places += [Path(line.strip()) for line in lines if line.strip() and not line.startswith("#")]
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"--list {list_file}", str(error), "give a text file with a job folder a line") from error
+    found = []
+    for place in places:
+        if place.is_file() and place.name == "job.json":
+            place = place.parent
+        inside = [place] if (place / "job.json").is_file() else sorted(p.parent for p in place.glob("*/job.json"))
+        if not inside:
+            raise InputError(f"{place}", "neither it nor a folder in it has a job.json", "name job folders")
+        found += inside
+    if not found:
+        raise InputError("batch", "no jobs", "name job folders, folders of them, or --list FILE")
+    return list(dict.fromkeys(found))
+
+
+def shard_of(jobs, shard: str | None) -> list[Path]:
+    """Every n-th job of "k/n", k from 1: what the k-th of n tasks of a farm's array does."""
+    if shard is None:
+        return jobs
+    try:
+        k, n = (int(part) for part in shard.split("/"))
+        if not 1 <= k <= n:
+            raise ValueError
+    except ValueError:
+        raise InputError("--shard", f"'{shard}'", "give K/N with K from 1 to N, as in 3/10") from None
+    return jobs[k - 1 :: n]
+
+
+def result_folders(jobs, out) -> list[Path]:
+    """Where each job's results go: JOB/result, or OUT/<name of the job folder>."""
+    if out is None:
+        return [job / RESULT for job in jobs]
+    folders = [Path(out) / job.resolve().name for job in jobs]
+    twice = {f.name for f in folders if folders.count(f) > 1}
+    if twice:
+        raise InputError("--out", f"two job folders are named '{min(twice)}'", "leave --out away, or rename one")
+    return folders
+
+
+def job_key(job: Path, *facts) -> str:
+    """Changes when the engine, one of ``facts`` or any file of the job folder (by size and time) does."""
+    facts = [__version__, *map(str, facts)]
+    for path in sorted(job.rglob("*")):
+        inside = path.relative_to(job)
+        if inside.parts[0] != RESULT and path.is_file():
+            stat = path.stat()
+            facts.append(f"{inside} {stat.st_size} {stat.st_mtime_ns}")
+    return hashlib.sha256("\n".join(facts).encode()).hexdigest()
+
+
+def earlier(summary_file: Path) -> dict:
+    """Entries of an earlier run's summary by job; {} where there is none that can be read."""
+    try:
+        entries = json.loads(summary_file.read_text(encoding="utf-8"))["jobs"]
+        return {e["job"]: e for e in entries if isinstance(e, dict) and isinstance(e.get("job"), str)}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def entry_of(job: Path, folder: Path, key: str, answer: dict) -> dict:
+    """What the summary says of one job."""
+    result = answer["result"]
+    status = {0: "done", 2: "failed"}.get(answer["exit_code"], "crashed")
+    entry = {"job": str(job), "out": str(folder), "status": status, "message": answer["message"], "key": key}
+    if status == "done":
+        entry |= {
+            "materials": [o["material"] for o in result["objects"]],
+            "residual": result["residual"],
+            "effective_degrees_of_freedom": result["effective_degrees_of_freedom"],
+            "seconds": result["seconds"]["total"],
+            "warnings": result["warnings"],
+        }
+    return entry
+
+
+def write_summary(path: Path, entries) -> None:
+    """``path`` (JSON), and a table beside it (CSV), each whole or not at all."""
+    write_json(path, {"format": "btfsep-batch", "version": 1, "jobs": entries})
+    text = io.StringIO()
+    table = csv.DictWriter(text, COLUMNS, extrasaction="ignore")
+    table.writeheader()
+    for entry in entries:
+        table.writerow(
+            {**entry, "materials": " ".join(entry.get("materials", [])), "warnings": len(entry.get("warnings", []))}
+        )
+    write_text(path.with_suffix(".csv"), text.getvalue())
+
+
+def run_batch(jobs, folders, arguments, *, library: str, lanes: int, again: bool, summary: Path, reporter) -> dict:
+    """Estimates all jobs; the summary is written anew after each of them. ``library`` is the digest of the library."""
+    before = {} if again else earlier(summary)
+    keys = [job_key(job, library, folder.resolve(), *arguments) for job, folder in zip(jobs, folders, strict=True)]
+    entries = [None] * len(jobs)
+    for i, (job, folder, key) in enumerate(zip(jobs, folders, keys, strict=True)):
+        old = before.get(str(job), {})
+        if old.get("status") == "done" and old.get("key") == key and (folder / "result.json").is_file():
+            entries[i] = old
+    todo = [i for i, entry in enumerate(entries) if entry is None]
+    kept = len(jobs) - len(todo)
+    commands = [["estimate", str(jobs[i]), "--out", str(folders[i]), *arguments] for i in todo]
+    reporter.progress("batch", kept / len(jobs), f"{kept} of {len(jobs)} done before")
+    for number, answer in run_all(commands, min(lanes, max(1, len(todo)))):
+        i = todo[number]
+        entries[i] = entry_of(jobs[i], folders[i], keys[i], answer)
+        if answer["exit_code"]:
+            reporter.warn(f"{jobs[i]}: {answer['message']}")
+        write_summary(summary, [e for e in entries if e is not None])
+        ended = sum(e is not None for e in entries)
+        reporter.progress("batch", ended / len(jobs), f"{ended} of {len(jobs)} {jobs[i].name}")
+    write_summary(summary, entries)
+    count = {status: sum(e["status"] == status for e in entries) for status in ("done", "failed", "crashed")}
+    return {"jobs": entries, **count, "kept": kept, "summary": str(summary)}
+
+
+def batch_command(estimate: click.Command) -> click.Command:
+    """The command; it takes every option of ``estimate``, so that a shot can be tried alone and then with all."""
+
+    @command
+    def batch(*, places, list_file, out, summary, lanes, shard, again, reporter, **given):
+        """Estimates the light of many jobs: job folders, or folders that hold job folders.
+
+        JOB/result (or OUT/NAME) gets each job's results; batch.json and batch.csv sum them up. One that fails does not
+        stop the others. What is there already for the same job and options is not made again.
+        """
+        jobs = shard_of(find_jobs(places, list_file), shard)
+        folders = result_folders(jobs, out)
+        arguments = estimate_arguments(estimate, given)
+        if summary is None:
+            place = "batch.json" if shard is None else f"batch-{shard.replace('/', '-of-')}.json"
+            summary = (out or Path(".")) / place
+        library = opened_library(given["library_folder"]).digest
+        result = run_batch(
+            jobs, folders, arguments, library=library, lanes=lanes, again=again, summary=summary, reporter=reporter
+        )
+        bad = result["failed"] + result["crashed"]
+        if bad:
+            raise InputError(
+                "batch", f"{bad} of {len(jobs)} jobs failed", f"see their messages in {summary}; run it again for these"
+            )
+        return result, f"{result['done']} jobs done ({result['kept']} of them before); summary in {summary}"
+
+    own = [
+        click.Argument(["places"], nargs=-1, metavar="[JOB]...", type=click.Path(path_type=Path)),
+        click.Option(["--list", "list_file"], type=click.Path(), help="Text file, a job folder a line; - for input."),
+        click.Option(["--out"], type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]"),
+        click.Option(["--summary"], type=click.Path(path_type=Path), help="The summary.  [default: OUT/batch.json]"),
+        click.Option(["--lanes"], type=click.IntRange(1, 256), default=1, show_default=True, help="Jobs at once."),
+        click.Option(["--shard"], metavar="K/N", help="Only every N-th job, from the K-th: a task of a farm's array."),
+        click.Option(["--again"], is_flag=True, help="Estimate also what is done already."),
+    ]
+    batch.name = "batch"
+    described = click.Command("batch", callback=batch, params=own + shared_options(estimate), help=batch.__doc__)
+    described.params += getattr(batch, "__click_params__", [])
+    return described
+
+
+def shared_options(estimate: click.Command) -> list[click.Parameter]:
+    """The options of ``estimate`` that batch passes on."""
+    return [p for p in estimate.params if p.name not in OWN and isinstance(p, click.Option)]
+
+
+def estimate_arguments(estimate: click.Command, given: dict) -> list[str]:
+    """The command line of ``estimate`` that says what ``given`` says; what was not given stays with its default."""
+    context = click.get_current_context()
+    arguments = []
+    for option in shared_options(estimate):
+        if context.get_parameter_source(option.name) is click.core.ParameterSource.DEFAULT:
+            continue
+        value = given[option.name]
+        if option.is_flag:
+            arguments.append(option.opts[0] if value else option.secondary_opts[0])
+        elif option.multiple:
+            arguments += [text for each in value for text in (option.opts[0], str(each))]
+        elif value is not None:
+            arguments += [option.opts[0], str(value)]
+    return arguments
