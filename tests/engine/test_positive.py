@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light that is nowhere negative: the kernel, and the constrained maximum against a general optimiser."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.positive import positive_light
+from btfsep_engine.light.positivity import blurred_basis, darkest_share, positive_window
+
+
+@pytest.mark.parametrize("order", range(10))
+def test_every_light_blurred_is_nowhere_negative_and_keeps_its_amount(order):
+    """A single far lamp is the hardest light: its truncated series rings, its blurred series is the kernel."""
+    window = positive_window(order)
+    assert window[0] == 1 and (window[1:] < 1).all()
+    kernel = np.polynomial.legendre.legval(np.linspace(-1, 1, 4001), window * (2 * np.arange(order + 1) + 1))
+    assert kernel.min() > -1e-9 * kernel.max()
+    if order > 1:
+        ringing = np.polynomial.legendre.legval(np.linspace(-1, 1, 4001), 2 * np.arange(order + 1) + 1.0)
+        assert ringing.min() < -0.1 * ringing.max()
+
+
+def test_no_kernel_of_the_order_is_narrower():
+    """The mean cosine of the narrowest positive kernel is the largest Gauss node of the next order."""
+    for order in (2, 4, 8):
+        node, _ = np.polynomial.legendre.leggauss(order // 2 + 1)
+        assert positive_window(order)[1] == pytest.approx(node.max(), abs=1e-12)
+
+
+def random_posterior(order, seed):
+    random = np.random.default_rng(seed)
+    terms = sh.term_count(order)
+    mean = random.normal(size=(terms, 3)) * 1.2
+    mean[0] = 1.0
+    factor = random.normal(size=(3 * terms, 3 * terms)) * 0.1
+    return mean, factor
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_the_closest_light_that_keeps_the_floor(seed):
+    """Against SciPy's SLSQP on the same inequalities, a method that shares nothing with the dual."""
+    mean, factor = random_posterior(2, seed)
+    basis, floor = blurred_basis(2), 0.05
+    least = floor * 0.5 / np.sqrt(np.pi) * mean[0].mean()
+    assert (basis @ mean).min() < least
+    found = positive_light(mean, factor, floor=floor)
+    assert (basis @ found).min() > least - 1e-9
+    rows = np.concatenate([basis @ factor[c * 9 : (c + 1) * 9] for c in range(3)])
+    start = (basis @ mean).T.ravel() - least
+    other = minimize(
+        lambda z: z @ z,
+        np.zeros(27),
+        jac=lambda z: 2 * z,
+        constraints={"type": "ineq", "fun": lambda z: start + rows @ z, "jac": lambda z: rows},
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    z = np.linalg.solve(factor, (found - mean).T.ravel())
+    assert z @ z == pytest.approx(other.x @ other.x, rel=1e-4)
+
+
+def test_a_light_that_keeps_the_floor_is_left_alone():
+    mean, factor = random_posterior(3, 0)
+    mean[1:] *= 0.05
+    assert positive_light(mean, factor) is mean or np.array_equal(positive_light(mean, factor), mean)
+
+
+def test_what_the_photo_determines_moves_less_than_what_it_does_not():
+    mean, _ = random_posterior(3, 1)
+    mean[1:4] *= 0.1
+    well = np.diag(np.concatenate([np.where(np.arange(16) < 4, 1e-6, 1.0)] * 3))
+    moved = np.abs(positive_light(mean, well) - mean)
+    assert moved[:4].max() < 1e-6 < 1e-3 < moved[4:].max()
+
+
+def test_a_floor_that_no_light_keeps_changes_nothing():
+    mean, _ = random_posterior(2, 0)
+    nothing = np.zeros((27, 27))
+    assert np.array_equal(positive_light(mean, nothing), mean)
+
+
+def test_the_training_lights_keep_the_floor_and_touch_it():
+    from btfsep_engine.light.maps import training_lights
+
+    floor = darkest_share(9)
+    assert 0 < floor < 0.2
+    x = training_lights(rotations=1).coefficients(9)
+    dense = sh.evaluate(9, fibonacci_sphere(3000)) * np.repeat(positive_window(9), 2 * np.arange(10) + 1)
+    shares = [(dense @ m).min() / (0.5 / np.sqrt(np.pi) * m[0].mean()) for m in x]
+    assert min(shares) == pytest.approx(floor, abs=0.01)
