@@ -7,9 +7,10 @@ table over the light list; a light direction then costs three taps, whatever the
 
 import numpy as np
 
-from btfsep_engine.btf.directions import interpolator
+from btfsep_engine.btf.directions import GRID, interpolator
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.render.tracer import Tracer
 
 
 def texel_pyramid(texels) -> list[np.ndarray]:
@@ -70,29 +71,85 @@ def to_local(points: SurfacePoints, directions) -> np.ndarray:
     return np.stack([(directions * axis).sum(-1) for axis in (points.tangent, points.bitangent, points.normal)], -1)
 
 
-def light_tables(material: Tabulated, points: SurfacePoints, *, millimetres_per_unit: float) -> np.ndarray:
-    """Each pixel's ABRDF over the light list, at its own texel and view.
+class LightTables:
+    """Each point's ABRDF over the light list at its own texel and view, held where the rays are traced.
 
-    Returns
-    -------
-    (n, lights, 3) float32, 1/sr, without the cosine
+    Parameters
+    ----------
+    tracer : Tracer, for its Mitsuba and Dr.Jit modules
+    material : Tabulated
     """
-    n, (views, lights) = len(points), material.angular.shape[:2]
-    eye = to_local(points, points.to_eye)
-    eye[:, 2] = np.maximum(eye[:, 2], 1e-3)  # shading normals can face away where the surface does not
-    eye /= np.linalg.norm(eye, axis=1, keepdims=True)
-    taps, weights = interpolator(material.views).weights(eye)
-    if material.texels.shape[:2] == (1, 1):
-        factors = np.broadcast_to(material.texels[0, 0], (n, material.texels.shape[2]))
-    else:
-        factors = spatial_factors(material, points.uv, points.footprint * millimetres_per_unit)
-    tables = np.zeros((n, lights * 3), np.float32)
-    flat = material.angular.reshape(views, lights * 3, -1)
-    for tap in range(3):
-        order = np.argsort(taps[:, tap], kind="stable")
-        starts = np.searchsorted(taps[order, tap], np.arange(views + 1))
-        for view in np.flatnonzero(np.diff(starts)):
-            chosen = order[starts[view] : starts[view + 1]]
-            scaled = factors[chosen] * weights[chosen, tap, None].astype(np.float32)
-            tables[chosen] += scaled @ flat[view].T
-    return tables.reshape(n, lights, 3)
+
+    def __init__(self, tracer: Tracer, material: Tabulated):
+        self.mi, self.dr, self.material = tracer.mi, tracer.dr, material
+        views, lights = material.angular.shape[:2]
+        self.views, self.lights = views, lights
+        taps = interpolator(material.lights)
+        self._grid = self.mi.UInt32(taps.grid.ravel().astype(np.uint32))
+        # a corner of a triangle in one packet: its row of the affine map, and which light it is
+        corners = np.concatenate([taps.affine, taps.triangles[..., None]], -1)
+        self._corners = self.mi.Float(corners.astype(np.float32).ravel())
+        padded = np.zeros((views, material.texels.shape[2], lights, 4), np.float32)
+        padded[..., :3] = np.moveaxis(material.angular, 3, 1)
+        self._angular = padded.reshape(views, -1, lights * 4)
+
+    def at(self, points: SurfacePoints, *, millimetres_per_unit: float):
+        """The tables of points.
+
+        Returns
+        -------
+        mitsuba Float of n * lights * 4 lanes: RGB and a zero, 1/sr, without the cosine
+        """
+        taps, weights = self._view_taps(points)
+        factors = np.broadcast_to(self._factors(points, millimetres_per_unit), (len(points), self._angular.shape[1]))
+        rows = (weights[:, :, None] * factors[:, None, :]).reshape(len(points), -1)
+        # points that lie in one triangle of views share one product
+        triangle = (taps[:, 0].astype(np.int64) * self.views + taps[:, 1]) * self.views + taps[:, 2]
+        order = np.argsort(triangle, kind="stable")
+        ends = np.flatnonzero(np.diff(triangle[order], append=-1)) + 1
+        tables = np.empty((len(points), self.lights * 4), np.float32)
+        for some in np.split(order, ends[:-1]):
+            if len(some):
+                tables[some] = rows[some] @ self._angular[taps[some[0]]].reshape(rows.shape[1], -1)
+        return self.mi.Float(tables.ravel())
+
+    def _view_taps(self, points):
+        """Three views and their weights for each point: (n, 3) int and (n, 3) float32."""
+        eye = to_local(points, points.to_eye)
+        eye[:, 2] = np.maximum(eye[:, 2], 1e-3)  # shading normals can face away where the surface does not
+        eye /= np.linalg.norm(eye, axis=1, keepdims=True)
+        taps, weights = interpolator(self.material.views).weights(eye)
+        return taps, weights.astype(np.float32)
+
+    def _factors(self, points, millimetres_per_unit):
+        """Spatial factors (n, k) float32, or (1, k) of a material with one texel."""
+        if self.material.texels.shape[:2] == (1, 1):
+            return self.material.texels[0]
+        return spatial_factors(self.material, points.uv, points.footprint * millimetres_per_unit)
+
+    def value(self, tables, point, omega, active):
+        """Look-up of ``tables`` (of :meth:`at`) for points' light directions.
+
+        Parameters
+        ----------
+        point : mitsuba UInt32, numbers of points
+        omega : mitsuba Vector3f, unit, local
+        active : mitsuba Bool; others are not looked up, their value is meaningless
+
+        Returns
+        -------
+        mitsuba Vector4f : RGB, 1/sr
+        """
+        mi, dr = self.mi, self.dr
+        u, v = omega.x / (1 + omega.z), omega.y / (1 + omega.z)  # the parabolic map
+        column = mi.UInt32(dr.clip((u + 1) * (GRID / 2), 0, GRID - 1))
+        row = mi.UInt32(dr.clip((v + 1) * (GRID / 2), 0, GRID - 1))
+        triangle = dr.gather(mi.UInt32, self._grid, row * GRID + column, active)
+        base = point * dr.opaque(mi.UInt32, self.lights)
+        values, total = mi.Vector4f(0), mi.Float(0)
+        for corner in range(3):
+            affine = dr.gather(mi.Vector4f, self._corners, triangle * 3 + corner, active)
+            weight = dr.maximum(affine.x * u + affine.y * v + affine.z, 0)
+            total += weight
+            values += weight * dr.gather(mi.Vector4f, tables, base + mi.UInt32(affine.w), active)
+        return values / total

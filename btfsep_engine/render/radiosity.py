@@ -150,16 +150,20 @@ class Indirect:
         if not blocked.any():
             return out
         tree, radiosity = self._solution
+        weights = transport.weights(material)
         step = max(1, (1 << 20) // len(directions))
         for start in range(0, len(points), step):
             part = slice(start, min(len(points), start + step))
             rows, columns, taps = self._gather(
                 tree, points.position[part], points.flat_normal[part], directions, blocked[part]
             )
-            weights = transport.weights(material, part, blocked[part])
+            some = np.flatnonzero(blocked[part])
+            pairs = weights.of_pairs(points.take(part), some // len(directions), some % len(directions))
+            dense = np.zeros((3, (part.stop - start) * len(directions)), np.float32)
+            dense[:, some] = np.stack(pairs) * weights.colour[:, None]
             shape = (part.stop - start, len(radiosity))
             for c in range(3):
-                values = weights[c].ravel()[rows] * taps / np.pi
+                values = dense[c][rows] * taps / np.pi
                 matrix = csr_matrix((values, (rows // len(directions), columns)), shape)
                 out[part, :, c] = matrix @ radiosity[:, :, c]
         return out

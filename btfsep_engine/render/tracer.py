@@ -84,6 +84,12 @@ class Tracer:
         """(n, 3) array to a Mitsuba vector of n lanes."""
         return self.mi.Vector3f(np.ascontiguousarray(np.asarray(values, np.float32).T))
 
+    def packets(self, values):
+        """(n, 3) array to a Mitsuba Float whose lanes are gathered four at a time, the fourth 0."""
+        padded = np.zeros((len(values), 4), np.float32)
+        padded[:, :3] = values
+        return self.mi.Float(padded.ravel())
+
     def nearest(self, origins, directions) -> Hits:
         """Nearest hits of rays ``origins, directions : (n, 3) float``, world space, directions unit."""
         n = len(origins)
@@ -119,27 +125,41 @@ class Tracer:
         -------
         (p, n) bool, true where the ray leaves the scene; false below the horizon of ``offset_normals``
         """
-        mi, dr = self.mi, self.dr
-        starts = self.to_local(positions) + OFFSET * np.asarray(offset_normals, np.float64)
-        p, n = len(starts), len(directions)
+        p, n = len(positions), len(directions)
         out = np.empty((p, n), bool)
-        shared = self.vector(directions)
         step = max(1, LANES // n)
         for start in range(0, p, step):
             part = slice(start, min(p, start + step))
-            count = part.stop - start
-            lane = dr.arange(mi.UInt32, count * n)
-            point, direction = lane // n, lane % n
-            origin = dr.gather(mi.Point3f, mi.Point3f(self.vector(starts[part])), point)
-            normal = dr.gather(mi.Vector3f, self.vector(offset_normals[part]), point)
-            omega = dr.gather(mi.Vector3f, shared, direction)
-            above = dr.dot(normal, omega) > 0
-            blocked = self.scene.ray_test(mi.Ray3f(origin, omega), coherent=False, active=above)
-            out[part] = np.array(above & ~blocked).reshape(count, n)
+            out[part] = np.array(self.visible_lanes(positions[part], offset_normals[part], directions)).reshape(-1, n)
         return out
+
+    def visible_lanes(self, positions, offset_normals, directions):
+        """As :meth:`visible`, left where it was traced: a Mitsuba Bool of p * n lanes, evaluated."""
+        mi, dr = self.mi, self.dr
+        p, n = len(positions), len(directions)
+        starts = self.to_local(positions) + OFFSET * np.asarray(offset_normals, np.float64)
+        starts, normals, shared = (self.packets(a) for a in (starts, offset_normals, directions))
+        lane = dr.arange(mi.UInt32, p * n)
+        point = divided(mi, dr, lane, n)
+        origin, normal = (dr.gather(mi.Vector4f, a, point).xyz for a in (starts, normals))
+        omega = dr.gather(mi.Vector4f, shared, lane - point * dr.opaque(mi.UInt32, n)).xyz
+        above = dr.dot(normal, omega) > 0
+        seen = above & ~self.scene.ray_test(mi.Ray3f(origin, omega), coherent=False, active=above)
+        dr.eval(seen)
+        return seen
 
     def sees_sky(self, positions, offset_normals, directions) -> np.ndarray:
         """Whether each point (n, 3) sees the sky in its own direction (n, 3): (n,) bool."""
         starts = np.asarray(positions, np.float64) + OFFSET * self.radius * np.asarray(offset_normals, np.float64)
         above = (np.asarray(offset_normals) * directions).sum(1) > 0
         return above & (self.nearest(starts, directions).mesh == MISS)
+
+
+def divided(mi, dr, lane, divisor: int):
+    """``lane // divisor`` for a divisor that may change from call to call without a new kernel.
+
+    Processors have no fast division of whole numbers: the high half of a product, at most one too large.
+    """
+    quotient = dr.mul_hi(lane, dr.opaque(mi.UInt32, -(-(2**32) // divisor)))
+    over = quotient * dr.opaque(mi.UInt32, divisor) > lane
+    return quotient - dr.select(over, mi.UInt32(1), mi.UInt32(0))

@@ -11,20 +11,22 @@ however many the lightings. The shared set keeps the error of the quadrature smo
 which the fit forgives; independent random directions would be noise in its matrix (errors in variables).
 """
 
+from functools import cached_property
+
 import numpy as np
 
-from btfsep_engine.btf.directions import GRID, interpolator
 from btfsep_engine.btf.model import Lambertian, Material, Mirror, Tabulated
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.render.appearance import light_tables
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.render.weights import Weights
 
 LANES = 1 << 21  # weights computed at once: 25 MB a channel triple
+KEPT = 1 << 28  # rays whose answers are kept for the next material; more are traced anew
 
 
 class Transport:
-    """Transport to one object's surface points; the rays are traced here, once.
+    """Transport to one object's surface points; the rays are traced once, when they are first needed.
 
     Parameters
     ----------
@@ -37,8 +39,28 @@ class Transport:
     def __init__(self, tracer: Tracer, points: SurfacePoints, *, directions: int, millimetres_per_unit: float):
         self.tracer, self.points, self.millimetres_per_unit = tracer, points, millimetres_per_unit
         self.directions = fibonacci_sphere(directions)
-        self.solid_angle = 4 * np.pi / directions
-        self.visible = tracer.visible(points.position, points.flat_normal, self.directions)
+        self._seen = {}
+
+    @cached_property
+    def visible(self) -> np.ndarray:
+        """(points, directions) bool: which directions each point sees the sky in."""
+        parts = [np.array(self._visible(part)) for part in self._parts()]
+        return np.concatenate([*parts, np.zeros(0, bool)]).reshape(len(self.points), len(self.directions))
+
+    def _parts(self):
+        """Slices of the points whose weights are computed at once."""
+        step = max(1, LANES // len(self.directions))
+        return [slice(start, min(len(self.points), start + step)) for start in range(0, len(self.points), step)]
+
+    def _visible(self, part: slice):
+        """Mitsuba Bool, a lane for each direction of each point of the part."""
+        if part.start in self._seen:
+            return self._seen[part.start]
+        points = self.points.take(part)
+        seen = self.tracer.visible_lanes(points.position, points.flat_normal, self.directions)
+        if len(self.points) * len(self.directions) <= KEPT:
+            self._seen[part.start] = seen
+        return seen
 
     def radiance(self, material: Material, lightings) -> np.ndarray:
         """Radiance towards the camera by the light that comes straight from outside the scene.
@@ -50,76 +72,27 @@ class Transport:
 
         Returns
         -------
-        (p, M, 3) float32
+        (p, M, 3) float32, the channels outermost in memory
         """
         if isinstance(material, Mirror):
             return self._mirror(material, lightings)
-        light = np.asarray(lightings.cell_averages(self.directions), np.float32)
-        p, m = len(self.points), light.shape[1]
-        out = np.empty((p, m, 3), np.float32)
-        step = max(1, LANES // len(self.directions))
-        for start in range(0, p, step):
-            part = slice(start, min(p, start + step))
-            weights = self.weights(material, part, self.visible[part])
+        light = np.ascontiguousarray(np.moveaxis(lightings.cell_averages(self.directions), 2, 0), np.float32)
+        weights = self.weights(material)
+        out = np.empty((3, len(self.points), light.shape[2]), np.float32)
+        for part in self._parts():
+            channels = weights.of_all(self.points.take(part), self._visible(part))
             for c in range(3):
-                out[part, :, c] = weights[c] @ light[:, :, min(c, light.shape[2] - 1)]
-        return out
+                if c and len(channels) == len(light) == 1:
+                    out[c, part] = out[0, part]
+                else:
+                    np.matmul(channels[min(c, len(channels) - 1)], light[min(c, len(light) - 1)], out=out[c, part])
+        if (weights.colour != 1).any():
+            out *= weights.colour[:, None, None]
+        return out.transpose(1, 2, 0)
 
-    def weights(self, material: Lambertian | Tabulated, part: slice, wanted) -> np.ndarray:
-        """BTF cos(theta_i) d_omega.
-
-        Parameters
-        ----------
-        material : Lambertian or Tabulated
-        part : slice of the points
-        wanted : (points of the part, directions) bool, which weights to compute; the others are 0
-
-        Returns
-        -------
-        (3, points of the part, directions) float32
-        """
-        points = self.points.take(part)
-        if isinstance(material, Lambertian):
-            cosine = np.maximum(points.normal.astype(np.float32) @ self.directions.T.astype(np.float32), 0)
-            cosine *= wanted
-            albedo = np.asarray(material.albedo, np.float32)[:, None, None]
-            return cosine * (albedo * np.float32(self.solid_angle / np.pi))
-        return self._tabulated(material, points, np.flatnonzero(wanted))
-
-    def _tabulated(self, material: Tabulated, points: SurfacePoints, wanted) -> np.ndarray:
-        mi, dr = self.tracer.mi, self.tracer.dr
-        tables = light_tables(material, points, millimetres_per_unit=self.millimetres_per_unit)
-        taps = interpolator(material.lights)
-        p, n, lights = len(points), len(self.directions), len(material.lights)
-        grid = mi.UInt32(taps.grid.astype(np.uint32).ravel())
-        affine = mi.Float(np.ascontiguousarray(taps.affine, np.float32).ravel())
-        corners = mi.UInt32(np.ascontiguousarray(taps.triangles, np.uint32).ravel())
-        table = mi.Float(tables.ravel())
-        axes = [self.tracer.vector(a) for a in (points.tangent, points.bitangent, points.normal)]
-        shared = self.tracer.vector(self.directions)
-
-        lane = mi.UInt32(wanted.astype(np.uint32))
-        point, direction = lane // dr.opaque(mi.UInt32, n), lane % dr.opaque(mi.UInt32, n)
-        omega = dr.gather(mi.Vector3f, shared, direction)
-        x, y, z = (dr.dot(dr.gather(mi.Vector3f, axis, point), omega) for axis in axes)
-        above = z > 0
-        u, v = x / (1 + z), y / (1 + z)  # the parabolic map
-        column = mi.UInt32(dr.clip((u + 1) * (GRID / 2), 0, GRID - 1))
-        row = mi.UInt32(dr.clip((v + 1) * (GRID / 2), 0, GRID - 1))
-        triangle = dr.gather(mi.UInt32, grid, row * GRID + column, above)
-        values, total = [mi.Float(0)] * 3, mi.Float(0)
-        for corner in range(3):
-            a, b, c = (dr.gather(mi.Float, affine, triangle * 9 + corner * 3 + i, above) for i in range(3))
-            weight = dr.maximum(a * u + b * v + c, 0)
-            total += weight
-            tap = dr.gather(mi.UInt32, corners, triangle * 3 + corner, above)
-            base = (point * dr.opaque(mi.UInt32, lights) + tap) * 3
-            values = [values[c] + weight * dr.gather(mi.Float, table, base + c, above) for c in range(3)]
-        scale = dr.select(above, z * dr.opaque(mi.Float, self.solid_angle) / total, 0)
-        out = dr.zeros(mi.Float, 3 * p * n)
-        for c in range(3):
-            dr.scatter(out, values[c] * scale, lane + dr.opaque(mi.UInt32, c * p * n))
-        return np.array(out).reshape(3, p, n)
+    def weights(self, material: Lambertian | Tabulated) -> Weights:
+        """What the material makes of light from the shared directions."""
+        return Weights(self.tracer, material, self.directions, millimetres_per_unit=self.millimetres_per_unit)
 
     def reflected_directions(self) -> np.ndarray:
         """The mirror directions of the points' view directions: (p, 3) float64, unit."""

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The integrand's weights BTF cos(theta_i) d_omega for pairs of a surface point and a light direction."""
+
+import numpy as np
+
+from btfsep_engine.btf.model import Lambertian, Tabulated
+from btfsep_engine.render.appearance import LightTables
+from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.render.tracer import Tracer, divided
+
+
+class Weights:
+    """Weights of a material under shared directions.
+
+    A grey material needs one set of numbers for all channels: what is returned has 1 channel or 3, and is yet to be
+    multiplied by ``colour``.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    material : Lambertian or Tabulated
+    directions : (n, 3) float, unit, world; each stands for 4 pi / n
+    millimetres_per_unit : millimetres in a world unit
+
+    Attributes
+    ----------
+    colour : (3,) float32
+    """
+
+    def __init__(self, tracer: Tracer, material: Lambertian | Tabulated, directions, *, millimetres_per_unit: float):
+        self.tracer, self.mi, self.dr = tracer, tracer.mi, tracer.dr
+        self.count, self.millimetres_per_unit = len(directions), millimetres_per_unit
+        scale = 4 * np.pi / len(directions)
+        if isinstance(material, Lambertian):
+            self.tables, self.colour = None, np.asarray(material.albedo, np.float32) / np.float32(np.pi)
+        else:
+            self.tables, self.colour = LightTables(tracer, material), np.ones(3, np.float32)
+        # the solid angle goes with the direction
+        self._directions = self._packets([directions, np.full((len(directions), 1), scale)])
+
+    def _packets(self, columns):
+        """Columns side by side as a Mitsuba Float, to be gathered four at a time."""
+        return self.mi.Float(np.concatenate(columns, 1).astype(np.float32).ravel())
+
+    def of_all(self, points: SurfacePoints, active) -> list[np.ndarray]:
+        """Weights of every direction at every point.
+
+        Parameters
+        ----------
+        active : mitsuba Bool, a lane for each direction of each point; the others' weights are 0
+
+        Returns
+        -------
+        1 or 3 arrays (points, directions) float32
+        """
+        lane = self.dr.arange(self.mi.UInt32, len(points) * self.count)
+        point = divided(self.mi, self.dr, lane, self.count)
+        direction = lane - point * self.dr.opaque(self.mi.UInt32, self.count)
+        return [w.reshape(len(points), self.count) for w in self._of(points, point, direction, active)]
+
+    def of_pairs(self, points: SurfacePoints, point, direction) -> list[np.ndarray]:
+        """Weights of pairs, given by numbers of points and directions (t,): 1 or 3 arrays (t,) float32."""
+        point, direction = (self.mi.UInt32(np.asarray(i, np.uint32)) for i in (point, direction))
+        return self._of(points, point, direction, self.dr.full(self.mi.Bool, True, len(point)))
+
+    def _of(self, points, point, direction, active) -> list[np.ndarray]:
+        mi, dr = self.mi, self.dr
+        omega = dr.gather(mi.Vector4f, self._directions, direction)
+        if self.tables is None:
+            normal = dr.gather(mi.Vector4f, self.tracer.packets(points.normal), point)
+            cosine = normal.x * omega.x + normal.y * omega.y + normal.z * omega.z
+            values = [dr.select(active & (cosine > 0), cosine * omega.w, 0)]
+        else:
+            tables = self.tables.at(points, millimetres_per_unit=self.millimetres_per_unit)
+            frames = self._packets([points.tangent, points.bitangent, points.normal, np.zeros((len(points), 3))])
+            a, b, c = (dr.gather(mi.Vector4f, frames, point * 3 + i) for i in range(3))
+            local = mi.Vector3f(
+                a.x * omega.x + a.y * omega.y + a.z * omega.z,
+                a.w * omega.x + b.x * omega.y + b.y * omega.z,
+                b.z * omega.x + b.w * omega.y + c.x * omega.z,
+            )
+            active = active & (local.z > 0)
+            value = self.tables.value(tables, point, local, active)
+            scale = dr.select(active, local.z * omega.w, 0)
+            values = [dr.select(active, value[c] * scale, 0) for c in range(3)]
+        dr.eval(values)
+        return [v.numpy() for v in values]
