@@ -13,12 +13,13 @@ from btfsep_engine.btf.model import Tabulated
 __all__ = ["CLASSES", "Header", "read", "read_header", "write"]
 
 
-def read(path, **options) -> Tabulated:
+def read(path, data=None, **options) -> Tabulated:
     """Reads a ``.btf`` file into memory.
 
     Parameters
     ----------
     path : path of the file
+    data : its bytes, where they are mapped already
     options : name, material_class, cosine, components, flip_v, reporter of :func:`btf.linear.to_material`
 
     Raises
@@ -26,7 +27,7 @@ def read(path, **options) -> Tabulated:
     InputError
         Not such a file, cut short, inconsistent, not finite, or of a kind that is not supported.
     """
-    return to_material(open_btf(path), **options)
+    return to_material(open_btf(path, data), **options)
 
 
 def read_header(path) -> Header:

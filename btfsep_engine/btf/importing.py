@@ -4,7 +4,9 @@
 import contextlib
 import os
 import re
+import stat
 import tempfile
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,10 +16,12 @@ from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.image_set import import_images
 from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.btf.formats.writing import write
-from btfsep_engine.btf.library import NAME, Entry, changing, entries_of, file_sha256
+from btfsep_engine.btf.library import NAME, Entry, changing, entries_of, file_sha256, open_library
 from btfsep_engine.btf.model import REFERENCE, Tabulated
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
+
+ABANDONED = 24 * 3600.0  # seconds after which a scratch file is nobody's
 
 
 @dataclass(frozen=True)
@@ -122,6 +126,8 @@ def _is_btf(source: Path) -> bool:
     try:
         if source.is_dir():
             return False
+        if not stat.S_ISREG(source.stat().st_mode):  # reading a pipe would wait for ever
+            raise InputError(str(source), "it is neither a file nor a folder", "give a .btf file, a folder or a zip")
         with source.open("rb") as handle:
             return handle.read(1) == b"!" or source.suffix.lower() == ".btf"
     except OSError as error:
@@ -150,9 +156,11 @@ def full_name(name: str, material_class: str) -> str:
         Names that an index cannot hold, or that are a reference material's.
     """
     full = name if name.startswith(material_class + "/") else f"{material_class}/{name}"
-    if not re.match(NAME, full) or len(full) > 100:
+    if not re.fullmatch(NAME, full) or len(full) > 100:
         raise InputError(
-            f"the name '{full}'", "it is not class/name", "use letters, digits, dots, - and _; a-z for classes"
+            f"the name '{full}'",
+            "it is not class/name",
+            "use letters, digits, _, and after the first of them also - and dots; a-z and digits for classes",
         )
     if full in REFERENCE or full.startswith("reference/"):
         raise InputError(f"the name '{full}'", "it is a reference material's", "use another class")
@@ -189,6 +197,7 @@ def add(
     _name_is_free(folder, material.name, overwrite)  # before the work; again under the lock
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        _sweep(folder)
         handle, scratch = tempfile.mkstemp(prefix=".adding-", suffix=".btf", dir=folder)
         os.close(handle)
     except OSError as error:
@@ -197,7 +206,11 @@ def add(
         ) from error
     scratch = Path(scratch)
     try:
-        write(scratch, material, height_mm=height_mm, setup=setup, layout=layout)
+        try:
+            write(scratch, material, height_mm=height_mm, setup=setup, layout=layout)
+        except InputError as error:  # the scratch file's name tells nobody anything
+            what = f"cannot write to {folder}" if scratch.name in error.what else error.what
+            raise InputError(what, error.got, error.do) from error
         digest, size = file_sha256(scratch), scratch.stat().st_size
         with changing(folder) as entries:
             old = entries.get(material.name)
@@ -216,7 +229,7 @@ def add(
                 sha256=digest,
                 size=size,
                 relative_error=None if relative_error is None else round(float(relative_error), 4),
-                source=source[:300],
+                source=source.encode(errors="replace").decode()[:300],  # names of files are not always text
                 made_by=made_by,
             )
             os.replace(scratch, folder / file)
@@ -238,13 +251,29 @@ def remove(folder, name: str) -> None:
         No such material in the folder; a folder that cannot be written.
     """
     folder = Path(folder)
+    _entry(open_library(folder).entries, name, folder)  # before the lock, which makes the folder
     with changing(folder) as entries:
-        if name not in entries:
-            known = ", ".join(list(entries)[:5]) or "none"
-            raise InputError(f"material '{name}'", f"it is not in {folder}", f"give one of its names ({known} …)")
-        entry = entries.pop(name)
+        entry = _entry(entries, name, folder)
+        del entries[name]
     with contextlib.suppress(OSError):
         (folder / entry.file).unlink()
+
+
+def _entry(entries: dict, name: str, folder: Path) -> Entry:
+    if name in entries:
+        return entries[name]
+    if not entries:
+        raise InputError(f"material '{name}'", f"it is not in {folder}, which is empty", "give another library")
+    some = ", ".join(list(entries)[:5])
+    raise InputError(f"material '{name}'", f"it is not in {folder}", f"give one of its names ({some} …)")
+
+
+def _sweep(folder: Path) -> None:
+    """Takes away what imports that were killed have left; what is younger may be one that is under way."""
+    for path in folder.glob(".adding-*.btf"):
+        with contextlib.suppress(OSError):
+            if time.time() - path.lstat().st_mtime > ABANDONED:
+                path.unlink()
 
 
 def _name_is_free(folder: Path, name: str, overwrite: bool) -> None:

@@ -7,11 +7,12 @@ The index is written last, so that a library which is being built is the one bef
 import difflib
 import hashlib
 import json
+import stat
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -19,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from btfsep_engine import atomic
 from btfsep_engine.btf import fmf, procedural
 from btfsep_engine.btf.directions import cosine_weights, ubo2014_directions
+from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.lock import locked
 from btfsep_engine.btf.model import REFERENCE, Lambertian, Material, Mirror, Tabulated
 from btfsep_engine.errors import InputError
@@ -26,27 +28,28 @@ from btfsep_engine.progress import Reporter
 
 INDEX = "index.json"
 MAX_INDEX_BYTES = 16 << 20
-NAME = r"^[a-z0-9]+/[A-Za-z0-9._-]+$"
+NAME = r"^[a-z0-9]+/[A-Za-z0-9_][A-Za-z0-9._-]*$"  # not "..", nothing that a command takes for an option
 # What the default library is measured with; the time and size that follow are in docs/library.md.
 DEFAULT_SETTINGS = {"mesh": 512, "texels": 80, "samples": 1, "components": 14, "seed": 0}
+Side = Annotated[int, Field(gt=0, le=1 << 24)]
 
 
 class Entry(BaseModel):
     """One material of a library."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
     name: str = Field(pattern=NAME, max_length=100)
     material_class: str = Field(alias="class", max_length=50)
     file: str = Field(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*\.btf$", max_length=150)  # a plain name: no way out
     texel_mm: float = Field(gt=0, lt=1000)
-    texels: tuple[int, int]  # height, width
+    texels: tuple[Side, Side]  # height, width
     components: int = Field(gt=0, le=4096)
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
-    size: int = Field(gt=0)  # bytes
-    relative_error: float | None = None  # of the factorisation against the measurement, its noise included
+    size: int = Field(gt=0, lt=1 << 53)  # bytes
+    relative_error: float | None = Field(None, ge=0)  # of the factorisation against the measurement, its noise included
     source: str = Field("", max_length=300)  # what it was imported from
-    made_by: str = ""  # digest of the settings and of the maps; a build with the same one is not repeated
+    made_by: str = Field("", max_length=300)  # digest of settings and maps; a build with the same one is not repeated
 
 
 class Index(BaseModel):
@@ -97,18 +100,19 @@ class Library:
     def _load_file(self, entry: Entry) -> Tabulated:
         path = self.folder / entry.file
         try:
-            right = path.stat().st_size == entry.size and file_sha256(path) == entry.sha256
-        except OSError as error:
+            data = map_file(path)
+        except InputError as error:
             raise InputError(
-                f"material '{entry.name}'", f"{path}: {error.strerror}", "build or download the library again"
+                f"material '{entry.name}'", f"{path}: {error.got}", "build or download the library again"
             ) from error
-        if not right:
+        if len(data) != entry.size or sha256(data) != entry.sha256:
             raise InputError(
                 f"material '{entry.name}'",
                 f"{path} is not the file in the index",
                 "build or download the library again",
             )
-        return fmf.read(path, name=entry.name, material_class=entry.material_class)
+        # the bytes that were hashed, whatever is put in the file's place meanwhile
+        return fmf.read(path, data=data, name=entry.name, material_class=entry.material_class)
 
     def show(self, name: str) -> dict:
         """Facts about a material: name, class, kind, mean albedo (3 floats, under light from everywhere), and for
@@ -156,8 +160,9 @@ def open_library(path=None) -> Library:
     folder = Path(str(resources.files("btfsep_engine") / "data" / "library")) if path is None else Path(path)
     index_path = folder / INDEX
     try:
-        if index_path.stat().st_size > MAX_INDEX_BYTES:
-            raise InputError(str(index_path), "it is too large for an index", "give a library's folder")
+        found = index_path.stat()
+        if found.st_size > MAX_INDEX_BYTES or not stat.S_ISREG(found.st_mode):  # reading a pipe would wait for ever
+            raise InputError(str(index_path), "it is too large, or no file, for an index", "give a library's folder")
         index = Index.model_validate_json(index_path.read_bytes())
     except OSError as error:
         raise InputError(
@@ -167,8 +172,8 @@ def open_library(path=None) -> Library:
         ) from error
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise InputError(str(index_path), f"{where}: {first['msg']}", "build or download the library again") from error
+        got = ": ".join(filter(None, (".".join(str(part) for part in first["loc"]), first["msg"])))
+        raise InputError(str(index_path), got, "build or download the library again") from error
     entries = {entry.name: entry for entry in index.materials}
     if len(entries) != len(index.materials):
         raise InputError(str(index_path), "two materials have the same name", "rename one of them")

@@ -6,8 +6,7 @@ factorised anew in the linear domain, and kept in the cache folder under the has
 """
 
 import json
-import zipfile
-import zlib
+import tokenize
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from btfsep_engine.progress import Reporter
 
 COSINE = ("header", "auto", "included", "excluded")
 COMPONENTS = 32  # of a file that is factorised anew, unless told
-VERSION = 1  # of the cached factors; another one when the method changes
+VERSION = 2  # of the cached factors; another one when the method changes
 CHECKED_TEXELS = 128
 MAX_DECODED_TEXELS = 1024 * 1024  # of a file that has to be decoded
 CLASSES = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
@@ -132,13 +131,14 @@ def converted(file: BtfFile, *, components: int, seed: int = 0, reporter: Report
         raise InputError(str(file.path), f"{file.texels} texels are too many to decode", "give a smaller resampling")
     components = max(1, min(components, 2 * sum(file.components) + 2))
     key = sha256(json.dumps(["linear", VERSION, file.sha256(), components, seed, file.components]).encode())
-    stored = cache_folder() / "materials" / f"{key[:32]}.npz"
+    stored = cache_folder() / "materials" / f"{key[:32]}.npy"
     factors = _load(stored, file)
     if factors is None:
         factors = recompress(file.decode, file.texels, file.pairs, components=components, seed=seed, reporter=reporter)
         try:
             with atomic.replacing(stored) as scratch, open(scratch, "wb") as out:
-                np.savez(out, spatial=factors.spatial, angular=factors.angular, error=factors.relative_error)
+                for part in (np.float64(factors.relative_error), factors.spatial, factors.angular):
+                    np.save(out, part)  # one after the other: a zip would try again on a disk that is full
         except InputError:
             pass  # only costs the decoding next time
     return factors
@@ -146,9 +146,10 @@ def converted(file: BtfFile, *, components: int, seed: int = 0, reporter: Report
 
 def _load(path, file: BtfFile) -> LinearFactors | None:
     try:
-        with np.load(path, allow_pickle=False) as kept:
-            spatial, angular, error = kept["spatial"], kept["angular"], float(kept["error"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        with open(path, "rb") as kept:
+            error, spatial, angular = (np.load(kept, allow_pickle=False) for _ in range(3))
+            error = float(error)
+    except (OSError, ValueError, TypeError, EOFError, SyntaxError, MemoryError, tokenize.TokenError):
         return None  # absent, damaged, or not ours
     k = spatial.shape[-1] if spatial.ndim == 2 else -1
     if spatial.shape != (file.texels, k) or angular.shape != (file.pairs, 3, k):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One writer of a library folder at a time, whatever the process. The lock goes with its process, however that ends."""
 
+import errno
 import os
 import time
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from btfsep_engine.errors import InputError
 
 FILE = ".lock"
 PATIENCE = 60.0  # seconds
+HELD = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK, errno.EINTR)  # what a lock of another's gives
 if os.name == "nt":
     import msvcrt
 
@@ -54,6 +56,10 @@ def locked(folder, patience: float = PATIENCE):
                 _take(handle)
                 break
             except OSError as error:
+                if error.errno not in HELD:
+                    raise InputError(
+                        f"library {folder}", f"its {FILE} cannot be locked: {error.strerror}", "use another disk"
+                    ) from error
                 if time.monotonic() >= end:
                     raise InputError(
                         f"library {folder}", "another program has been writing to it for long", "try again later"

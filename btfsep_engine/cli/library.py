@@ -23,7 +23,7 @@ def library():
 def library_list(*, library_folder, thumbnails, side, reporter):
     """The names and classes of all materials."""
     opened = opened_library(library_folder)
-    materials = [{"name": n, "class": n.split("/")[0]} for n in opened.names()]
+    materials = [_listed(opened, name) for name in opened.names()]
     if thumbnails is not None:
         from btfsep_engine.btf.thumbnail import render
         from btfsep_engine.images import write_png
@@ -37,11 +37,21 @@ def library_list(*, library_folder, thumbnails, side, reporter):
     return {"materials": materials}, "\n".join(m["name"] for m in materials)
 
 
+def _listed(opened, name: str) -> dict:
+    entry = opened.entries.get(name)
+    if entry is None:
+        return {"name": name, "class": name.split("/")[0]}
+    kept = entry.model_dump(mode="json", include={"texels", "texel_mm", "components", "size", "source"})
+    return {"name": name, "class": entry.material_class, **kept}
+
+
 @library.command("show")
 @click.argument("name")
 @LIBRARY
 @click.option("--maps", type=click.Path(path_type=Path), help="Also write the maps it was made from into this folder.")
-@click.option("--resolution", type=int, default=512, show_default=True, help="Edge of the maps in pixels.")
+@click.option(
+    "--resolution", type=click.IntRange(16, 4096), default=512, show_default=True, help="Edge of the maps in pixels."
+)
 @command
 def library_show(*, name, library_folder, maps, resolution, reporter):
     """What is known of one material."""
@@ -49,7 +59,10 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
     result = opened.show(name)
     if maps is not None:
         from btfsep_engine.btf.library import export_maps
+        from btfsep_engine.btf.procedural import NAMES
 
+        if name not in NAMES:
+            raise InputError(f"material '{name}'", "it was not made from procedural maps", "leave --maps away")
         export_maps(name, maps, resolution=resolution)
         result = {**result, "maps": str(maps)}
     return result, words.facts(result)

@@ -93,18 +93,26 @@ class Members:
         """The path of a file with the content of member ``name``; in a zip's case it goes away after the block."""
         if self.archive is None:
             path = self.source / name
-            if path.is_file() and path.stat().st_size > MAX_MEMBER_BYTES:
+            if not path.is_file():  # reading a pipe would wait for ever
+                raise InputError(str(path), "it is gone, or no file", "check the folder")
+            if path.stat().st_size > MAX_MEMBER_BYTES:
                 raise InputError(str(path), f"{path.stat().st_size} bytes are more than an image has", "check the file")
             yield path
             return
-        data = self._content(self.infos[name])
-        handle, scratch = tempfile.mkstemp(suffix=PurePosixPath(name).suffix[:10])
+        data, scratch = self._content(self.infos[name]), None
         try:
-            with os.fdopen(handle, "wb") as out:
-                out.write(data)
+            try:
+                handle, scratch = tempfile.mkstemp(suffix=PurePosixPath(name).suffix[:10])
+                with os.fdopen(handle, "wb") as out:
+                    out.write(data)
+            except OSError as error:
+                raise InputError(
+                    f"cannot write to {tempfile.gettempdir()}", error.strerror or str(error), "free space there"
+                ) from error
             yield Path(scratch)
         finally:
-            os.unlink(scratch)
+            if scratch is not None:
+                os.unlink(scratch)
 
     def _content(self, info) -> bytes:
         where = f"{self.source}: {info.filename[:120]}"

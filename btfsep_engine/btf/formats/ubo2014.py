@@ -127,8 +127,13 @@ def _alike(a, b) -> bool:
     return a.shape == b.shape and np.array_equal(a[:16], b[:16]) and np.array_equal(a, b)
 
 
-def open_btf(path) -> BtfFile:
+def open_btf(path, data=None) -> BtfFile:
     """Opens a ``.btf`` file: checks everything but the values, decodes nothing.
+
+    Parameters
+    ----------
+    path : path of the file
+    data : its bytes, where they are mapped already
 
     Raises
     ------
@@ -136,7 +141,7 @@ def open_btf(path) -> BtfFile:
         No such file, another kind, cut short, or one whose parts do not fit.
     """
     path = Path(path)
-    cursor = Cursor(map_file(path), path)
+    cursor = Cursor(map_file(path) if data is None else data, path)
     header = read_common(cursor)
     if header.signature.startswith("!FMF"):
         return _open_fmf(cursor, header)
