@@ -178,6 +178,9 @@ def import_mitsuba():
 
     mitsuba.set_variant(backend.variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
+    from btfsep_engine.render.mitsuba_bsdf import register
+
+    register(mitsuba)
     return mitsuba
 
 

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The reference transport: the paper's own pipeline, one path-traced image for each light.
+
+Mitsuba's path tracer renders the job's objects with the BSDF plugin ``btf`` under environment emitters; a basis light
+that goes negative is rendered as its positive and its negative part. It shares with the kernel the material's tables
+and the charts on the surfaces, and nothing of how the integral of eq. 1 is found: paths are independent, sampled by
+the BTF and by the light, and follow interreflections with the full BTF. It is unbiased and slow.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.btf.model import Lambertian, Material, Mirror
+from btfsep_engine.job.model import Job
+from btfsep_engine.light.point_lights import DirectionalLights, PointLights
+from btfsep_engine.progress import Reporter
+from btfsep_engine.render.mitsuba_bsdf import held, register
+from btfsep_engine.render.parametrise import physical_uv
+from btfsep_engine.render.tracer import Tracer
+
+LANES = 1 << 20  # paths traced at once
+SKY_ROWS = 512  # of the emitters' maps: bilinear between them, order 9 is right to 0.05 %
+CENTRE = (0.501, 0.5007)  # of a pixel: through the very centre, rays can meet an edge of a mesh and slip through it
+BLACK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+
+
+@dataclass(frozen=True)
+class ReferenceRadiance:
+    """p pixels under M lights.
+
+    Attributes
+    ----------
+    radiance : (p, M, 3) float32
+    variance : (p, M, 3) float32, of ``radiance``, from the spread of the independent paths
+    seconds : (M,) float64, wall-clock seconds for each light
+    """
+
+    radiance: np.ndarray
+    variance: np.ndarray
+    seconds: np.ndarray
+
+
+class Reference:
+    """A job as a Mitsuba scene.
+
+    Parameters
+    ----------
+    job : Job
+    tracer : Tracer of the job's meshes (objects first, then occluders); gives the scale of the scene
+    materials : one Material for each object, None: black. Occluders are black
+    bounces : reflections followed; 1 is light that comes straight from outside
+    textured : true: texels and tangents by the objects' charts (`surface.with_texture`); false: tangents that follow
+        the world's vertical (`surface.with_any_tangent`), for materials of one texel
+    reporter : told about charts
+    """
+
+    def __init__(self, job: Job, tracer: Tracer, materials, *, bounces: int = 1, textured: bool = True, reporter=None):
+        self.job, self.tracer, self.mi, self.dr = job, tracer, tracer.mi, tracer.dr
+        register(self.mi)
+        materials = [*materials, *[None] * len(job.occluders)]
+        self._shapes = {}
+        for number, (mesh, material) in enumerate(zip(tracer.meshes, materials, strict=True)):
+            uv = None
+            if textured and material is not None and number < len(job.objects):
+                uv = physical_uv(
+                    mesh, job.objects[number].uv, millimetres_per_unit=1000 * job.metres_per_unit, reporter=reporter
+                )
+            self._shapes[f"shape{number:04d}"] = self._shape(number, mesh, self._bsdf(material, textured), uv)
+        depth = {"max_depth": bounces + 1, "rr_depth": bounces + 2, "hide_emitters": True}
+        self.integrator = self.mi.load_dict({"type": "path", **depth})
+
+    def _bsdf(self, material: Material | None, textured: bool) -> dict:
+        if material is None:
+            return BLACK
+        if isinstance(material, Lambertian):
+            albedo = {"type": "rgb", "value": np.asarray(material.albedo, float).tolist()}
+            return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": albedo}}
+        if isinstance(material, Mirror):
+            colour = {"type": "rgb", "value": np.asarray(material.reflectance, float).tolist()}
+            conductor = {"type": "conductor", "material": "none", "specular_reflectance": colour}
+            return {"type": "twosided", "bsdf": conductor}
+        return {"type": "btf", "material": held(material), "tangents": "uv" if textured else "vertical"}
+
+    def _shape(self, number, mesh, bsdf, uv):
+        """A mesh whose corners are vertices of their own: normals and charts may break at every edge."""
+        mi = self.mi
+        properties = mi.Properties()
+        properties["bsdf"] = mi.load_dict(bsdf)
+        n = len(mesh.faces)
+        shape = mi.Mesh(
+            f"shape{number:04d}", 3 * n, n, properties, has_vertex_normals=True, has_vertex_texcoords=uv is not None
+        )
+        params = mi.traverse(shape)
+        corners = self.tracer.to_local(mesh.vertices)[mesh.faces].astype(np.float32)
+        params["vertex_positions"] = mi.Float(corners.ravel())
+        params["vertex_normals"] = mi.Float(np.ascontiguousarray(mesh.corner_normals, np.float32).ravel())
+        if uv is not None:
+            params["vertex_texcoords"] = mi.Float(np.ascontiguousarray(uv, np.float32).ravel())
+        params["faces"] = mi.UInt32(np.arange(3 * n, dtype=np.uint32))
+        params.update()
+        return shape
+
+    def radiance(
+        self, pixels, lightings, *, samples: int, seed: int = 0, jitter: bool = True, reporter: Reporter | None = None
+    ) -> ReferenceRadiance:
+        """Path-traces ``pixels`` once for each light (and each sign that it has).
+
+        Parameters
+        ----------
+        pixels : (p, 2) int, row and column
+        lightings : light.lightings.Lightings, or PointLights or DirectionalLights; M lights
+        samples : paths for each pixel and sign
+        seed : of the random numbers; others give independent results
+        jitter : true: paths start all over the pixel; false: through its centre, as the kernel's ray does
+        reporter : told the progress of stage "transport"
+        """
+        pixels = np.asarray(pixels)
+        shape = (len(pixels), lightings.count, 3)
+        mean, variance = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        seconds = np.zeros(lightings.count)
+        if lightings.count == 0 or not len(pixels):
+            return ReferenceRadiance(mean, variance, seconds)
+        started = time.perf_counter()
+        render = 0
+        for number, sign, scene in self._lit_scenes(lightings):
+            # numbers of the independent sampler differ with the render: the parts' errors are independent
+            got, spread = self._traced(scene, pixels, samples, seed * 100_003 + render, jitter)
+            mean[:, number] += sign * got
+            variance[:, number] += spread
+            render += 1
+            seconds[number] += time.perf_counter() - started
+            started = time.perf_counter()
+            if reporter is not None:
+                reporter.progress("transport", (number + 1) / lightings.count, lightings.names[number])
+        return ReferenceRadiance(mean, variance, seconds)
+
+    def _lit_scenes(self, lightings):
+        """(number of the light, sign, scene) of everything that has to be rendered."""
+        mi = self.mi
+        if isinstance(lightings, PointLights | DirectionalLights):
+            for number in range(lightings.count):
+                yield number, 1, mi.load_dict({"type": "scene", "light": self._lamp(lightings, number), **self._shapes})
+            return
+        sky = self._skies(lightings)
+        blank = mi.Bitmap(np.ones((SKY_ROWS, 2 * SKY_ROWS, 3), np.float32))
+        # Mitsuba's maps have +Y up: its (x, y, z) is our (y, z, x)
+        turn = mi.ScalarTransform4f(np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]))
+        emitter = {"type": "envmap", "bitmap": blank, "to_world": turn}
+        scene = mi.load_dict({"type": "scene", "light": emitter, **self._shapes})
+        params = mi.traverse(scene)
+        for number in range(lightings.count):
+            for sign in (1, -1):
+                part = np.maximum(sign * sky[:, :, number], 0)
+                if not part.any():
+                    continue
+                part = np.broadcast_to(part, (*part.shape[:2], 3))
+                # a last column that repeats the first closes the circle
+                params["light.data"] = mi.TensorXf(np.concatenate([part, part[:, :1]], 1).astype(np.float32))
+                params.update()
+                yield number, sign, scene
+
+    @staticmethod
+    def _skies(lightings) -> np.ndarray:
+        """The lights on the emitter's grid: (SKY_ROWS, 2 SKY_ROWS, M, 3 or 1) float32.
+
+        Mitsuba's rows reach from pole to pole, its columns are between (i, i + 1) / columns; both are interpolated.
+        """
+        polar = np.arange(SKY_ROWS) * (np.pi / (SKY_ROWS - 1))
+        turn = (np.arange(2 * SKY_ROWS) + 0.5) * (np.pi / SKY_ROWS)
+        cell = 2 * np.pi**2 / (2 * SKY_ROWS**2)
+        out = None
+        for row, theta in enumerate(polar):
+            s = np.sin(theta)
+            directions = np.stack(
+                [-s * np.cos(turn), s * np.sin(turn), np.full_like(turn, np.cos(theta))], -1
+            )  # Mitsuba's (sin, cos, -cos) of its own axes, in ours
+            values = lightings.radiance(directions, cell * max(s, 1e-3) if _finer(lightings) else 0.0)
+            if out is None:
+                out = np.empty((SKY_ROWS, *values.shape), np.float32)
+            out[row] = values
+        return out
+
+    def _lamp(self, lights, number) -> dict:
+        """A light without extent as an emitter of the scaled scene."""
+        if isinstance(lights, PointLights):
+            value = (lights.intensities[number] / self.tracer.radius**2).tolist()
+            return {
+                "type": "point",
+                "position": self.tracer.to_local(lights.positions[number]).tolist(),
+                "intensity": {"type": "rgb", "value": value},
+            }
+        value = lights.irradiances[number].tolist()
+        return {
+            "type": "directional",
+            "direction": (-lights.directions[number]).tolist(),
+            "irradiance": {"type": "rgb", "value": value},
+        }
+
+    def _traced(self, scene, pixels, samples, seed, jitter):
+        """Mean of the paths through each pixel and the variance of that mean: 2 x (p, 3) float32."""
+        mi, dr, camera = self.mi, self.dr, self.job.camera
+        rotation = camera.to_world[:3, :3]
+        corner = np.stack(
+            [(pixels[:, 1] - camera.cx) / camera.fx, -(pixels[:, 0] - camera.cy) / camera.fy, -np.ones(len(pixels))], -1
+        )
+        corner = corner @ rotation.T
+        # arrays of one lane, not constants: the compiled kernel serves every camera
+        right, down, eye = (
+            mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in v))
+            for v in (
+                rotation[:, 0] / camera.fx,
+                -rotation[:, 1] / camera.fy,
+                self.tracer.to_local(camera.to_world[:3, 3]),
+            )
+        )
+        sampler = mi.load_dict({"type": "independent"})
+        mean, variance = np.empty((2, len(pixels), 3), np.float32)
+        step = max(1, LANES // samples)
+        for start in range(0, len(pixels), step):
+            part = corner[start : start + step]
+            lanes = len(part) * samples
+            sampler.seed(seed * 4099 + start // step, lanes)
+            point = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, samples)
+            within = sampler.next_2d() if jitter else mi.Point2f(*(dr.opaque(mi.Float, x) for x in CENTRE))
+            direction = dr.gather(mi.Vector3f, self.tracer.vector(part), point) + within.x * right + within.y * down
+            ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(eye), dr.normalize(direction)))
+            colour, _, _ = self.integrator.sample(scene, sampler, ray)
+            dr.eval(colour)  # now: every sum would trace the paths again
+            sums = []
+            for channel in (colour.x, colour.y, colour.z):
+                value = mi.Float64(channel)
+                sums += [dr.block_sum(value, samples), dr.block_sum(value * value, samples)]
+            dr.eval(sums)
+            total, squares = np.array([np.array(a) for a in sums]).reshape(3, 2, -1).transpose(1, 2, 0)
+            mean[start : start + step] = total / samples
+            spread = (squares - total**2 / samples) / max(samples - 1, 1) / samples
+            variance[start : start + step] = np.maximum(spread, 0)
+        return mean, variance
+
+
+def _finer(lightings) -> bool:
+    """Whether the lights are maps with more pixels than the emitter has: then they are averaged."""
+    maps = getattr(lightings, "maps", None)
+    return maps is not None and maps.shape[1] > SKY_ROWS
+
+
+def all_pixels(job: Job) -> np.ndarray:
+    """Every pixel of the photo: (height * width, 2) int, row and column, row by row."""
+    rows, columns = np.mgrid[: job.camera.height, : job.camera.width]
+    return np.stack([rows.ravel(), columns.ravel()], -1)
