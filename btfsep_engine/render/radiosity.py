@@ -7,6 +7,7 @@ found under all M lightings at once; it is linear in the light, as everything el
 """
 
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -18,7 +19,8 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
 SAMPLES = 3000  # surface samples over the whole scene, each with two sides
-DIRECTIONS = 256  # directions of a sample's gathering
+DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more samples would
+LANES = 1 << 20  # pairs of pixel and direction that are followed at once
 NEIGHBOURS = 3
 NORMAL_SCALE = 0.5  # weight of a normal's difference against a distance in scene radii, in the neighbour search
 
@@ -42,45 +44,35 @@ def diffuse_albedo(material: Material) -> np.ndarray:
     return np.clip(albedo, 0, 0.98)
 
 
-class Indirect:
-    """Radiosity of a scene's surfaces under M lightings.
+class Network:
+    """The surface samples of a scene and the light that goes between them: geometry alone, whatever the light.
 
-    Parameters
+    Attributes
     ----------
-    tracer : Tracer
-    albedos : one (3,) per mesh of the tracer; zeros for what reflects nothing or is not known
-    lightings : light.lightings.Lightings
-    bounces : number of reflections between surfaces that are followed, >= 1
+    directions : (DIRECTIONS, 3) float64, of the samples' gathering
+    mesh : (s,) int, the mesh of each sample
+    sky : (s, DIRECTIONS) float32, cos(theta) d_omega where the sky is seen
+    gather : (s, s) sparse float32, radiosity to irradiance
     """
 
-    def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, seed: int = 0):
-        self.tracer, self.albedos, self.lightings = tracer, np.asarray(albedos, np.float64), lightings
-        self.bounces, self.seed = bounces, seed
+    def __init__(self, tracer: Tracer, *, seed: int):
+        self.tracer = tracer
+        position, normal, self.mesh = self._samples(np.random.default_rng(seed))
+        self._tree = cKDTree(self._feature(position, normal))
+        self.directions = fibonacci_sphere(DIRECTIONS)
+        cosine = np.maximum(normal @ self.directions.T, 0).astype(np.float32) * np.float32(4 * np.pi / DIRECTIONS)
+        seen = tracer.visible(position, normal, self.directions)
+        self.sky = cosine * seen
+        # the inside of a closed object sees no sky and is seen by nobody: no rays are spent on it
+        sample, direction = np.nonzero(seen.any(1)[:, None] & (cosine > 0) & ~seen)
+        arrived, taps, weights = self.arrivals(position[sample], normal[sample], self.directions[direction])
+        weights *= cosine[sample, direction][arrived, None] / np.float32(np.pi)
+        self.gather = self.sparse(sample[arrived], taps, weights, len(position))
 
-    @cached_property
-    def _solution(self):
-        """Search tree of the samples and their radiosity (s, M, 3); found when it is first needed."""
-        tracer = self.tracer
-        position, normal, mesh = self._samples(np.random.default_rng(self.seed))
-        tree = cKDTree(self._feature(position, normal))
-        directions = fibonacci_sphere(DIRECTIONS)
-        light = np.asarray(self.lightings.cell_averages(directions), np.float64)
-        light = np.broadcast_to(light, (*light.shape[:2], 3))
-        cosine = np.maximum(normal @ directions.T, 0) * (4 * np.pi / DIRECTIONS)
-        seen = tracer.visible(position, normal, directions)
-        direct = np.einsum("sd,dmc->smc", cosine * seen, light, optimize=True)
-        albedo = self.albedos[mesh][:, None, :]
-        radiosity = albedo * direct
-        if self.bounces > 1:
-            # the inside of a closed object sees no sky and is seen by nobody: no rays are spent on it
-            outside = seen.any(1)[:, None]
-            rows, columns, weights = self._gather(tree, position, normal, directions, outside & (cosine > 0) & ~seen)
-            n = len(position)
-            gather = csr_matrix((weights * cosine.ravel()[rows] / np.pi, (rows // DIRECTIONS, columns)), (n, n))
-            for _ in range(self.bounces - 1):
-                received = (gather @ radiosity.reshape(n, -1)).reshape(direct.shape)
-                radiosity = albedo * (direct + received)
-        return tree, radiosity
+    def sparse(self, rows, taps, weights, count: int) -> csr_matrix:
+        """(count, s): ``weights`` (t, k) of the samples ``taps`` (t, k), summed into ascending ``rows`` (t,)."""
+        starts = np.searchsorted(rows, np.arange(count + 1)) * taps.shape[1]
+        return csr_matrix((weights.ravel(), taps.ravel(), starts), (count, len(self.mesh)))
 
     def _samples(self, random):
         """Points on all triangles by area, each with both sides: positions, normals, mesh numbers."""
@@ -104,22 +96,18 @@ class Indirect:
     def _feature(self, position, normal):
         return np.concatenate([(position - self.tracer.centre) / self.tracer.radius, normal * NORMAL_SCALE], 1)
 
-    def _gather(self, tree, position, normal, directions, wanted):
-        """Where the wanted (point, direction) rays arrive, as taps of the samples.
+    def arrivals(self, position, normal, omega):
+        """Where rays arrive.
+
+        Parameters
+        ----------
+        position, normal, omega : (n, 3) float, where they start, the normals that they start along, unit directions
 
         Returns
         -------
-        rows : (t,) flat (point, direction) numbers
-        columns : (t,) sample numbers
-        weights : (t,) sum to 1 over the taps of a ray that arrives; rays that leave the scene have none
+        arrived : (t,) numbers of the rays that meet a surface, ascending
+        taps : (t, NEIGHBOURS) samples around, weights : (t, NEIGHBOURS) float32, summing to 1
         """
-        flat = np.flatnonzero(wanted)
-        point, direction = flat // len(directions), flat % len(directions)
-        ray, sample, weights = self._arrivals(tree, position[point], normal[point], directions[direction])
-        return flat[ray], sample, weights
-
-    def _arrivals(self, tree, position, normal, omega):
-        """Where rays (n, 3) arrive: ray numbers, sample numbers and weights of the taps."""
         starts = position + OFFSET * self.tracer.radius * normal
         hits = self.tracer.nearest(starts, omega)
         arrived = np.flatnonzero(hits.mesh >= 0)
@@ -131,49 +119,90 @@ class Indirect:
             facing[mine] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
         facing *= -np.sign((facing * omega[arrived]).sum(1, keepdims=True))
-        distance, sample = tree.query(self._feature(arrival, facing), k=NEIGHBOURS)
-        weights = 1 / (distance + 1e-3)
-        weights /= weights.sum(1, keepdims=True)
-        return np.repeat(arrived, NEIGHBOURS), sample.ravel(), weights.ravel()
+        feature = self._feature(arrival, facing)
+        distance, taps = self._tree.query(feature, k=NEIGHBOURS, workers=self.tracer.dr.thread_count())
+        weights = (1 / (distance + 1e-3)).astype(np.float32)
+        return arrived, taps, weights / weights.sum(1, keepdims=True)
+
+
+_networks = WeakKeyDictionary()
+
+
+def network(tracer: Tracer, *, seed: int) -> Network:
+    """The :class:`Network` of a scene, made when it is first asked for."""
+    made = _networks.setdefault(tracer, {})
+    if seed not in made:
+        made[seed] = Network(tracer, seed=seed)
+    return made[seed]
+
+
+class Indirect:
+    """Radiosity of a scene's surfaces under M lightings.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    albedos : one (3,) per mesh of the tracer; zeros for what reflects nothing or is not known
+    lightings : light.lightings.Lightings
+    bounces : number of reflections between surfaces that are followed, >= 1
+    """
+
+    def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, seed: int = 0):
+        self.tracer, self.albedos, self.lightings = tracer, np.asarray(albedos, np.float32), lightings
+        self.bounces, self.seed = bounces, seed
+
+    @cached_property
+    def _radiosity(self) -> list[np.ndarray]:
+        """Radiosity of the samples, 1 or 3 channels of (s, M) float32; found when it is first needed."""
+        net = network(self.tracer, seed=self.seed)
+        light = np.moveaxis(np.asarray(self.lightings.cell_averages(net.directions), np.float32), 2, 0)
+        direct = [net.sky @ np.ascontiguousarray(channel) for channel in light]
+        grey = (self.albedos == self.albedos[:, :1]).all()
+        found = []
+        for c in range(1 if grey and len(direct) == 1 else 3):
+            albedo, straight = self.albedos[net.mesh, c, None], direct[min(c, len(direct) - 1)]
+            radiosity = albedo * straight
+            for _ in range(self.bounces - 1):
+                radiosity = albedo * (straight + net.gather @ radiosity)
+            found.append(radiosity)
+        return found
 
     def reflected(self, transport, material) -> np.ndarray:
         """Radiance (p, M, 3) float32 of a `Transport`'s points by the light that other surfaces send them.
 
         A mirror shows the surfaces themselves: what its reflected ray meets.
         """
-        if isinstance(material, Mirror):
-            return self._mirrored(transport, material)
         points, directions = transport.points, transport.directions
-        above = (points.flat_normal @ directions.T > 0) & (points.normal @ directions.T > 0)
-        blocked = above & ~transport.visible
-        out = np.zeros((len(points), self.lightings.count, 3), np.float32)
-        if not blocked.any():
-            return out
-        tree, radiosity = self._solution
+        out = np.zeros((3, len(points), self.lightings.count), np.float32)
+        if isinstance(material, Mirror):
+            self._put(out, self._mirrored(transport), np.asarray(material.reflectance, np.float32))
+            return out.transpose(1, 2, 0)
         weights = transport.weights(material)
-        step = max(1, (1 << 20) // len(directions))
+        step = max(1, LANES // len(directions))
         for start in range(0, len(points), step):
-            part = slice(start, min(len(points), start + step))
-            rows, columns, taps = self._gather(
-                tree, points.position[part], points.flat_normal[part], directions, blocked[part]
-            )
-            some = np.flatnonzero(blocked[part])
-            pairs = weights.of_pairs(points.take(part), some // len(directions), some % len(directions))
-            dense = np.zeros((3, (part.stop - start) * len(directions)), np.float32)
-            dense[:, some] = np.stack(pairs) * weights.colour[:, None]
-            shape = (part.stop - start, len(radiosity))
-            for c in range(3):
-                values = dense[c][rows] * taps / np.pi
-                matrix = csr_matrix((values, (rows // len(directions), columns)), shape)
-                out[part, :, c] = matrix @ radiosity[:, :, c]
-        return out
+            some = points.take(slice(start, min(len(points), start + step)))
+            above = (some.flat_normal @ directions.T > 0) & (some.normal @ directions.T > 0)
+            point, direction = np.nonzero(above & ~transport.visible[start : start + step])
+            if len(point) == 0:
+                continue
+            net = network(self.tracer, seed=self.seed)
+            arrived, taps, shares = net.arrivals(some.position[point], some.flat_normal[point], directions[direction])
+            pairs = weights.of_pairs(some, point[arrived], direction[arrived])
+            received = [net.sparse(point[arrived], taps, shares * w[:, None], len(some)) for w in pairs]
+            self._put(out[:, start : start + step], received, weights.colour / np.float32(np.pi))
+        return out.transpose(1, 2, 0)
 
-    def _mirrored(self, transport, material) -> np.ndarray:
-        points = transport.points
-        tree, radiosity = self._solution
-        rows, columns, taps = self._arrivals(
-            tree, points.position, points.flat_normal, transport.reflected_directions()
-        )
-        matrix = csr_matrix((taps / np.pi, (rows, columns)), (len(points), len(radiosity)))
-        out = (matrix @ radiosity.reshape(len(radiosity), -1)).reshape(len(points), *radiosity.shape[1:])
-        return (out * np.asarray(material.reflectance)).astype(np.float32)
+    def _put(self, out, received, colour) -> None:
+        """Fills out (3, p, M) with what ``received`` (1 or 3 channels of (p, s)) makes of the radiosity."""
+        count = max(len(received), len(self._radiosity))
+        products = [
+            received[min(c, len(received) - 1)] @ self._radiosity[min(c, len(self._radiosity) - 1)]
+            for c in range(count)
+        ]
+        for c in range(3):
+            np.multiply(products[min(c, count - 1)], colour[c], out=out[c])
+
+    def _mirrored(self, transport) -> list[csr_matrix]:
+        points, net = transport.points, network(self.tracer, seed=self.seed)
+        arrived, taps, shares = net.arrivals(points.position, points.flat_normal, transport.reflected_directions())
+        return [net.sparse(arrived, taps, shares / np.float32(np.pi), len(points))]

@@ -103,13 +103,14 @@ class Tracer:
                 self.mi.Point3f(self.vector(self.to_local(origins[part]))), self.vector(directions[part])
             )
             hit = self.scene.ray_intersect_preliminary(ray, coherent=False)
-            valid = np.array(hit.is_valid())
-            shape = np.array(self.dr.reinterpret_array(self.mi.UInt32, hit.shape))
+            found = [hit.is_valid(), self.dr.reinterpret_array(self.mi.UInt32, hit.shape), hit.prim_index]
+            found += [hit.prim_uv.x, hit.prim_uv.y, hit.t]
+            self.dr.eval(found)  # together: one by one, each would trace its rays again
+            valid, shape, index, u, v, t = (np.array(a) for a in found)
             mesh[part] = np.where(valid, self._numbers[np.where(valid, shape, 0)], MISS)
-            face[part] = np.where(valid, np.array(hit.prim_index).astype(np.int32), 0)
-            u, v = np.array(hit.prim_uv.x), np.array(hit.prim_uv.y)
+            face[part] = np.where(valid, index.astype(np.int32), 0)
             barycentric[part] = np.stack([1 - u - v, u, v], -1)
-            distance[part] = np.where(valid, np.array(hit.t, np.float64) * self.radius, np.inf)
+            distance[part] = np.where(valid, t.astype(np.float64) * self.radius, np.inf)
         return Hits(mesh, face, barycentric, distance)
 
     def visible(self, positions, offset_normals, directions) -> np.ndarray:
