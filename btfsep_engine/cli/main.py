@@ -57,6 +57,8 @@ def doctor(*, library_folder, reporter):
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=int, help="Light directions per pixel.")
 @click.option("--bounces", type=int, help="Reflections followed; 1 leaves out light between surfaces.")
+@click.option("--transport", help="kernel, or reference (the paper's: one path-traced image for each basis light).")
+@click.option("--samples", type=int, help="Paths per pixel and basis light of the reference.")
 @click.option("--report/--no-report", "with_report", default=True, help="Whether report.png is made.")
 @estimate_options
 @command

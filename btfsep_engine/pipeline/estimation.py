@@ -15,6 +15,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.natural import natural_amplitude, natural_prior
+from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -48,6 +49,7 @@ class Estimate:
     lighting: Lighting
     residuals: list
     pixels: list
+    transport: dict
 
 
 def object_materials(scene: PreparedScene, library, settings: Settings, *, names) -> list:
@@ -104,12 +106,8 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     basis_lights = SHBasis(settings.fit_order)
     with reporter.stage("transport"):
         chosen = [chosen_points(scene, i, int(shares[i]), settings) for i in range(len(materials))]
-        indirect = scene.indirect([m.material for m in materials], basis_lights, bounces=settings.bounces)
-        basis = []
-        for i, points in enumerate(chosen):
-            used = appearance(materials[i].material, settings)
-            basis.append(scene.radiance(points, used, basis_lights, directions=settings.directions, indirect=indirect))
-            reporter.progress("transport", (i + 1) / len(chosen), materials[i].name)
+        used = [appearance(m.material, settings) for m in materials]
+        basis, transport = basis_images(scene, used, chosen, basis_lights, settings)
     with reporter.stage("fit"):
         measured = [scene.photo_at(points) for points in chosen]
         blocks, first = [], 0
@@ -128,7 +126,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
     lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev)
     _warn(scene, materials, fit, residuals, lighting, settings)
-    return Estimate(scene, materials, fit, lighting, residuals, [len(p) for p in chosen])
+    return Estimate(scene, materials, fit, lighting, residuals, [len(p) for p in chosen], transport)
 
 
 def _solved(basis, radiance, blocks, settings: Settings) -> Fit:
@@ -228,6 +226,7 @@ def result_record(found: Estimate, settings: Settings) -> dict:
         "prior_scale": fit.prior_scale,
         "determined": f"the photo determines {count} of {terms} coefficients",
         "condition_number": fit.condition,
+        "transport": found.transport,
         "saturated_pixels": scene.job.photo.saturated,
         **run_record(settings, scene.reporter),
     }

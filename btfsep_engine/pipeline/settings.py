@@ -7,6 +7,7 @@ from btfsep_engine.errors import InputError
 
 LARGEST_ORDER = 9
 ESTIMATORS = ("map", "least-squares")
+TRANSPORTS = ("kernel", "reference")
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Settings:
     pixels : pixels used for the fit, 0: all
     directions : light directions per pixel
     bounces : reflections followed; 1 is light that comes straight from outside
+    transport : what makes the basis images: "kernel", or "reference" (the paper's path-traced image for each light)
+    samples : paths per pixel and basis light (and sign) of the reference
     classifier : "svm" or "nearest"
     training_directions : light directions per pixel of the training images
     training_pixels : largest number of pixels of a training image
@@ -37,6 +40,8 @@ class Settings:
     pixels: int = 4000
     directions: int = 512
     bounces: int = 4
+    transport: str = "kernel"
+    samples: int = 256
     classifier: str = "svm"
     training_directions: int = 256
     training_pixels: int = 16000
@@ -74,6 +79,10 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}")
     if settings.estimator not in ESTIMATORS:
         raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
+    if settings.transport not in TRANSPORTS:
+        raise InputError("--transport", f"'{settings.transport}'", f"choose one of {', '.join(TRANSPORTS)}")
+    if not 2 <= settings.samples <= 1 << 16:
+        raise InputError("--samples", str(settings.samples), "choose 2 to 65536")
     if settings.appearance not in ("mean", "textured"):
         raise InputError("--appearance", f"'{settings.appearance}'", "choose 'mean' or 'textured'")
     if settings.classifier not in ("svm", "nearest"):

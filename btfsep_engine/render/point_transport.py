@@ -7,10 +7,9 @@ light's irradiance at right angles to it.
 
 import numpy as np
 
-from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Lambertian, Material, Mirror
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
-from btfsep_engine.render.appearance import light_tables, to_local
+from btfsep_engine.render.appearance import LightTables, to_local
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
@@ -42,22 +41,20 @@ def point_radiance(
     out = np.zeros((len(points), lights.count, 3), np.float32)
     if isinstance(material, Mirror):
         return out
+    look_up = None if isinstance(material, Lambertian) else LightTables(tracer, material)
     for start in range(0, len(points), PIXELS):
         part = points.take(slice(start, start + PIXELS))
-        table = None
-        if not isinstance(material, Lambertian):
-            table = light_tables(material, part, millimetres_per_unit=millimetres_per_unit)
+        tables = look_up and look_up.at(part, millimetres_per_unit=millimetres_per_unit)
         for number in range(lights.count):
             direction, distance, irradiance = lights.arriving(number, part.position)
             local = to_local(part, direction)
             lit = (local[:, 2] > 0) & _unblocked(tracer, part, direction, distance)
-            if table is None:
-                value = np.broadcast_to(np.asarray(material.albedo) / np.pi, (len(part), 3))
+            if look_up is None:
+                value = np.asarray(material.albedo) / np.pi
             else:
-                taps, weights = interpolator(material.lights).weights(local)
-                value = sum(
-                    table[np.arange(len(part)), taps[:, i]] * weights[:, i, None].astype(np.float32) for i in range(3)
-                )
+                lane = tracer.dr.arange(tracer.mi.UInt32, len(part))
+                rgb = look_up.value(tables, lane, tracer.vector(local), tracer.mi.Bool(lit))
+                value = np.array(rgb).T[:, :3]
             shaded = value * (np.maximum(local[:, 2:], 0) * irradiance)
             out[start : start + len(part), number] = np.where(lit[:, None], shaded, 0)
     return out

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The basis images A of the fit, by the kernel or by the reference."""
+
+import numpy as np
+
+from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.render.reference import Reference
+
+
+def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[list, dict]:
+    """Radiance of the chosen points of every object under every basis light.
+
+    Parameters
+    ----------
+    scene : PreparedScene
+    materials : the Material that stands for each object in the fit
+    chosen : SurfacePoints of each object
+    lights : light.lightings.SHBasis, M lights
+    settings : Settings
+
+    Returns
+    -------
+    list of (p, M, 3) float32, one for each object, and a dict that says how they were made, for ``result.json``
+    """
+    if settings.transport == "reference":
+        return _by_reference(scene, materials, chosen, lights, settings)
+    indirect = scene.indirect(materials, lights, bounces=settings.bounces)
+    basis = []
+    for i, (points, material) in enumerate(zip(chosen, materials, strict=True)):
+        basis.append(scene.radiance(points, material, lights, directions=settings.directions, indirect=indirect))
+        scene.reporter.progress("transport", (i + 1) / len(chosen), material.name)
+    return basis, {"by": "kernel", "directions": settings.directions}
+
+
+def _by_reference(scene, materials, chosen, lights, settings):
+    reference = Reference(
+        scene.job,
+        scene.tracer,
+        materials,
+        bounces=settings.bounces,
+        textured=settings.appearance == "textured",
+        reporter=scene.reporter,
+    )
+    pixels = np.concatenate([points.pixels for points in chosen])
+    found = reference.radiance(pixels, lights, samples=settings.samples, seed=settings.seed, reporter=scene.reporter)
+    noise = np.sqrt(found.variance.mean() / max(np.mean(np.square(found.radiance, dtype=np.float64)), 1e-30))
+    record = {
+        "by": "reference",
+        "samples": settings.samples,
+        "seconds_per_light": float(found.seconds.mean()),
+        "relative_noise": float(noise),
+    }
+    return np.split(found.radiance, np.cumsum([len(points) for points in chosen])[:-1]), record
