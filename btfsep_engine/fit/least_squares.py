@@ -39,6 +39,11 @@ class Fit:
     noise : standard deviation of a pixel's misfit over the photo's root mean square; None without a prior
     block_correlation : the misfit's variance that a block shares, over a pixel's own; None without a prior
     prior_scale : how strongly the light varies, over what natural light does on average; None without a prior
+    left_over : (p, 3) float64, b - A x
+    all_determined : as `determined`, of all orders of the fit
+    covariance : of the first coefficients, orders 0 to 2, row by row and in it channel by channel; None where the fit
+        does not state how they go together
+    found : map_estimate.Found, what the evidence chose; None without a prior
     """
 
     coefficients: np.ndarray
@@ -54,6 +59,10 @@ class Fit:
     noise: float | None = None
     block_correlation: float | None = None
     prior_scale: float | None = None
+    left_over: np.ndarray | None = None
+    all_determined: np.ndarray | None = None
+    covariance: np.ndarray | None = None
+    found: object | None = None
 
 
 def block_labels(pixels) -> np.ndarray:
@@ -124,7 +133,7 @@ def solve(basis, radiance, *, blocks) -> Fit:
     energy = np.maximum((radiance.astype(np.float64) ** 2).sum(0), 1e-300)
     per_channel = np.sqrt((residual**2).sum(0) / energy)
     total = float(np.sqrt((residual**2).sum() / energy.sum()))
-    return Fit(x, stddev, total, per_channel, condition, singular, p, float(terms))
+    return Fit(x, stddev, total, per_channel, condition, singular, p, float(terms), left_over=residual)
 
 
 def determined(coefficients, stddev, natural_amplitude) -> np.ndarray:

@@ -18,8 +18,9 @@ blocks' sums. With P = F F^T, F^T A^T N^-1 A F = U diag(d) U^T, h = U^T F^T A^T 
     v = (b^T N^-1 b - sum q h^2 / (1 + q d)) / n,
     -2 log evidence = sum log(1 + q d) + n log v + log det N + (log(sqrt(q v) / s) / spread)^2,
 
-so for each c one eigen-decomposition serves every q, and v is closed form: the search is a grid over c and a
-one-dimensional search over q. The effective degrees of freedom are tr((G + P^-1)^-1 G) = sum q d / (1 + q d).
+so for each c one tridiagonal reduction (`fit.tridiagonal`) serves every q, and v is closed form: the search goes
+uphill over a few c, each with a one-dimensional search over q. The effective degrees of freedom are
+tr((G + P^-1)^-1 G) = sum q d / (1 + q d). What depends on A alone is kept (`fit.factorised`).
 
 Misfit by a wrong material or shape is also correlated from block to block, and many orders of light can explain it
 away, so that residuals do not show it. Two measures against that. Evidence counts less than its number: the
@@ -29,218 +30,248 @@ image by a tenth is not trusted to know its response to any coefficient better t
 photographs by Cycles with two of four lights; the figures stated in docs/method.md are of the other two.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
+from scipy.optimize import minimize_scalar
 
 from btfsep_engine import sh
-from btfsep_engine.errors import InputError
+from btfsep_engine.fit.factorised import Factorised, Measured
 from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.tridiagonal import Tridiagonal
 
 COARSENING = 5.0
 BLOCK_CORRELATIONS = (0.0, 0.03, 0.1, 0.3)  # c: variance that a block's pixels share over a pixel's own
-LOG_RATIOS = np.linspace(-8, 30, 153)  # of q, for A of unit response to the first basis light
+FIRST_CORRELATION = 0.1  # c of the first fit, whose residuals show how the channels go together
+LOG_RATIOS = (-8.0, 30.0)  # of q, for A of unit response to the first basis light
+STEP = 1.0  # of the grid over log q: the evidence is wider than that
+NEAR_TIE = 4.0  # of the logarithm of the evidence: so close, each c is given its own best q
+NEAR = 3.0  # how far from the first fit's log q the others are looked for first
 LEAST_NOISE = 1e-12  # of the photo's energy: noiseless synthetic photos
 CHANNEL_SHRINKAGE = 0.05  # towards channels whose misfits are independent
 DETERMINED = 0.25  # of the prior's variance; for the first coefficient, of the level squared
-CHUNK = 1 << 14  # pixels
+EXPECTED_ORDER = 2  # up to here the joint covariance is kept
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The sufficient statistics of one photo for one block correlation c and one R."""
+class Found:
+    """What the evidence chooses: prior over noise q, noise v, the blocks' correlation c, and R (3, 3)."""
 
-    eigenvalues: np.ndarray
-    vectors: np.ndarray
-    projected: np.ndarray
-    energy: float
-    log_determinant: float
-
-
-class Photo:
-    """Gram matrices and block sums of a photo and its basis images, channels brought to unit response.
-
-    Parameters
-    ----------
-    basis, radiance, blocks : as for `least_squares.solve`
-    """
-
-    def __init__(self, basis, radiance, blocks):
-        self.basis, b = np.asarray(basis), np.asarray(radiance, np.float64)
-        self.pixels, self.terms = self.basis.shape[:2]
-        if self.pixels == 0:
-            raise InputError("the fit", "no usable pixels", "use a wider mask or a shorter exposure")
-        first = self.basis[:, 0].astype(np.float64)
-        self.response = np.sqrt((first**2).mean(0))
-        for c, value in enumerate(self.response):
-            if not value > 0:
-                raise InputError(
-                    "the fit",
-                    f"the material reflects nothing towards the camera in the {('red', 'green', 'blue')[c]} channel",
-                    "choose another material",
-                )
-        self.b = b / self.response
-        self.level = float((first / self.response * self.b).sum() / (3 * self.pixels))
-        if not self.level > 0:
-            raise InputError("the fit", "the photo is black where the object is", "use a longer exposure")
-        _, labels, self.block_sizes = np.unique(blocks, return_inverse=True, return_counts=True)
-        unknowns = 3 * self.terms
-        self.energies = self.b.T @ self.b
-        self.gram, self.moments = np.zeros((unknowns, unknowns)), np.zeros((unknowns, 3))
-        self.sums, self.sums_b = np.zeros((len(self.block_sizes), unknowns)), np.zeros((len(self.block_sizes), 3))
-        order = np.argsort(labels.reshape(-1), kind="stable")
-        for start in range(0, self.pixels, CHUNK):  # a large photo's basis images are never copied whole
-            chosen = order[start : start + CHUNK]
-            a, b, mine = self._rows(chosen), self.b[chosen], labels.reshape(-1)[chosen]
-            self.gram += a.T @ a
-            self.moments += a.T @ b
-            starts = np.flatnonzero(np.diff(mine, prepend=-1))
-            self.sums[mine[starts]] += np.add.reduceat(a, starts, 0)
-            self.sums_b[mine[starts]] += np.add.reduceat(b, starts, 0)
-        self.sums = self.sums.T
-
-    def _rows(self, chosen) -> np.ndarray:
-        """Rows of A of some pixels, channel by channel: (pixels, 3 terms) float64."""
-        a = self.basis[chosen].transpose(0, 2, 1) / self.response[:, None]
-        return a.astype(np.float64).reshape(len(a), -1)
-
-    def evidence(self, factor, c: float, channels) -> Evidence:
-        """Whitened by the prior's ``factor`` F, for the block correlation c and the channels' misfit R (3, 3)."""
-        inverse = np.linalg.inv(channels)
-        weight = c / (1 + c * self.block_sizes)
-        gram = self.gram - (self.sums * weight) @ self.sums.T
-        moments = self.moments - (self.sums * weight) @ self.sums_b
-        energies = self.energies - (self.sums_b.T * weight) @ self.sums_b
-        each = self.terms
-        gram = (gram.reshape(3, each, 3, each) * inverse[:, None, :, None]).reshape(3 * each, 3 * each)
-        moments = (moments * np.repeat(inverse, each, 0)).sum(1)
-        eigenvalues, vectors = np.linalg.eigh(factor.T @ gram @ factor)
-        logarithm = 3 * np.log1p(c * self.block_sizes).sum() + self.pixels * np.linalg.slogdet(channels)[1]
-        return Evidence(
-            np.maximum(eigenvalues, 0),
-            vectors,
-            vectors.T @ (factor.T @ moments),
-            float((energies * inverse).sum()),
-            float(logarithm),
-        )
-
-    def residual(self, x) -> np.ndarray:
-        """b - A x, channels at unit response: (p, 3)."""
-        out = self.b.copy()
-        for c in range(3):
-            out[:, c] -= self.basis[:, :, c] @ x[:, c] / self.response[c]
-        return out
-
-    def singular_values(self, terms: int) -> np.ndarray:
-        """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""
-        first = [c * self.terms for c in range(3)]
-        each = [np.linalg.eigvalsh(self.gram[i : i + terms, i : i + terms])[::-1] for i in first]
-        worst = min(range(3), key=lambda c: each[c][-1] / each[c][0])
-        return np.sqrt(np.maximum(each[worst], 0)) * self.response[worst]
+    evidence: float
+    q: float
+    v: float
+    correlation: float
+    channels: np.ndarray
 
 
-def _search(photo: Photo, evidence: Evidence, spread: float, coarsening: float):
-    """The best ratio q of prior to noise: (log evidence, q, v)."""
-    n = 3 * photo.pixels
-
-    def at(logs):
-        q = np.exp(logs)[:, None] / coarsening
-        growth = 1 + q * evidence.eigenvalues
-        left = evidence.energy - (q * evidence.projected**2 / growth).sum(1)
-        v = np.maximum(left, LEAST_NOISE * evidence.energy) / n
-        scale = 0.5 * (logs + np.log(v)) - np.log(photo.level)
-        value = np.log(growth).sum(1) + (n * np.log(v) + evidence.log_determinant) / coarsening + (scale / spread) ** 2
-        return -0.5 * value, v
-
-    logs = LOG_RATIOS
-    for _ in range(3):
-        values, v = at(logs)
-        best = int(values.argmax())
-        found = values[best], float(np.exp(logs[best])), float(v[best])
-        step = logs[1] - logs[0]
-        logs = logs[best] + np.linspace(-step, step, 21)
-    return found
-
-
-def posterior(evidence: Evidence, factor, q: float, v: float, coarsening: float = 1.0):
-    """Mean (terms, 3), standard deviation (terms, 3) and effective degrees of freedom (all channels together)."""
-    growth = 1 + q / coarsening * evidence.eigenvalues
-    turned = factor @ evidence.vectors
-    x = turned @ (q / coarsening * evidence.projected / growth)
-    variance = v * q * (turned**2 / growth).sum(1)
-    freedom = float((1 - 1 / growth).sum())
-    return x.reshape(3, -1).T, np.sqrt(variance).reshape(3, -1).T, freedom
-
-
-def solve_map(basis, radiance, *, blocks, prior, order: int, coarsening: float = COARSENING) -> Fit:
-    """The maximum of the posterior, with its spread.
+class LightSolver:
+    """Basis images factorised once, solved for any number of photographs of them.
 
     Parameters
     ----------
     basis : (p, terms, 3) float, A, at the prior's order
-    radiance : (p, 3) float, b: the photograph's, linear
     blocks : (p,) int, block number of each pixel (`least_squares.block_labels`)
     prior : light.natural.NaturalPrior
     order : the order that is reported, at most the prior's; it does not change the numbers
     coarsening : 1 where the noise model is exactly true
 
-    Returns
-    -------
-    Fit, of the reported order; `effective_degrees_of_freedom`, `condition` and `residual` are of all orders of the fit
-
     Raises
     ------
     InputError
-        Without pixels, without light in the photo, or where the material reflects nothing.
+        Without pixels, or where the material reflects nothing.
     """
-    photo = Photo(basis, radiance, blocks)
-    if photo.terms != len(prior.mean):
-        raise ValueError(f"{photo.terms} basis lights for a prior of {len(prior.mean)} terms")
-    values, vectors = np.linalg.eigh(prior.covariance())
-    factor = vectors * np.sqrt(np.maximum(values, 0))
-    channels = np.eye(3)
-    for correlations in ((BLOCK_CORRELATIONS[2],), BLOCK_CORRELATIONS):
-        best = None
-        for c in correlations:
-            evidence = photo.evidence(factor, c, channels)
-            found = _search(photo, evidence, prior.log_scale_spread, coarsening)
-            if best is None or found[0] > best[0][0]:
-                best = found, c, evidence
-        (_, q, v), correlation, evidence = best
-        x, stddev, freedom = posterior(evidence, factor, q, v, coarsening)
-        left = photo.residual(x)
-        channels = _channels(left, photo.b)
-    terms = sh.term_count(order)
-    left, radiance = left * photo.response, photo.b * photo.response
-    residual = float(np.linalg.norm(left) / np.linalg.norm(radiance))
-    size = np.sqrt((x**2).mean(1, keepdims=True))
-    stddev = np.sqrt(stddev**2 + (min(residual, 1.0) * size) ** 2)
-    scale = float(np.sqrt(q * v))
-    varies = scale * prior.deviation
-    varies[0] = photo.level
-    singular = photo.singular_values(terms)
-    return Fit(
-        x[:terms],
-        stddev[:terms],
-        residual,
-        np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(radiance, axis=0), 1e-300),
-        float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
-        singular,
-        photo.pixels,
-        all_coefficients=x,
-        effective_degrees_of_freedom=freedom / 3,
-        noise=float(np.sqrt(v / (photo.b**2).mean())),
-        block_correlation=correlation,
-        prior_scale=scale / photo.level,
-        determined=((stddev**2).mean(1) < DETERMINED * varies**2)[:terms],
-    )
+
+    def __init__(self, basis, *, blocks, prior, order: int, coarsening: float = COARSENING):
+        self.factorised = Factorised(basis, blocks, prior)
+        self.prior, self.order, self.coarsening = prior, order, coarsening
+        self._first = None
+        self._singular = self.factorised.singular_values(sh.term_count(order))
+
+    def solve(self, radiance) -> Fit:
+        """The most probable light for the photograph ``radiance : (p, 3)``, linear.
+
+        Returns
+        -------
+        Fit, of the reported order; `effective_degrees_of_freedom` and `residual` are of all orders of the fit
+
+        Raises
+        ------
+        InputError
+            Without light in the photo.
+        """
+        measured = self.factorised.measure(radiance)
+        first, x = self._search(measured, FIRST_CORRELATION, np.eye(3), None)
+        channels = misfit_channels(self.factorised.misfit(measured, x), measured.energies)
+        tried = [self._search(measured, c, channels, first.q)[0] for c in self._correlations(measured, channels, first)]
+        return self.fit(measured, max(tried, key=lambda found: found.evidence))
+
+    def _correlations(self, measured: Measured, channels, first: Found) -> list[float]:
+        """The best of `BLOCK_CORRELATIONS` at the first fit's q, uphill from the first one, and its near ties."""
+        tried = {}
+
+        def at(i):
+            if i not in tried:
+                tried[i] = self._evidence_at(measured, BLOCK_CORRELATIONS[i], channels, first.q)
+            return tried[i]
+
+        best = int(np.abs(np.array(BLOCK_CORRELATIONS) - FIRST_CORRELATION).argmin())
+        while True:
+            around = [i for i in (best, best - 1, best + 1) if 0 <= i < len(BLOCK_CORRELATIONS)]
+            winner = max(around, key=at)
+            if winner == best:
+                return [BLOCK_CORRELATIONS[i] for i in tried if tried[i] > tried[best] - NEAR_TIE]
+            best = winner
+
+    def _evidence_at(self, measured: Measured, c: float, channels, q: float) -> float:
+        """The logarithm of the evidence for one c, R and q."""
+        factor, moments = self._system(measured, c, channels, q)
+        half = lapack.dtrtrs(factor, moments, lower=1)[0]
+        explained = q / self.coarsening * float(half @ half)
+        return self._value(measured, c, channels)(q, 2 * float(np.log(np.diag(factor)).sum()), explained)[0]
+
+    def _system(self, measured: Measured | None, c: float, channels, q: float):
+        """The lower Cholesky factor of I + q M, and F^T A^T N^-1 b."""
+        inverse = np.linalg.inv(channels)
+        matrix = self.factorised.whitened_gram(c, inverse)
+        matrix *= q / self.coarsening
+        matrix[np.diag_indices_from(matrix)] += 1
+        moments = None if measured is None else self.factorised.whitened_moments(measured, c, inverse)
+        return cholesky(matrix), moments
+
+    def _value(self, measured: Measured, c: float, channels):
+        """(q, log det (I + q M), q h^T (I + q M)^-1 h) -> the logarithm of the evidence, and v."""
+        f, n, level = self.factorised, 3 * self.factorised.pixels, math.log(measured.level)
+        energy, constant = f.energy(measured, c, np.linalg.inv(channels)), f.log_determinant(c, channels)
+
+        def value(q: float, log_det: float, explained: float):
+            v = max(energy - explained, LEAST_NOISE * energy) / n
+            scale = (0.5 * math.log(q * v) - level) / self.prior.log_scale_spread
+            return -0.5 * (log_det + (n * math.log(v) + constant) / self.coarsening + scale**2), v
+
+        return value
+
+    def _search(self, measured: Measured, c: float, channels, near: float | None):
+        """The best ratio q of prior to noise for one c and R, and the light; ``near`` is a first guess of q.
+
+        Returns
+        -------
+        Found, x : (terms, 3)
+        """
+        f, inverse = self.factorised, np.linalg.inv(channels)
+        moments = f.whitened_moments(measured, c, inverse)
+        if near is None and self._first is not None:
+            reduced = self._first.with_vector(moments)
+        else:
+            reduced = Tridiagonal(f.whitened_gram(c, inverse), moments)
+            if near is None:
+                self._first = reduced  # c and R of the first fit are the same for every photograph
+
+        value = self._value(measured, c, channels)
+
+        def at(log_q):
+            q = math.exp(log_q)
+            return value(q, *reduced.log_det_and_explained(q / self.coarsening))
+
+        if near is None:
+            best = self._peak(at, *LOG_RATIOS)
+        else:
+            low, high = max(LOG_RATIOS[0], np.log(near) - NEAR), min(LOG_RATIOS[1], np.log(near) + NEAR)
+            best = self._peak(at, low, high)
+            if min(best - low, high - best) < 0.1 * NEAR:
+                best = self._peak(at, *LOG_RATIOS)
+        evidence, v = at(best)
+        q = float(np.exp(best))
+        return Found(evidence, q, v, c, channels), f.coefficients(reduced.solved(q / self.coarsening))
+
+    @staticmethod
+    def _peak(at, low, high) -> float:
+        """The log q of the largest evidence: a grid, then Brent's method about its best point."""
+        grid = np.linspace(low, high, max(5, int(np.ceil((high - low) / STEP)) + 1))
+        values = [at(x)[0] for x in grid]
+        i = int(np.argmax(values))
+        around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
+        found = minimize_scalar(lambda x: -at(x)[0], bounds=around, method="bounded", options={"xatol": 1e-5})
+        return float(found.x)
+
+    def fit(self, measured: Measured, found: Found) -> Fit:
+        """The posterior at a given point of the evidence."""
+        f, terms = self.factorised, sh.term_count(self.order)
+        factor, moments = self._system(measured, found.correlation, found.channels, found.q)
+        x = f.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
+        white = lapack.dpotri(factor, lower=1)[0]
+        freedom = float(len(white) - np.trace(white))
+        scale2, white = found.v * found.q, f.plain(white)
+        variance = scale2 * f.variances(white)
+        few = min(f.terms, sh.term_count(EXPECTED_ORDER))
+        covariance = scale2 * f.covariance(white, few)
+        left = np.diag(f.misfit(measured, x)) * f.response**2
+        energy = np.diag(measured.energies) * f.response**2
+        residual = float(np.sqrt(max(left.sum(), 0) / energy.sum()))
+        model = model_variance(x, residual)
+        stddev = np.sqrt(variance + model)
+        covariance += np.diag(np.broadcast_to(model, x.shape)[:few].ravel())
+        scale = float(np.sqrt(scale2))
+        varies = scale * self.prior.deviation
+        varies[0] = measured.level
+        share = (stddev**2).mean(1) / varies**2
+        singular = self._singular
+        return Fit(
+            x[:terms],
+            stddev[:terms],
+            residual,
+            np.sqrt(np.maximum(left, 0) / np.maximum(energy, 1e-300)),
+            float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
+            singular,
+            f.pixels,
+            all_coefficients=x,
+            effective_degrees_of_freedom=freedom / 3,
+            noise=float(np.sqrt(found.v * 3 * f.pixels / np.trace(measured.energies))),
+            block_correlation=found.correlation,
+            prior_scale=scale / measured.level,
+            determined=(share < DETERMINED)[:terms],
+            all_determined=share < DETERMINED,
+            covariance=covariance,
+            found=found,
+        )
+
+    def posterior_factor(self, found: Found) -> np.ndarray:
+        """R (3 terms, 3 terms), channel by channel, of the posterior's covariance R R^T (of all orders, no model part).
+
+        ``found`` is `Fit.found`.
+        """
+        f = self.factorised
+        factor, _ = self._system(None, found.correlation, found.channels, found.q)
+        white = lapack.dtrtri(factor, lower=1)[0].T * math.sqrt(found.q * found.v)
+        return f.coefficients(white).transpose(1, 0, 2).reshape(3 * f.terms, -1)
 
 
-def _channels(left, b) -> np.ndarray:
-    """How misfit goes together in the channels: (3, 3), mean of the diagonal 1, never singular."""
-    covariance = left.T @ left / len(left)
-    floor = LEAST_NOISE * (b**2).mean()
-    covariance += floor * np.eye(3)
+def solve_map(basis, radiance, *, blocks, prior, order: int, coarsening: float = COARSENING) -> Fit:
+    """One photograph: `LightSolver` and its `solve`."""
+    return LightSolver(basis, blocks=blocks, prior=prior, order=order, coarsening=coarsening).solve(radiance)
+
+
+def cholesky(matrix) -> np.ndarray:
+    """The lower factor of a matrix that is positive definite but for rounding: n^3 / 3."""
+    factor, failed = lapack.dpotrf(matrix, lower=1, clean=1)
+    if not failed:
+        return factor
+    values, vectors = np.linalg.eigh(matrix)  # rounding, at so large a q: eigenvalues of I + q M are at least 1
+    return np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1))).T, mode="r").T
+
+
+def model_variance(x, residual: float) -> np.ndarray:
+    """The variance of coefficients x (terms, 3) by a wrong model, (terms, 1): a part ``residual`` of their size."""
+    return (min(residual, 1.0) ** 2) * (x**2).mean(1, keepdims=True)
+
+
+def misfit_channels(misfit, energies) -> np.ndarray:
+    """How misfit goes together in the channels: (3, 3), mean of the diagonal 1, never singular.
+
+    ``misfit`` and ``energies`` (3, 3) are the products of the channels of b - A x and of b, summed over the pixels.
+    """
+    covariance = misfit + LEAST_NOISE * np.trace(energies) / 3 * np.eye(3)
     covariance *= 3 / np.trace(covariance)
     shrunk = (1 - CHANNEL_SHRINKAGE) * covariance + CHANNEL_SHRINKAGE * np.diag(np.diag(covariance))
     return shrunk + 1e-3 * np.eye(3)

@@ -9,9 +9,11 @@ from scipy.stats import binom
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit import map_estimate
+from btfsep_engine.fit import factorised, map_estimate
+from btfsep_engine.fit.factorised import Factorised
 from btfsep_engine.fit.least_squares import solve
-from btfsep_engine.fit.map_estimate import Photo, posterior, solve_map
+from btfsep_engine.fit.map_estimate import Found, LightSolver, solve_map
+from btfsep_engine.fit.tridiagonal import Tridiagonal
 from btfsep_engine.light.natural import held_out, learn, natural_prior, relative_coefficients
 
 
@@ -56,12 +58,12 @@ def test_it_is_the_posterior_of_full_covariance_matrices(rng):
     basis, blocks = view_of_a_sphere(rng, pixels=90, order=2)
     prior = natural_prior(2)
     b = photographed(rng, basis, drawn(rng, prior), blocks, noise=0.1)
-    photo, c, q, v = Photo(basis, b, blocks), 0.4, 3.0, 0.02
+    c, q, v = 0.4, 3.0, 0.02
     channels = np.array([[1.2, 0.5, 0.1], [0.5, 1.0, 0.3], [0.1, 0.3, 0.8]])
-    values, vectors = np.linalg.eigh(prior.covariance())
-    factor = vectors * np.sqrt(np.maximum(values, 0))
-    evidence = photo.evidence(factor, c, channels)
-    x, stddev, freedom = posterior(evidence, factor, q, v)
+    solver = LightSolver(basis, blocks=blocks, prior=prior, order=2, coarsening=1)
+    measured = solver.factorised.measure(b)
+    fit = solver.fit(measured, Found(0.0, q, v, c, channels))
+    x, stddev, freedom = fit.coefficients, by_noise(fit), 3 * fit.effective_degrees_of_freedom
 
     response = np.sqrt((basis[:, 0] ** 2).mean(0))
     a = np.zeros((3, 90, 3, 9))
@@ -77,25 +79,75 @@ def test_it_is_the_posterior_of_full_covariance_matrices(rng):
     gram = a.T @ np.linalg.inv(noise) @ a
     hat = np.linalg.inv(gram + np.linalg.inv(signal)) @ gram
     assert freedom == pytest.approx(np.trace(hat), rel=1e-8)
+    model = np.diag(np.repeat(fit.residual**2 * (fit.coefficients**2).mean(1), 3))
+    by_term = covariance.reshape(3, 9, 3, 9).transpose(1, 0, 3, 2).reshape(27, 27)
+    assert np.allclose(fit.covariance - model, by_term, rtol=1e-6, atol=1e-9 * by_term.max())
+    left = y - a @ (gain @ y)
+    assert fit.residual == pytest.approx(np.linalg.norm(left * np.repeat(response, 90)) / np.linalg.norm(b))
+    spread = solver.posterior_factor(Found(0.0, q, v, c, channels))
+    assert np.allclose(spread @ spread.T, covariance, rtol=1e-6, atol=1e-9 * covariance.max())
     # the evidence, up to a constant, is the density of y
     total = a @ signal @ a.T + noise
-    growth = 1 + q * evidence.eigenvalues
-    left = evidence.energy - (q * evidence.projected**2 / growth).sum()
-    mine = np.log(growth).sum() + 270 * np.log(v) + evidence.log_determinant + left / v
+    inverse = np.linalg.inv(channels)
+    f = solver.factorised
+    reduced = Tridiagonal(f.whitened_gram(c, inverse), f.whitened_moments(measured, c, inverse))
+    log_det, explained = reduced.log_det_and_explained(q)
+    left = f.energy(measured, c, inverse) - explained
+    mine = log_det + 270 * np.log(v) + f.log_determinant(c, channels) + left / v
     assert mine == pytest.approx(np.linalg.slogdet(total)[1] + y @ np.linalg.solve(total, y), rel=1e-8)
+
+
+def test_priors_with_means_of_higher_orders_are_the_same_formulas(rng):
+    """F F^T is the prior's covariance, whatever terms have a mean; plain() and variances() turn back."""
+    basis, blocks = view_of_a_sphere(rng, pixels=60, order=3)
+    for mean_order in (0, 2):
+        prior = learn(relative_coefficients(3), mean_order=mean_order)
+        f = Factorised(basis, blocks, prior)
+        by_channel = f.coefficients(np.eye(48)).transpose(1, 0, 2).reshape(48, 48)
+        assert np.allclose(by_channel @ by_channel.T, prior.covariance(), atol=1e-12)
+        white = rng.normal(size=(48, 50))
+        white = white @ white.T
+        full = (by_channel @ white @ by_channel.T).reshape(3, 16, 3, 16)
+        assert np.allclose(f.variances(f.plain(white)), np.einsum("ctct->tc", full), rtol=1e-10)
+        few = full[:, :4, :, :4].transpose(1, 0, 3, 2).reshape(12, 12)
+        assert np.allclose(f.covariance(f.plain(np.tril(white)), 4), few, rtol=1e-9, atol=1e-9)
+
+
+def test_a_tridiagonal_reduction_serves_every_q(rng):
+    for n, rank in ((3, 3), (40, 60), (40, 7)):
+        a = rng.normal(size=(rank, n))
+        m, h = a.T @ a, a.T @ rng.normal(size=rank)
+        reduced = Tridiagonal(m.copy(), h)
+        other = reduced.with_vector(2 * h)
+        for q in (1e-3, 1.0, 1e6, 1e14, 1e18):
+            log_det, explained = reduced.log_det_and_explained(q)
+            values, vectors = np.linalg.eigh(m)
+            values = np.where(np.arange(n) < n - rank, 0, values)  # of a known rank
+            seen = vectors.T @ h
+            seen[: max(n - rank, 0)] = 0
+            if q > 1e12 and rank < n:  # there the null space's rounding is all that is seen
+                assert log_det > np.log1p(q * values).sum() - 1 and np.isfinite(explained)
+                continue
+            assert log_det == pytest.approx(np.log1p(q * values).sum(), rel=1e-6)
+            assert explained == pytest.approx((q * seen**2 / (1 + q * values)).sum(), rel=1e-6)
+            if q <= 1e6:
+                expected = q * np.linalg.solve(np.eye(n) + q * m, h)
+                assert np.allclose(reduced.solved(q), expected, rtol=1e-5, atol=1e-8 * np.abs(expected).max())
+                assert np.allclose(other.solved(q), 2 * reduced.solved(q))
 
 
 def test_without_a_prior_it_is_least_squares(rng):
     basis, blocks = view_of_a_sphere(rng, order=2)
     prior = natural_prior(2)
     b = photographed(rng, basis, drawn(rng, prior), blocks, noise=0.1)
-    photo = Photo(basis, b, blocks)
-    factor = np.linalg.cholesky(prior.covariance())
+    solver = LightSolver(basis, blocks=blocks, prior=prior, order=2, coarsening=1)
+    measured = solver.factorised.measure(b)
     plain = solve(basis, b, blocks=blocks).coefficients
     distance = []
     for q in (1e0, 1e3, 1e12):
-        x, _, freedom = posterior(photo.evidence(factor, 0.0, np.eye(3)), factor, q, 1.0)
-        distance.append(np.linalg.norm(x - plain))
+        fit = solver.fit(measured, Found(0.0, q, 1.0, 0.0, np.eye(3)))
+        freedom = 3 * fit.effective_degrees_of_freedom
+        distance.append(np.linalg.norm(fit.coefficients - plain))
     assert distance[0] > distance[1] > distance[2] and distance[2] < 1e-6
     assert freedom == pytest.approx(27, abs=1e-4)
 
@@ -218,7 +270,7 @@ def test_large_photos_go_through_in_pieces(rng, monkeypatch):
     basis, blocks = view_of_a_sphere(rng, pixels=300, order=3)
     b = photographed(rng, basis, drawn(rng, natural_prior(3)), blocks, noise=0.05)
     whole = solve_map(basis, b, blocks=blocks, prior=natural_prior(3), order=3)
-    monkeypatch.setattr(map_estimate, "CHUNK", 37)
+    monkeypatch.setattr(factorised, "CHUNK", 37)
     pieces = solve_map(basis, b, blocks=blocks, prior=natural_prior(3), order=3)
     assert np.allclose(whole.coefficients, pieces.coefficients) and np.allclose(whole.stddev, pieces.stddev)
 

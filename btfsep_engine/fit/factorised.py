@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Basis images made ready for any number of photographs: their Gram matrix, block sums, and the prior's factor.
+
+The unknowns are scaled, x[m, c] = deviation[m] z[m, c], and channels are brought to unit response. The prior of z is
+then C (x) I, except for the terms that have a mean (the level): `special`. Its factor acts on the three channels of a
+term alone, so that whitening a Gram matrix is a product of 9 x 9 by 9 x terms^2 numbers and not one of full matrices:
+
+    F^T (R^-1 o G) F = sum over c, d of L[c, a] L[d, b] (R^-1)[c, d] G[c, d],    C = L L^T.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from btfsep_engine.errors import InputError
+
+CHANNELS = ("red", "green", "blue")
+CHUNK = 1 << 14  # pixels converted at once: the basis images of a large photo are never copied whole
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is kept of one photograph: b at unit response (p, 3) and its products with the basis images.
+
+    Attributes
+    ----------
+    values : (p, 3) float64
+    level : the light's mean radiance over sqrt(4 pi) of a first fit by even light
+    energies : (3, 3), b^T b; moments : (3, terms, 3), A_c^T b_d; sums : (blocks, 3), of b
+    """
+
+    values: np.ndarray
+    level: float
+    energies: np.ndarray
+    moments: np.ndarray
+    sums: np.ndarray
+
+
+class Factorised:
+    """A and the blocks of its pixels.
+
+    Parameters
+    ----------
+    basis : (p, terms, 3) float, A: radiance of each pixel under each basis light
+    blocks : (p,) int, block number of each pixel (`least_squares.block_labels`)
+    prior : light.natural.NaturalPrior of as many terms
+
+    Raises
+    ------
+    InputError
+        Without pixels, or where the material reflects nothing.
+    """
+
+    def __init__(self, basis, blocks, prior):
+        basis = np.asarray(basis)
+        self.pixels, self.terms = basis.shape[:2]
+        if self.terms != len(prior.mean):
+            raise ValueError(f"{self.terms} basis lights for a prior of {len(prior.mean)} terms")
+        if self.pixels == 0:
+            raise InputError("the fit", "no usable pixels", "use a wider mask or a shorter exposure")
+        self.prior = prior
+        self.response = np.sqrt(np.einsum("pc,pc->c", basis[:, 0], basis[:, 0], dtype=np.float64) / self.pixels)
+        for c, value in enumerate(self.response):
+            if not value > 0:
+                raise InputError(
+                    "the fit",
+                    f"the material reflects nothing towards the camera in the {CHANNELS[c]} channel",
+                    "choose another material",
+                )
+        self.flat = np.ascontiguousarray(basis).reshape(self.pixels, 3 * self.terms)  # term by term
+        self.scale = (prior.deviation[:, None] / self.response).ravel()
+        self._rows = self.flat * self.scale if self.pixels <= CHUNK else None
+        _, labels, self.block_sizes = np.unique(blocks, return_inverse=True, return_counts=True)
+        self.gather = sparse.csr_matrix(
+            (np.ones(self.pixels), (labels.reshape(-1), np.arange(self.pixels))),
+            shape=(len(self.block_sizes), self.pixels),
+        )
+        gram = 0
+        self.sums = 0
+        for part in self._parts():
+            rows = self.rows(part)
+            gram = gram + rows.T @ rows
+            self.sums = self.sums + self.gather[:, part] @ rows
+        self.gram = gram
+        self._by_correlation = {}
+        self._set_prior()
+
+    def _parts(self):
+        return [slice(i, min(i + CHUNK, self.pixels)) for i in range(0, self.pixels, CHUNK)]
+
+    def rows(self, part: slice) -> np.ndarray:
+        """Rows of the scaled A, term by term: (pixels of the part, 3 terms) float64."""
+        return self._rows[part] if self._rows is not None else self.flat[part] * self.scale
+
+    def _set_prior(self):
+        prior = self.prior
+        channels = np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3)
+        self.mix = np.linalg.cholesky(channels)
+        self.special = np.flatnonzero((prior.mean != 0) | (np.arange(self.terms) == 0))
+        count = len(self.special)
+        # x of the special terms = plain factor times y; y = `turn` times white numbers
+        scaled = prior.covariance().reshape(3, self.terms, 3, self.terms)
+        scaled = scaled[:, self.special][:, :, :, self.special]
+        deviation = prior.deviation[self.special]
+        scaled = scaled / deviation[:, None, None] / deviation
+        back = np.linalg.inv(self.mix)
+        plain = np.einsum("ac,cidj,bd->aibj", back, scaled, back).reshape(3 * count, 3 * count)
+        self.turn = np.linalg.cholesky(plain)
+        self.special_rows = (np.arange(3)[:, None] * self.terms + self.special).ravel()
+
+    def gram_of(self, c: float) -> np.ndarray:
+        """A_a^T N^-1 A_b for the block correlation c, of the scaled A: (9, terms * terms)."""
+        if c not in self._by_correlation:
+            gram = self.gram
+            if c > 0:
+                weight = c / (1 + c * self.block_sizes)
+                gram = gram - (self.sums.T * weight) @ self.sums
+            blocks = gram.reshape(self.terms, 3, self.terms, 3).transpose(1, 3, 0, 2)
+            self._by_correlation[c] = np.ascontiguousarray(blocks).reshape(9, -1)
+        return self._by_correlation[c]
+
+    def whitened_gram(self, c: float, inverse) -> np.ndarray:
+        """F^T A^T N^-1 A F for the block correlation c and R^-1 (3, 3): (3 terms, 3 terms), channel by channel."""
+        weights = np.einsum("ca,db,cd->abcd", self.mix, self.mix, inverse).reshape(9, 9)
+        out = (weights @ self.gram_of(c)).reshape(3, 3, self.terms, self.terms)
+        out = np.array(out.transpose(0, 2, 1, 3).reshape(3 * self.terms, 3 * self.terms), order="F")
+        rows = self.special_rows
+        out[rows] = self.turn.T @ out[rows]
+        out[:, rows] = out[:, rows] @ self.turn
+        return out
+
+    def whitened_moments(self, measured: Measured, c: float, inverse) -> np.ndarray:
+        """F^T A^T N^-1 b: (3 terms,)."""
+        moments = measured.moments
+        if c > 0:
+            weight = c / (1 + c * self.block_sizes)
+            less = ((measured.sums.T * weight) @ self.sums).reshape(3, self.terms, 3)
+            moments = moments - less.transpose(2, 1, 0)
+        out = np.einsum("ca,cd,cmd->am", self.mix, inverse, moments).ravel()
+        out[self.special_rows] = self.turn.T @ out[self.special_rows]
+        return out
+
+    def energy(self, measured: Measured, c: float, inverse) -> float:
+        """b^T N^-1 b."""
+        weight = c / (1 + c * self.block_sizes)
+        return float(((measured.energies - (measured.sums.T * weight) @ measured.sums) * inverse).sum())
+
+    def log_determinant(self, c: float, channels) -> float:
+        """log det of the noise's covariance R (x) N."""
+        return float(3 * np.log1p(c * self.block_sizes).sum() + self.pixels * np.linalg.slogdet(channels)[1])
+
+    def coefficients(self, white) -> np.ndarray:
+        """x = F white: (terms, 3, …) from (3 terms, …) white numbers, channel by channel."""
+        white = np.array(white, np.float64)
+        white[self.special_rows] = self.turn @ white[self.special_rows]
+        mixed = np.tensordot(self.mix, white.reshape(3, self.terms, -1), 1)  # (3, terms, …)
+        out = mixed.transpose(1, 0, 2) * self.prior.deviation[:, None, None]
+        return out.reshape(self.terms, 3, *white.shape[1:])
+
+    def plain(self, white) -> np.ndarray:
+        """A symmetric W of white numbers, of which the lower triangle is read, for z: (3, terms, 3, terms)."""
+        low = np.tril(white)
+        out = low + low.T
+        out[np.diag_indices_from(out)] *= 0.5
+        rows = self.special_rows
+        out[rows] = self.turn @ out[rows]
+        out[:, rows] = out[:, rows] @ self.turn.T
+        return out.reshape(3, self.terms, 3, self.terms)
+
+    def variances(self, plain) -> np.ndarray:
+        """The diagonal of F W F^T as (terms, 3), of `plain`."""
+        own = np.einsum("atbt->abt", plain)
+        return np.einsum("ca,cb,abt->tc", self.mix, self.mix, own) * self.prior.deviation[:, None] ** 2
+
+    def covariance(self, plain, terms: int) -> np.ndarray:
+        """F W F^T of the first ``terms``, rows and columns term by term: (3 terms, 3 terms)."""
+        few = plain[:, :terms, :, :terms]
+        deviation = self.prior.deviation[:terms]
+        out = np.einsum("ca,db,atbu->tcud", self.mix, self.mix, few, optimize=True)
+        out = out * deviation[:, None, None, None] * deviation[:, None]
+        return out.reshape(3 * terms, 3 * terms)
+
+    def measure(self, radiance) -> Measured:
+        """The products of a photograph's pixels (p, 3) with the basis images.
+
+        Raises
+        ------
+        InputError
+            When the photo is black there.
+        """
+        b = np.asarray(radiance, np.float64) / self.response
+        moments = np.zeros((3, 3 * self.terms))
+        for part in self._parts():
+            moments += b[part].T @ self.rows(part)
+        moments = moments.reshape(3, self.terms, 3).transpose(2, 1, 0)
+        level = float(np.trace(moments[:, 0]) / self.prior.deviation[0] / (3 * self.pixels))
+        if not level > 0:
+            raise InputError("the fit", "the photo is black where the object is", "use a longer exposure")
+        return Measured(b, level, b.T @ b, moments, self.gather @ b)
+
+    def misfit(self, measured: Measured, x) -> np.ndarray:
+        """(b - A x)^T (b - A x), the channels at unit response: (3, 3), of x (terms, 3).
+
+        From the Gram matrix, so that no pixel is looked at; exact to 1e-15 of b^T b.
+        """
+        z = x / self.prior.deviation[:, None]
+        cross = np.einsum("mc,cmd->cd", z, measured.moments)
+        gram = self.gram_of(0.0).reshape(3, 3, self.terms, self.terms)
+        return measured.energies - cross - cross.T + np.einsum("mc,cdmn,nd->cd", z, gram, z, optimize=True)
+
+    def singular_values(self, terms: int) -> np.ndarray:
+        """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""
+        unit = 1 / np.repeat(self.prior.deviation, 3)
+        plain = (self.gram * unit * unit[:, None]).reshape(self.terms, 3, self.terms, 3)
+        each = [np.linalg.eigvalsh(plain[:terms, c, :terms, c])[::-1] for c in range(3)]
+        worst = min(range(3), key=lambda c: each[c][-1] / each[c][0])
+        return np.sqrt(np.maximum(each[worst], 0)) * self.response[worst]
