@@ -3,10 +3,13 @@
 
 import os
 import tempfile
-from contextlib import contextmanager
+import time
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from btfsep_engine.errors import InputError
+
+ABANDONED = 24 * 3600.0  # seconds after which a scratch file is nobody's
 
 
 @contextmanager
@@ -39,6 +42,14 @@ def replacing(path):
     finally:
         if scratch is not None and os.path.exists(scratch):
             os.unlink(scratch)
+
+
+def sweep(folder, pattern: str = ".writing-*") -> None:
+    """Takes away scratch files that killed processes have left; what is younger than a day may be in use."""
+    for path in Path(folder).glob(pattern):
+        with suppress(OSError):
+            if time.time() - path.lstat().st_mtime > ABANDONED:
+                path.unlink()
 
 
 def write_bytes(path, data: bytes) -> None:

@@ -6,12 +6,12 @@ import os
 import re
 import stat
 import tempfile
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from btfsep_engine import atomic
 from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.image_set import import_images
 from btfsep_engine.btf.formats.ubo2014 import open_btf
@@ -20,8 +20,6 @@ from btfsep_engine.btf.library import NAME, Entry, changing, entries_of, file_sh
 from btfsep_engine.btf.model import REFERENCE, Tabulated
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
-
-ABANDONED = 24 * 3600.0  # seconds after which a scratch file is nobody's
 
 
 @dataclass(frozen=True)
@@ -197,7 +195,8 @@ def add(
     _name_is_free(folder, material.name, overwrite)  # before the work; again under the lock
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _sweep(folder)
+        for pattern in (".adding-*.btf", ".writing-*"):
+            atomic.sweep(folder, pattern)
         handle, scratch = tempfile.mkstemp(prefix=".adding-", suffix=".btf", dir=folder)
         os.close(handle)
     except OSError as error:
@@ -266,14 +265,6 @@ def _entry(entries: dict, name: str, folder: Path) -> Entry:
         raise InputError(f"material '{name}'", f"it is not in {folder}, which is empty", "give another library")
     some = ", ".join(list(entries)[:5])
     raise InputError(f"material '{name}'", f"it is not in {folder}", f"give one of its names ({some} …)")
-
-
-def _sweep(folder: Path) -> None:
-    """Takes away what imports that were killed have left; what is younger may be one that is under way."""
-    for path in folder.glob(".adding-*.btf"):
-        with contextlib.suppress(OSError):
-            if time.time() - path.lstat().st_mtime > ABANDONED:
-                path.unlink()
 
 
 def _name_is_free(folder: Path, name: str, overwrite: bool) -> None:

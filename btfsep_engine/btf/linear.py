@@ -135,6 +135,7 @@ def converted(file: BtfFile, *, components: int, seed: int = 0, reporter: Report
     factors = _load(stored, file)
     if factors is None:
         factors = recompress(file.decode, file.texels, file.pairs, components=components, seed=seed, reporter=reporter)
+        atomic.sweep(stored.parent)
         try:
             with atomic.replacing(stored) as scratch, open(scratch, "wb") as out:
                 for part in (np.float64(factors.relative_error), factors.spatial, factors.angular):

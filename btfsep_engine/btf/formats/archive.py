@@ -30,6 +30,22 @@ DAMAGED = (  # all that the zipfile module lets out on damaged input
 )
 
 
+def no_scratch(error: OSError) -> InputError:
+    """What to say where the folder for temporary files cannot be written."""
+    return InputError(f"cannot write to {tempfile.gettempdir()}", error.strerror or str(error), "free space there")
+
+
+@contextmanager
+def scratch_folder():
+    """A folder of its own, gone after the block."""
+    try:
+        folder = tempfile.TemporaryDirectory()
+    except OSError as error:
+        raise no_scratch(error) from error
+    with folder as name:
+        yield Path(name)
+
+
 class Members:
     """The files of ``source``, a folder or a zip. Zips are never unpacked; a member becomes one scratch file.
 
@@ -106,9 +122,7 @@ class Members:
                 with os.fdopen(handle, "wb") as out:
                     out.write(data)
             except OSError as error:
-                raise InputError(
-                    f"cannot write to {tempfile.gettempdir()}", error.strerror or str(error), "free space there"
-                ) from error
+                raise no_scratch(error) from error
             yield Path(scratch)
         finally:
             if scratch is not None:

@@ -9,7 +9,6 @@ ATRIUM's Radiance files say ``+X 256 -Y 256`` (columns first) and mean rows, fro
 """
 
 import re
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -18,7 +17,7 @@ import numpy as np
 from btfsep_engine.btf import reciprocity
 from btfsep_engine.btf.directions import UBO2003_RINGS, ubo2003_directions
 from btfsep_engine.btf.factorise import StreamingFactoriser
-from btfsep_engine.btf.formats.archive import Members
+from btfsep_engine.btf.formats.archive import Members, scratch_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.images import read_linear
 from btfsep_engine.progress import Reporter
@@ -139,9 +138,9 @@ def import_images(
     reporter, directions = reporter or Reporter(), ubo2003_directions()
     if not 0 < scale < np.inf or not (gamma is None or 0.1 <= gamma <= 10):
         raise InputError("scale or gamma", "they have to be positive", "leave them away, or give 1 and 2.2")
-    with Members(source) as members, tempfile.TemporaryDirectory() as scratch:
+    with Members(source) as members, scratch_folder() as scratch:
         found = find_images(members)
-        reader = _Reader(members, Path(scratch) / "fixed.hdr", gamma)
+        reader = _Reader(members, scratch / "fixed.hdr", gamma)
         height, width, _ = reader.read(found[0, 0]).shape
         at_once = max(1, min(COUNT, BLOCK // (3 * height * width)))
         blocks = COUNT * -(-COUNT // at_once)
