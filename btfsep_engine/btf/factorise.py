@@ -113,18 +113,25 @@ class StreamingFactoriser:
 
     def finish(self) -> Factors:
         """The factors of all blocks, in the order they came."""
-        mean, w, y = np.concatenate(self.means), np.concatenate(self.w, 1), np.concatenate(self.y, 1)
-        k = max(min(self.components - 1, *w.shape, len(y) // 2), 0)
+        mean, w, scale = np.concatenate(self.means), np.concatenate(self.w, 1), np.concatenate(self.scales)
+        rows = len(self.omega_sum)
+        k = max(min(self.components - 1, *w.shape, rows // 2), 0)
         patterns = _leading_patterns(w, k, self.rng)
         patterns -= patterns.mean(0)
         patterns /= np.maximum(np.sqrt((patterns**2).mean(0)), 1e-30)
         seen = self.omega @ patterns
-        u = np.linalg.lstsq(seen, y.astype(np.float64), rcond=None)[0] if k else np.zeros((0, y.shape[1]))
-        free = max(len(y) - k, 1) / len(y)  # the fit took k of the rows' degrees of freedom
-        residual = float((((y - seen @ u) * np.concatenate(self.scales)) ** 2).sum()) / free
+        solve = np.linalg.pinv(seen).astype(np.float32)  # of few columns: the same for all blocks
+        seen = seen.astype(np.float32)
+        u, residual, at = np.empty((len(mean), k), np.float32), 0.0, 0
+        for y in self.y:  # block by block: all of them are hundreds of megabytes
+            end = at + y.shape[1]
+            u[at:end] = (solve @ y).T
+            left = ((y - seen @ u[at:end].T) ** 2).sum(0, dtype=np.float64)
+            residual, at = residual + float(left @ scale[at:end].astype(np.float64) ** 2), end
+        residual /= max(rows - k, 1) / rows  # the fit took k of the rows' degrees of freedom
         return Factors(
             texels=np.concatenate([np.ones((self.texels, 1)), patterns], 1).astype(np.float32),
-            angular=np.concatenate([mean[:, None], u.T], 1).astype(np.float32),
+            angular=np.concatenate([mean[:, None], u], 1),
             relative_error=float(np.sqrt(residual / max(self.total, 1e-300))),
         )
 

@@ -12,7 +12,7 @@ import numpy as np
 from btfsep_engine import __version__
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.importing import add, full_name
-from btfsep_engine.btf.library import DEFAULT_SETTINGS, entries_of, file_sha256
+from btfsep_engine.btf.library import DEFAULT_SETTINGS, VERSION, entries_of, file_sha256
 from btfsep_engine.btf.linear import CLASSES
 from btfsep_engine.btf.texture_maps import TextureMaps, read_maps
 from btfsep_engine.checkpoints import EVERY, Checkpoints
@@ -22,7 +22,6 @@ from btfsep_engine.render.patch import measure
 
 LIMITS = {"texels": (8, 1024), "samples": (1, 256), "components": (2, 64), "seed": (0, 2**31 - 1), "mesh": (4, 2048)}
 TEXEL_MM, FEWEST_AND_MOST = 0.5, (80, 160)  # the grain of leather, 80 mm of it, is lost with 1 mm and seen with 0.5
-VERSION = 1  # of the measurement; another one when the same maps would give another material
 
 
 @dataclass(frozen=True)
@@ -187,7 +186,7 @@ def measurement_digest(maps, settings: MeasureSettings, directions) -> str:
     facts = [VERSION, __version__, versions, maps.name, maps.size_mm, maps.f0]
     facts += [settings.texels, settings.samples, settings.components, settings.seed]
     sha = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
-    for values in (maps.base_colour, maps.height_mm, maps.roughness, np.asarray(directions, np.float64)):
+    for values in (maps.base_colour, maps.height_mm, maps.roughness, *maps.metal(), np.asarray(directions, np.float64)):
         sha.update(repr(values.shape).encode() + np.ascontiguousarray(values).tobytes())
     return sha.hexdigest()
 

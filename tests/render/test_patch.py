@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The virtual gonioreflectometer against closed forms, an independent 2D tracer, and physics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from btfsep_engine.btf.directions import ubo2014_directions
+from btfsep_engine.btf.directions import cosine_weights, hemisphere_quadrature, interpolator, ubo2014_directions
 from btfsep_engine.btf.procedural import Maps
 from btfsep_engine.conventions import fibonacci_sphere, local_direction
+from btfsep_engine.render.hats import sharpened
 from btfsep_engine.render.patch import Patch, measure
 
 DIRECTIONS = ubo2014_directions()
 SOME = DIRECTIONS[[0, 3, 15, 31, 64, 88, 110, 128, 150]]
 
 
-def flat(base=(0.6, 0.3, 0.1), roughness=0.5, f0=0.04, n=16):
-    colour = np.broadcast_to(np.asarray(base, np.float32), (n, n, 3))
-    return Maps("test/flat", colour, np.zeros((n, n), np.float32), np.full((n, n), roughness, np.float32), 10.0, f0)
+def flat(base=(0.6, 0.3, 0.1), roughness=0.5, f0=0.04, n=16, metallic=None):
+    colour, level = np.broadcast_to(np.asarray(base, np.float32), (n, n, 3)), np.zeros((n, n), np.float32)
+    metal = None if metallic is None else np.full_like(level, metallic)
+    return Maps("test/flat", colour, level, np.full_like(level, roughness), 10.0, f0, metal)
 
 
 def ridges(amplitude, base=0.5, f0=0.0, n=128, periods=2, skew=0.0):
@@ -155,19 +159,131 @@ def test_parallax_is_that_of_the_mean_height():
     np.testing.assert_allclose(centre, [5.0, 5.0 - 1.5, 5.0 + 1.5], atol=0.12)
 
 
+def hat_averages(maps, **options):
+    """(views, lights, 3, texels^2) of SOME, without the cosine, as the tables hold it; and the mean over the texels."""
+    patch = Patch(maps, SOME, seed=options.pop("seed"), averaged=True)
+    block = np.stack([b.transpose(2, 0, 1) for b in patch.views(SOME, **options)]) / SOME[None, :, 2, None, None]
+    both = sharpened(np.concatenate([block.mean(-1, keepdims=True), block], -1), SOME)
+    return both[..., 1:], both[..., 0]
+
+
 def test_measure_gives_the_factors_of_what_the_patch_shows():
     maps = ridges(0.8, 0.4, f0=0.04)
     measured = measure(maps, texels=24, samples=3, components=12, lights=SOME, views=SOME, seed=3)
     material = measured.material
-    block = radiance(maps, SOME, SOME, texels=24, samples=3, seed=3)
-    again = (material.angular @ material.texels.reshape(-1, 12).T) * SOME[None, :, 2, None, None].astype(np.float32)
-    mean = block.mean(-1, keepdims=True)
-    scale = 1 / (mean + 0.5 * mean[0, :, 0].mean())  # the error is stated relative to each column's mean
+    block, mean = hat_averages(maps, texels=24, samples=3, seed=3)
+    again = material.angular @ material.texels.reshape(-1, 12).T
+    scale = SOME[None, :, 2, None, None] / (mean * SOME[None, :, 2, None] + 0.5 * mean[0].mean())[..., None]
     error = np.linalg.norm((again - block) * scale) / np.linalg.norm(block * scale)
     assert error == pytest.approx(measured.relative_error, rel=0.1)
     assert error < 0.25
-    np.testing.assert_allclose(material.mean_abrdf, block.mean(-1) / SOME[None, :, 2, None], rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(material.mean_abrdf, mean, rtol=2e-3, atol=1e-5)
+    assert 9 * 9 * 24 * 24 * 3 < measured.rays < 9 * (9 + 4) * 24 * 24 * 3 * 3 and measured.seconds > 0
     same = measure(maps, texels=24, samples=3, components=12, lights=SOME, views=SOME, seed=3).material
     np.testing.assert_array_equal(same.angular, material.angular)
     other = measure(maps, texels=24, samples=3, components=12, lights=SOME, views=SOME, seed=4).material
     assert not np.array_equal(other.angular, material.angular)
+
+
+@pytest.mark.parametrize("roughness", [0.15, 0.26, 0.5, 1.0])
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_a_measured_flat_gloss_reflects_what_it_should_however_narrow(roughness, metallic):
+    """The energy of the table, as it is interpolated, from every view: that of the microfacets by sampling."""
+    colour = np.array([0.9, 0.5, 0.02])
+    maps = flat(colour, roughness=roughness, n=8, metallic=metallic)
+    views = DIRECTIONS[[0, 9, 40, 70, 100, 140]]
+    material = measure(maps, texels=32, samples=1, components=2, lights=DIRECTIONS, views=views).material
+    found = np.einsum("vlc,l->vc", material.mean_abrdf, cosine_weights(DIRECTIONS))
+    np.testing.assert_allclose(
+        found, np.stack([albedo_by_halves(colour, roughness, metallic, v) for v in views]), rtol=0.02
+    )
+    assert found.max() < 1 and material.mean_abrdf.min() > 0
+
+
+def albedo_by_halves(base, roughness, metallic, view, f0=0.04):
+    """(3,) albedo: the layer's or the conductor's by quadrature over half vectors, whose density is D cos."""
+    alpha2, eta = roughness**4, (1 + f0**0.5) / (1 - f0**0.5)
+    u, phi = np.meshgrid((np.arange(500) + 0.5) / 500, (np.arange(300) + 0.5) / 300 * 2 * np.pi)
+
+    def smith(z):
+        return (np.sqrt(1 + alpha2 * (1 / np.maximum(z, 1e-9) ** 2 - 1)) - 1) / 2
+
+    def reflected(eye, fresnel):
+        z = np.sqrt((1 - u) / (1 + (alpha2 - 1) * u))
+        h = np.stack([np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z], -1)
+        vh = h @ eye
+        lz = 2 * vh * z - eye[2]
+        up = (vh > 0) & (lz > 0)
+        shadowed = 1 / (1 + smith(eye[2]) + smith(lz))
+        return np.where(up, fresnel(np.where(up, vh, 1.0)) * shadowed * vh / (eye[2] * z), 0).mean()
+
+    def dielectric(c):
+        inside = np.sqrt(1 - (1 - c**2) / eta**2)
+        return (((c - eta * inside) / (c + eta * inside)) ** 2 + ((inside - eta * c) / (inside + eta * c)) ** 2) / 2
+
+    if metallic:
+        return np.array([reflected(view, lambda c, b=b: b + (1 - b) * (1 - c) ** 5) for b in base])
+    layer = reflected(view, dielectric)
+    return np.asarray(base) * (1 - layer) + layer
+
+
+def test_a_rough_conductor_against_the_textbook():
+    """D G2 F / (4 n.v n.l) with G2 from Lambda, pointwise; half a metal is half of each."""
+    gold, roughness = np.array([0.95, 0.7, 0.3]), 0.45
+    found = radiance(flat(gold, roughness=roughness, metallic=1.0), SOME, SOME).mean(-1)
+    v, l = SOME[:, None], SOME[None]
+    h = (v + l) / np.linalg.norm(v + l, axis=-1, keepdims=True)
+    alpha = roughness**2
+    tan2, c = 1 / h[..., 2] ** 2 - 1, (v * h).sum(-1)
+    d = 1 / (np.pi * alpha**2 * h[..., 2] ** 4 * (1 + tan2 / alpha**2) ** 2)
+    hidden = [(np.sqrt(1 + alpha**2 * (1 / w[..., 2] ** 2 - 1)) - 1) / 2 for w in (v, l)]
+    f = gold + (1 - gold) * ((1 - c) ** 5)[..., None]
+    expected = (d / (1 + hidden[0] + hidden[1]) / (4 * v[..., 2]))[..., None] * f
+    np.testing.assert_allclose(found, expected, rtol=1e-3)
+    parts = [radiance(flat(gold, roughness=roughness, metallic=m), SOME, SOME).mean(-1) for m in (0.0, 0.5)]
+    np.testing.assert_allclose(parts[1], (parts[0] + found) / 2, rtol=1e-4)
+    bumpy = ridges(1.2, 0.8, f0=0.04, skew=0.25)
+    bumpy = replace(bumpy, metallic=np.ones_like(bumpy.height_mm))
+    f = radiance(bumpy, SOME, SOME, texels=48, samples=6).mean((-1, -2)) / SOME[None, :, 2]
+    assert np.median(np.abs(f / f.T - 1)) < 0.03  # reciprocal
+
+
+def test_the_rule_of_a_value_is_the_average_over_its_hat():
+    """Waves in the shade and the light: each value before sharpening, against point samples all over its hat."""
+    maps = ridges(1.2, 0.3, f0=0.04, skew=0.25, n=64)
+    view = local_direction(np.radians([40.0]), np.radians([20.0]))
+    fine = fibonacci_sphere(3000)
+    fine = fine[fine[:, 2] > 0]
+    f = radiance(maps, view, fine, texels=32, samples=2)[0, :, 0].mean(-1)
+    index, share = interpolator(SOME).weights(fine)
+    above, below = np.zeros(len(SOME)), np.zeros(len(SOME))
+    np.add.at(above, index, share * f[:, None])
+    np.add.at(below, index, share * fine[:, 2:])
+    block = next(Patch(maps, SOME, averaged=True).views(view, texels=32, samples=16))
+    np.testing.assert_allclose(block[0].mean(0) / SOME[:, 2], above / below, rtol=0.03)
+
+
+def test_sharpening_keeps_the_energy_and_gives_smooth_functions_back():
+    smooth = (1 + 0.8 * DIRECTIONS[:, 0] * DIRECTIONS[:, 2])[None, :, None, None] * np.ones((1, 1, 3, 1))
+    nodes, weights = hemisphere_quadrature()
+    index, share = interpolator(DIRECTIONS).weights(nodes)
+    value = (1 + 0.8 * nodes[:, 0] * nodes[:, 2]) * weights * nodes[:, 2]
+    above, below = np.zeros(151), np.zeros(151)
+    np.add.at(above, index, share * value[:, None])
+    np.add.at(below, index, share * (weights * nodes[:, 2])[:, None])
+    average = np.broadcast_to((above / below)[None, :, None, None], (1, 151, 3, 1))
+    sharp = sharpened(average, DIRECTIONS)
+    inner = DIRECTIONS[:, 2] > np.cos(np.radians(61))
+    left = np.abs(sharp - smooth)[:, inner].max(), np.abs(average - smooth)[:, inner].max()
+    assert left[0] < 0.75 * left[1]
+    np.testing.assert_allclose(cosine_weights(DIRECTIONS) @ sharp[0, :, 0, 0], value.sum(), rtol=2e-3)
+    # averages of what is 1 at one light and falls to 0 at its neighbours: the peak comes back, nothing gets negative
+    peak = np.full(151, 1e-9)
+    own = (share * (index == 40)).sum(1) * weights * nodes[:, 2]
+    np.add.at(peak, index, share * own[:, None])
+    spike = np.broadcast_to((peak / below)[None, :, None, None], (1, 151, 3, 1))
+    sharp = sharpened(spike, DIRECTIONS)[0, :, 0, 0]
+    assert spike.max() < 0.6 and sharp.min() > 0 and 0.8 < sharp[40] < 1.05
+    np.testing.assert_allclose(
+        cosine_weights(DIRECTIONS) @ sharp, cosine_weights(DIRECTIONS) @ spike[0, :, 0, 0], rtol=2e-3
+    )

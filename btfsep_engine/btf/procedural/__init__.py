@@ -37,7 +37,9 @@ class Maps:
     height_mm : (n, n) float32, mm; the mean is 0
     roughness : (n, n) float32, in [0.15, 1]; alpha of GGX is its square
     size_mm : edge of the patch, mm
-    f0 : float, specular reflectance at normal incidence
+    f0 : float, specular reflectance of what is no metal at normal incidence
+    metallic : (n, n) float32, in [0, 1], or None: nothing is metal. Where it is 1, there is no diffuse base, and
+        ``base_colour`` (up to 0.98 there) is the reflectance at normal incidence
     """
 
     name: str
@@ -46,11 +48,16 @@ class Maps:
     roughness: np.ndarray
     size_mm: float
     f0: float = 0.04
+    metallic: np.ndarray | None = None
 
     @property
     def material_class(self) -> str:
         """The part of the name before the slash."""
         return self.name.split("/")[0]
+
+    def metal(self) -> tuple:
+        """The metallic map, if anything is metal, as a tuple of one or none."""
+        return () if self.metallic is None or not self.metallic.max() > 0 else (self.metallic,)
 
 
 # name -> (function of u, v, rng, size; edge of the patch in mm; f0)
