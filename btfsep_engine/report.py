@@ -2,9 +2,7 @@
 """The report picture: one row, as in the paper's figures 3 and 4."""
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from scipy.interpolate import NearestNDInterpolator
+from scipy.spatial import cKDTree
 
 from btfsep_engine import sh
 from btfsep_engine.atomic import replacing
@@ -39,6 +37,9 @@ def write_row(path, panels, *, title: str = "") -> None:
     path : PNG
     panels : list of (label, (h, w, 3) uint8)
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import, and a run may want no picture
+    from matplotlib.figure import Figure
+
     ratios = [image.shape[1] / image.shape[0] for _, image in panels]
     height, pad = 3.0, 0.5
     width = height * sum(ratios) + 0.12 * len(panels)
@@ -78,8 +79,7 @@ def render_objects(scene, materials, lightings, *, textured: bool, directions: i
         points = points.take(spread(points, PIXELS))
         values = scene.radiance(points, material, lightings, directions=directions, indirect=indirect)
         if len(points) < region.sum():
-            flat = values.reshape(len(points), -1)
-            values = NearestNDInterpolator(points.pixels, flat)(np.argwhere(region)).reshape(-1, *values.shape[1:])
+            values = values[cKDTree(points.pixels).query(np.argwhere(region))[1]]
         out[:, region] = values.transpose(1, 0, 2)
     return out
 

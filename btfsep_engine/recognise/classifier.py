@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from sklearn.svm import SVC
 
 C_GRID = (1.0, 10.0, 100.0)
 GAMMA_GRID = (0.25, 0.5, 1.0, 2.0, 4.0)  # in units of 1 / median squared distance
@@ -133,6 +132,8 @@ def _fit_pairs(kernel, labels, c, class_count):
     present = np.unique(labels)
     if len(present) < 2:
         return weights, bias
+    from sklearn.svm import SVC  # most of a second, and an estimate with a given material needs none
+
     machine = SVC(C=c, kernel="precomputed", cache_size=SVM_CACHE_MB).fit(kernel, labels)
     # libsvm keeps for a support vector of class i the coefficient against class j in row j - (j > i)
     column_of = {}

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from sklearn.cluster import KMeans
 
 COLOUR_WORDS = 150
 SIFT_WORDS = 250
@@ -59,6 +58,8 @@ def learn_words(points, count, *, seed=0) -> np.ndarray:
         words = np.full((count, points.shape[1]), 1e6, np.float32)
         words[: len(points)] = points
         return words
+    from sklearn.cluster import KMeans  # takes long, and only training needs it
+
     means = KMeans(count, init="random", n_init=1, max_iter=25, tol=1e-3, random_state=seed).fit(points)
     return means.cluster_centers_.astype(np.float32)
 
