@@ -65,7 +65,7 @@ def material_of(properties) -> Tabulated:
     InputError
         Neither or both of ``filename`` and ``material``, an unknown name, a file that cannot be read.
     """
-    named, filed = properties.has_property("material"), properties.has_property("filename")
+    named, filed = "material" in properties, "filename" in properties
     if named == filed:
         raise InputError("plugin 'btf'", f"{'both' if named else 'none'} of filename and material", "give one of them")
     if filed:
