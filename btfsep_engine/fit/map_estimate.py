@@ -26,8 +26,10 @@ Misfit by a wrong material or shape is also correlated from block to block, and 
 away, so that residuals do not show it. Two measures against that. Evidence counts less than its number: the
 likelihood is taken to the power 1 / `COARSENING` (Miller and Dunson 2019, "coarsened" posteriors). And the spread has
 a second part, the residual's relative size times the coefficients' size in each row: a model that misses the
-image by a tenth is not trusted to know its response to any coefficient better than to a tenth. Both were chosen on
-photographs by Cycles with two of four lights; the figures stated in docs/method.md are of the other two.
+image by a tenth is not trusted to know its response to any coefficient better than to a tenth. A third part is
+`REFLECTANCE_SPREAD`, one factor on all: a piece of a material is lighter or darker than the one that was measured.
+All were chosen on photographs by Cycles with two of four lights; the figures stated in docs/method.md are of the
+other two.
 """
 
 import math
@@ -51,6 +53,7 @@ NEAR_TIE = 4.0  # of the logarithm of the evidence: so close, each c is given it
 NEAR = 3.0  # how far from the first fit's log q the others are looked for first
 LEAST_NOISE = 1e-12  # of the photo's energy: noiseless synthetic photos
 CHANNEL_SHRINKAGE = 0.05  # towards channels whose misfits are independent
+REFLECTANCE_SPREAD = 0.15  # of all coefficients together: a material's reflectance differs from piece to piece
 DETERMINED = 0.25  # of the prior's variance; for the first coefficient, of the level squared
 EXPECTED_ORDER = 2  # up to here the joint covariance is kept
 
@@ -210,12 +213,14 @@ class LightSolver:
         energy = np.diag(measured.energies) * f.response**2
         residual = float(np.sqrt(max(left.sum(), 0) / energy.sum()))
         model = model_variance(x, residual)
-        stddev = np.sqrt(variance + model)
+        stddev = np.sqrt(variance + model + (REFLECTANCE_SPREAD * x) ** 2)
         covariance += np.diag(np.broadcast_to(model, x.shape)[:few].ravel())
+        low = REFLECTANCE_SPREAD * x[:few].ravel()
+        covariance += low[:, None] * low
         scale = float(np.sqrt(scale2))
         varies = scale * self.prior.deviation
         varies[0] = measured.level
-        share = (stddev**2).mean(1) / varies**2
+        share = (variance + model).mean(1) / varies**2
         singular = self._singular
         return Fit(
             x[:terms],

@@ -9,13 +9,13 @@ import numpy as np
 
 from btfsep_engine import report, sh
 from btfsep_engine.btf.model import Material, Tabulated
-from btfsep_engine.fit.least_squares import Fit, block_labels, determined, solve
+from btfsep_engine.fit.expected_error import expected_error
+from btfsep_engine.fit.least_squares import Fit, determined, solve
 from btfsep_engine.fit.map_estimate import solve_map
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.natural import natural_amplitude, natural_prior
-from btfsep_engine.pipeline.basis import basis_images
+from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -101,35 +101,28 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     reporter = scene.reporter
     names = [material or o.material for o in scene.job.objects]
     materials = object_materials(scene, library, settings, names=names)
-    sizes = np.array([r.sum() for r in scene.regions], np.float64)
-    shares = np.maximum((settings.pixels * sizes / sizes.sum()).astype(int), 1) if settings.pixels else [0] * len(sizes)
-    basis_lights = SHBasis(settings.fit_order)
     with reporter.stage("transport"):
-        chosen = [chosen_points(scene, i, int(shares[i]), settings) for i in range(len(materials))]
-        used = [appearance(m.material, settings) for m in materials]
-        basis, transport = basis_images(scene, used, chosen, basis_lights, settings)
+        counts = shares(scene, settings.pixels)
+        chosen = [chosen_points(scene, i, counts[i], settings) for i in range(len(materials))]
+        problem = pose(scene, [appearance(m.material, settings) for m in materials], chosen, settings)
     with reporter.stage("fit"):
-        measured = [scene.photo_at(points) for points in chosen]
-        blocks, first = [], 0
-        for points in chosen:
-            labels = block_labels(points.pixels) + first
-            first = labels.max() + 1 if len(labels) else first
-            blocks.append(labels)
-        fit = _solved(np.concatenate(basis), np.concatenate(measured), np.concatenate(blocks), settings)
-    fitted = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
+        measured = problem.radiance()
+        fit = solved(problem.all_basis, measured, problem.blocks, settings)
+        left = measured - problem.predicted(fit.coefficients if fit.all_coefficients is None else fit.all_coefficients)
     residuals = [
-        float(np.linalg.norm(b - np.einsum("pmc,mc->pc", a, fitted)) / max(np.linalg.norm(b), 1e-30))
-        for a, b in zip(basis, measured, strict=True)
+        float(np.linalg.norm(r) / max(np.linalg.norm(b), 1e-30))
+        for r, b in zip(problem.by_object(left), problem.by_object(measured), strict=True)
     ]
     known = fit.determined
     if known is None:
         known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
     lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev)
     _warn(scene, materials, fit, residuals, lighting, settings)
-    return Estimate(scene, materials, fit, lighting, residuals, [len(p) for p in chosen], transport)
+    return Estimate(scene, materials, fit, lighting, residuals, [len(p) for p in chosen], problem.transport)
 
 
-def _solved(basis, radiance, blocks, settings: Settings) -> Fit:
+def solved(basis, radiance, blocks, settings: Settings) -> Fit:
+    """The fit by the estimator of the settings."""
     if settings.estimator == "least-squares":
         return solve(basis, radiance, blocks=blocks)
     return solve_map(basis, radiance, blocks=blocks, prior=natural_prior(settings.fit_order), order=settings.order)
@@ -198,8 +191,6 @@ def run_estimate(folder, library, settings: Settings, *, material=None, out=None
 def result_record(found: Estimate, settings: Settings) -> dict:
     """The content of ``result.json``."""
     fit, scene = found.fit, found.scene
-    count = int(found.lighting.determined.sum())
-    terms = len(found.lighting.determined)
     return {
         "format": "btfsep-result",
         "version": 1,
@@ -224,12 +215,34 @@ def result_record(found: Estimate, settings: Settings) -> dict:
         "noise": fit.noise,
         "block_correlation": fit.block_correlation,
         "prior_scale": fit.prior_scale,
-        "determined": f"the photo determines {count} of {terms} coefficients",
+        "determined": determined_words(found.lighting.determined, fit.all_determined),
+        "expected_error": None
+        if fit.covariance is None
+        else expected_error(fit.coefficients, fit.covariance, seed=settings.seed),
         "condition_number": fit.condition,
         "transport": found.transport,
         "saturated_pixels": scene.job.photo.saturated,
         **run_record(settings, scene.reporter),
     }
+
+
+def determined_words(reported, fitted=None) -> str:
+    """What the photo determines: "the photo determines 14 of 100 coefficients; of order 3 and above: none".
+
+    ``reported`` : (terms,) bool, of the reported orders; ``fitted`` : of all orders of the fit, None where it is those
+    """
+    known = reported if fitted is None else fitted
+    text = f"the photo determines {int(np.sum(known))} of {len(known)} coefficients"
+    if fitted is not None and len(fitted) > len(reported):
+        text += f", {int(np.sum(reported))} of the {len(reported)} that are reported"
+    orders = sh.order_of(len(known))
+    each = [known[l * l : (l + 1) ** 2] for l in range(orders + 1)]
+    whole = next((l for l, band in enumerate(each) if not band.all()), orders + 1) - 1
+    highest = max((l for l, band in enumerate(each) if band.any()), default=-1)
+    if highest < 0:
+        return text + "; not even how bright the light is"
+    all_of = f"all up to order {whole}" if whole >= 0 else "not all of any order"
+    return f"{text}; {all_of}, none above order {highest}"
 
 
 def material_record(found: ObjectMaterial) -> dict:

@@ -49,8 +49,9 @@ def photographed(rng, basis, x, blocks, *, noise, shared=0.0):
 
 
 def by_noise(fit):
-    """The stated spread without its part for a wrong model."""
-    return np.sqrt(fit.stddev**2 - (fit.residual**2 * (fit.coefficients**2).mean(1, keepdims=True)))
+    """The stated spread without its parts for a wrong model and for the material's reflectance."""
+    model = fit.residual**2 * (fit.coefficients**2).mean(1, keepdims=True)
+    return np.sqrt(fit.stddev**2 - model - (map_estimate.REFLECTANCE_SPREAD * fit.coefficients) ** 2)
 
 
 def test_it_is_the_posterior_of_full_covariance_matrices(rng):
@@ -80,6 +81,8 @@ def test_it_is_the_posterior_of_full_covariance_matrices(rng):
     hat = np.linalg.inv(gram + np.linalg.inv(signal)) @ gram
     assert freedom == pytest.approx(np.trace(hat), rel=1e-8)
     model = np.diag(np.repeat(fit.residual**2 * (fit.coefficients**2).mean(1), 3))
+    reflectance = map_estimate.REFLECTANCE_SPREAD * fit.coefficients.ravel()
+    model += np.outer(reflectance, reflectance)
     by_term = covariance.reshape(3, 9, 3, 9).transpose(1, 0, 3, 2).reshape(27, 27)
     assert np.allclose(fit.covariance - model, by_term, rtol=1e-6, atol=1e-9 * by_term.max())
     left = y - a @ (gain @ y)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the fit is given: the chosen points of every object, their basis images, their photograph, their blocks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.fit.least_squares import block_labels
+from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.pipeline.basis import basis_images
+
+STARTED = 1 << 20  # blocks' numbers of one object
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One photograph's part of a fit.
+
+    Attributes
+    ----------
+    scene : PreparedScene
+    points : list of SurfacePoints, one for each object
+    basis : list of (p, terms, 3) float32, their basis images
+    transport : how the basis images were made, for ``result.json``
+    """
+
+    scene: object
+    points: list
+    basis: list
+    transport: dict
+
+    @property
+    def all_basis(self) -> np.ndarray:
+        """(p, terms, 3), of all objects; one object's are not copied."""
+        return self.basis[0] if len(self.basis) == 1 else np.concatenate(self.basis)
+
+    @property
+    def blocks(self) -> np.ndarray:
+        """(p,) int: blocks of neighbouring pixels of one object."""
+        return np.concatenate([block_labels(p.pixels) + i * STARTED for i, p in enumerate(self.points)])
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """(p, 2) row and column, of all objects."""
+        return np.concatenate([p.pixels for p in self.points])
+
+    def radiance(self, photo=None) -> np.ndarray:
+        """(p, 3) of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
+        image = self.scene.job.photo.radiance if photo is None else photo
+        pixels = self.pixels
+        return image[pixels[:, 0], pixels[:, 1]]
+
+    def by_object(self, values) -> list:
+        """Rows of all points, (p, …), cut by object."""
+        return np.split(values, np.cumsum([len(p) for p in self.points])[:-1])
+
+    def predicted(self, x) -> np.ndarray:
+        """A x: (p, 3), of coefficients (terms, 3)."""
+        out = []
+        for a in self.basis:
+            columns = np.zeros((a.shape[1], 3, 3), np.float32)
+            columns[:, np.arange(3), np.arange(3)] = x
+            out.append(a.reshape(len(a), -1) @ columns.reshape(-1, 3))
+        return np.concatenate(out)
+
+
+def shares(scene, pixels: int) -> list[int]:
+    """How many of ``pixels`` each object gets, by what of it is seen; 0: all."""
+    sizes = np.array([r.sum() for r in scene.regions], np.float64)
+    return [max(int(n), 1) for n in pixels * sizes / sizes.sum()] if pixels else [0] * len(sizes)
+
+
+def pose(scene, used, points, settings) -> Problem:
+    """The basis images of ``points`` (a SurfacePoints for each object) with the materials ``used``."""
+    basis, transport = basis_images(scene, used, points, SHBasis(settings.fit_order), settings)
+    return Problem(scene, points, basis, transport)
