@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Blender material as texture maps: base colour, roughness, height or normal of a square, baked with Cycles.
+"""A Blender material as texture maps: base colour, roughness, metallic, height or normal of a square, by Cycles.
 
 The square is ``size`` Blender units wide, with UV 0 to 1 and the origin in its middle. A copy of the material emits
 what is at one input of its Principled BSDF after the other. All of it is in a scene of its own, removed afterwards.
@@ -15,7 +15,7 @@ import numpy as np
 from .errors import InputError
 
 SAMPLES = 16  # within a pixel, against jagged edges
-NOT_MEASURED = ("Metallic", "Transmission Weight", "Subsurface Weight", "Coat Weight", "Sheen Weight")
+NOT_MEASURED = ("Transmission Weight", "Subsurface Weight", "Coat Weight", "Sheen Weight")
 OF_THE_OBJECT = {"ATTRIBUTE", "VERTEX_COLOR", "OBJECT_INFO", "AMBIENT_OCCLUSION"}  # nodes that a bare square lacks
 DO = "connect a Principled BSDF to the Material Output"
 
@@ -29,8 +29,9 @@ class BakedMaps:
     base_colour : (n, n, 3) float32, linear; roughness : (n, n) float32; row 0 is the smallest v
     height : (n, n) float32 in Blender units, or None
     normal : (n, n, 3) float32 in [-1, 1], where there is no height but something at the Normal input, else None
-    f0 : reflectance at normal incidence
+    f0 : reflectance of what is no metal at normal incidence
     warnings : list of str
+    metallic : (n, n) float32, or None where nothing is metal
     """
 
     base_colour: np.ndarray
@@ -39,6 +40,7 @@ class BakedMaps:
     normal: np.ndarray | None
     f0: float
     warnings: list = field(default_factory=list)
+    metallic: np.ndarray | None = None
 
 
 def bake_material(
@@ -69,12 +71,15 @@ def bake_material(
                 )
         for name in NOT_MEASURED:
             if _source(shader.inputs[name]) is not None or shader.inputs[name].default_value > 0.01:
-                warnings.append(f"{name} is not measured: the material is taken as an opaque dielectric")
+                warnings.append(
+                    f"{name} is not measured: the material is taken as opaque, with a base and a gloss alone"
+                )
         f0 = _f0(shader, warnings)
         base = stage.value(shader.inputs["Base Color"])[..., :3]
         roughness = stage.value(shader.inputs["Roughness"])[..., 0]
+        metallic = stage.value(shader.inputs["Metallic"])[..., 0]
         height, normal = _relief(stage, shader, scale, warnings)
-    return BakedMaps(base, roughness, height, normal, f0, warnings)
+    return BakedMaps(base, roughness, height, normal, f0, warnings, metallic if metallic.max() > 0.001 else None)
 
 
 def write_maps(maps: BakedMaps, folder, *, millimetres: float, height_mm: float = 0.0) -> list:
@@ -89,6 +94,8 @@ def write_maps(maps: BakedMaps, folder, *, millimetres: float, height_mm: float 
     """
     folder = Path(folder)
     written = {"basecolor": maps.base_colour, "roughness": maps.roughness}
+    if maps.metallic is not None:
+        written["metallic"] = maps.metallic
     options = ["--f0", maps.f0]
     if maps.normal is not None:
         written["normal_gl"] = maps.normal

@@ -15,8 +15,9 @@ WORDS = {
     "roughness": "roughness rough rgh",
     "gloss": "gloss glossiness glossy smoothness",
     "normal": "normal normals normalmap nor nrm norm normalgl normaldx nrmgl nrmdx",
+    "metallic": "metallic metalness metal",
     # known, and not used: a file called "leather_ao_rough_preview" is then not taken for roughness
-    "other": "ao ambientocclusion occlusion metallic metalness metal opacity alpha mask specular spec emission "
+    "other": "ao ambientocclusion occlusion opacity alpha mask specular spec emission "
     "emissive preview thumbnail thumb arm orm rma idmap cavity curvature translucency transmission anisotropy",
 }
 KIND = {word: kind for kind, words in WORDS.items() for word in words.split()}
@@ -30,9 +31,8 @@ class MapFiles:
 
     Attributes
     ----------
-    base_colour, height, roughness, gloss, normal : Path or None
+    base_colour, height, roughness, gloss, normal, metallic : Path or None
     normal_convention : "opengl" or "directx" where the file's name says it, else "auto"
-    metallic : Path or None; not measured, looked at for a warning
     """
 
     base_colour: Path | None = None
@@ -47,6 +47,7 @@ class MapFiles:
         """kind -> file name, of those that are measured."""
         rough = self.roughness or self.gloss
         paths = {"base colour": self.base_colour, "height": self.height, "normal": self.normal}
+        paths["metallic"] = self.metallic
         paths["roughness" if self.roughness else "gloss"] = rough
         return {kind: path.name for kind, path in paths.items() if path}
 
@@ -94,8 +95,7 @@ def find_maps(folder, *, normal_convention: str = "auto") -> MapFiles:
         raise InputError(f"the maps' folder {folder}", f"it holds {len(names)} images", "give one material's folder")
     found = {kind: [p for p in names if kind_of(p.stem) == kind] for kind in WORDS}
     found["normal"] = _of_convention(found["normal"], normal_convention)
-    metallic = [p for p in found["other"] if {"metallic", "metalness", "metal"} & set(words_of(p.stem))]
-    for kind in ("base colour", "height", "roughness", "gloss", "normal"):
+    for kind in ("base colour", "height", "roughness", "gloss", "normal", "metallic"):
         if len(found[kind]) > 1:
             raise InputError(
                 f"the maps' folder {folder}",
@@ -123,7 +123,7 @@ def find_maps(folder, *, normal_convention: str = "auto") -> MapFiles:
         gloss=one["gloss"],
         normal=one["normal"],
         normal_convention=by_name if normal_convention == "auto" else normal_convention,
-        metallic=metallic[0] if metallic else None,
+        metallic=one["metallic"],
     )
 
 

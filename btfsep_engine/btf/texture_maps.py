@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A user's texture maps as a patch that the virtual gonioreflectometer measures.
 
-Base colour (sRGB-coded pictures, linear EXR), roughness or gloss, height or normals; of any size, 8 and 16 bits and
-floats. A height map's value times ``height_mm`` is the height: black to white of a picture is ``height_mm``.
+Base colour (sRGB-coded pictures, linear EXR), roughness or gloss, height or normals, metallic if there is any; of any
+size, 8 and 16 bits and floats. A height map's value times ``height_mm`` is the height: black to white of a picture is
+``height_mm``.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ from btfsep_engine.images import read_linear
 from btfsep_engine.progress import Reporter
 
 MIN_SIDE, MAX_SIDE = 4, 8192  # pixels
-LEAST_ROUGHNESS = 0.15  # of the reflectometer: sharper highlights are not resolved by its 151 directions
+LEAST_ROUGHNESS = 0.15  # of the reflectometer: its 151 directions show every sharper highlight as wide as this one
+MAX_METAL = 0.98  # of the base colour where it is metal
 SQUARE = 1.02  # aspect ratios this near to a whole number count as it
 SEAM_TO_MEDIAN, SEAM_TO_STEEPEST, SEAM_LEAST = 2.0, 1.25, 0.01
 MANY = 0.01  # of the pixels: fewer are changed without a word
@@ -82,16 +84,19 @@ def read_maps(
     roughness = reader.resampled(rough, reader.read(rough, "linear")[..., :1])[..., 0]
     if files.roughness is None:
         roughness = 1 - roughness
+    metallic = _metallic(files, reader)
     height, convention = _height(files, reader, size_mm, height_mm)
-    _tell_of_limits(files, base, roughness, reporter)
+    brightest = MAX_ALBEDO + (0 if metallic is None else metallic[..., None] * (MAX_METAL - MAX_ALBEDO))
+    _tell_of_limits(files, base, brightest, roughness, reporter)
     relief = np.percentile(height, [1, 99])
     maps = Maps(
         name=name,
-        base_colour=np.clip(base, 0.002, MAX_ALBEDO).astype(np.float32),
+        base_colour=np.clip(base, 0.002, brightest).astype(np.float32),
         height_mm=(height - height.mean()).astype(np.float32),
         roughness=np.clip(roughness, LEAST_ROUGHNESS, 1).astype(np.float32),
         size_mm=float(size_mm),
         f0=float(f0),
+        metallic=metallic,
     )
     return TextureMaps(maps, files.used(), float(relief[1] - relief[0]), convention)
 
@@ -106,7 +111,7 @@ def _check_numbers(size_mm, height_mm, f0, *, needs_height: bool) -> None:
     if height_mm is not None and not (np.isfinite(height_mm) and 0 <= height_mm <= size_mm):
         raise InputError("the height of the patch", f"{height_mm} mm", "give 0 mm to the size of the patch")
     if not (np.isfinite(f0) and 0 <= f0 <= 0.2):
-        raise InputError("the reflectance f0", f"{f0}", "give 0 to 0.2 (0.04 for most; metals are not measured)")
+        raise InputError("the reflectance f0", f"{f0}", "give 0 to 0.2 (0.04 for most; metal takes a metallic map)")
 
 
 class _Reader:
@@ -254,12 +259,18 @@ def _height(files: MapFiles, reader: _Reader, size_mm: float, height_mm):
     return height * (size_mm / n), convention
 
 
-def _tell_of_limits(files: MapFiles, base, roughness, reporter: Reporter) -> None:
-    bright, sharp = float((base > MAX_ALBEDO).any(-1).mean()), float((roughness < LEAST_ROUGHNESS).mean())
+def _metallic(files: MapFiles, reader: _Reader):
+    """(n, n) float32 in [0, 1], or None where nothing is metal."""
+    if files.metallic is None:
+        return None
+    metallic = reader.resampled(files.metallic, reader.read(files.metallic, "linear")[..., :1])[..., 0]
+    return np.clip(metallic, 0, 1).astype(np.float32) if metallic.max() > 0 else None
+
+
+def _tell_of_limits(files: MapFiles, base, brightest, roughness, reporter: Reporter) -> None:
+    bright, sharp = float((base > brightest).any(-1).mean()), float((roughness < LEAST_ROUGHNESS).mean())
     if bright > MANY:
-        name = files.base_colour.name
-        reporter.warn(f"{bright:.0%} of {name} is brighter than {MAX_ALBEDO} (linear) and is measured as that")
+        name, limit = files.base_colour.name, f"{MAX_ALBEDO} (linear; {MAX_METAL} where it is metal)"
+        reporter.warn(f"{bright:.0%} of {name} is brighter than {limit} and is measured as that")
     if sharp > MANY:
         reporter.warn(f"{sharp:.0%} of it is smoother than roughness {LEAST_ROUGHNESS} and is measured as that")
-    if files.metallic is not None and (read_linear(files.metallic, colorspace="linear").pixels > 0.1).mean() > MANY:
-        reporter.warn(f"{files.metallic.name} is not used: the material is measured as if nothing of it were metal")

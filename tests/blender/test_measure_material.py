@@ -256,10 +256,26 @@ def test_a_bad_material_gets_a_sentence(thing, how):
 
 def test_what_is_not_measured_is_said(thing):
     nodes = Nodes(thing.active_material)
-    nodes.put(1.0, nodes.shader.inputs["Metallic"])
+    nodes.put(1.0, nodes.shader.inputs["Coat Weight"])
     nodes.put(nodes.add("Attribute").outputs["Color"], nodes.shader.inputs["Base Color"])
     said = " ".join(baked(thing).warnings)
-    assert "Metallic is not measured" in said and "'Attribute' looks at the object" in said
+    assert "Coat Weight is not measured" in said and "'Attribute' looks at the object" in said
+
+
+def test_metal_is_baked_and_the_engine_finds_it(thing, tmp_path):
+    from btfsep_engine.btf.map_files import find_maps
+    from btfsep_engine.btf.texture_maps import read_maps
+
+    nodes = Nodes(thing.active_material)
+    nodes.put((0.94, 0.7, 0.3, 1), nodes.shader.inputs["Base Color"])
+    assert baked(thing).metallic is None
+    nodes.put(nodes.waves(), nodes.shader.inputs["Metallic"])
+    found = baked(thing)
+    np.testing.assert_allclose(found.metallic, expected_waves(), atol=MEAN_OF_PIXEL)
+    bake.write_maps(found, tmp_path / "maps", millimetres=1000)
+    assert find_maps(tmp_path / "maps").metallic.name == "metallic.exr"
+    read = read_maps(tmp_path / "maps", name="stone/x", size_mm=40.0, height_mm=1.0, resolution=N).maps
+    np.testing.assert_allclose(read.metallic, found.metallic, atol=1e-3)
 
 
 RESULT = {"name": "stone/checks", "file": "stone_checks.btf", "library": "there", "relief_mm": 0.5, "measured": True}

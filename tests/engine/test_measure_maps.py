@@ -77,6 +77,9 @@ def read(folder, reporter=None, **options):
         ("rough_plaster_rough_1k", "roughness"),
         ("WoodRoughness", "roughness"),
         ("metal_gloss", "gloss"),
+        ("Metal032_2K-PNG_Metalness", "metallic"),
+        ("rusty_metal_1k", "metallic"),
+        ("metal_plate_diff_1k", "base colour"),
         ("plaster_nor_gl_2k", "normal"),
         ("Bricks_NormalDX", "normal"),
         ("leather_nrm", "normal"),
@@ -266,17 +269,35 @@ def test_seams_are_seen_and_told(tmp_path):
 
 
 def test_what_cannot_be_measured_is_told(tmp_path):
-    metal = np.ones((N, N))
     white = np.ones((N, N, 3))
     folder = folder_of(tmp_path, basecolor_png=white, roughness_png=np.zeros((N, N)), height_png=hills())
-    save(folder / "metallic.png", metal)
     reporter = Reporter()
     found = read(folder, reporter).maps
     assert found.base_colour.max() == np.float32(procedural.MAX_ALBEDO) and found.roughness.min() == np.float32(0.15)
+    assert found.metallic is None
     said = " ".join(reporter.warnings)
-    assert (
-        "brighter than 0.85" in said and "smoother than roughness 0.15" in said and "metallic.png is not used" in said
-    )
+    assert "brighter than 0.85" in said and "smoother than roughness 0.15" in said
+
+
+def test_metal_is_measured_and_may_be_brighter(tmp_path):
+    """Left metal, right not; the same colour, brighter than any diffuse base may be."""
+    metal = np.zeros((N, N))
+    metal[:, : N // 2] = 1
+    colour = linear_to_srgb(np.broadcast_to([0.94, 0.7, 0.3], (N, N, 3)))
+    folder = folder_of(tmp_path, basecolor_png=colour, height_png=hills(), rusty_Metalness_png=metal)
+    reporter = Reporter()
+    found = read(folder, reporter)
+    assert found.files["metallic"] == "rusty_Metalness.png"
+    np.testing.assert_allclose(found.maps.metallic[N // 4, [N // 4, 3 * N // 4]], [1, 0], atol=1e-3)
+    at = found.maps.base_colour[N // 4]
+    np.testing.assert_allclose(at[N // 4], [0.94, 0.7, 0.3], atol=6e-3)
+    np.testing.assert_allclose(at[3 * N // 4], [procedural.MAX_ALBEDO, 0.7, 0.3], atol=6e-3)
+    assert any("0.98 where it is metal" in w for w in reporter.warnings)
+    save(folder / "rusty_Metalness.png", metal * 0)
+    assert read(folder).maps.metal() == ()
+    save(folder / "metal.png", metal)
+    with pytest.raises(InputError, match="2 files could be the metallic map"):
+        read(folder)
 
 
 def change(folder, name):
