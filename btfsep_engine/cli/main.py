@@ -8,6 +8,7 @@ import click
 from btfsep_engine import __version__
 from btfsep_engine.cli import words
 from btfsep_engine.cli.batch import batch_command
+from btfsep_engine.cli.chart import chart
 from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
 from btfsep_engine.cli.library import library
 from btfsep_engine.cli.measure import measure
@@ -150,6 +151,7 @@ def compare(*, a, b, job, order, library_folder, material, reporter):
 
 
 cli.add_command(batch_command(estimate))
+cli.add_command(chart)
 library.add_command(measure)
 cli.add_command(library)
 

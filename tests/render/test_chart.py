@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``btfsep chart``: every setting on one chart, its front, and what is wrong in one sentence."""
+
+import json
+
+import numpy as np
+import pytest
+
+from btfsep_engine import images, sh
+from btfsep_engine.cli import main
+from btfsep_engine.light.files import exactly, write_lighting
+from btfsep_engine.pipeline.tradeoff import pareto_front, variations
+
+
+def test_the_front_is_what_nothing_beats():
+    seconds, errors = [1, 2, 3, 2, 1, 4], [5, 4, 4, 3, 5, 1]
+    # 2: as accurate as 1 and slower; 1: as fast as 3 and worse; equals stand side by side
+    assert pareto_front(seconds, errors).tolist() == [True, False, False, True, True, True]
+
+
+def test_every_preset_and_every_setting_that_trades_is_there():
+    axes = {axis for axis, _, _ in variations()}
+    assert axes >= {"preset", "pixels", "directions", "bounces", "appearance", "components", "estimator, order"}
+    assert len({name for _, name, _ in variations()}) == len(variations())
+
+
+def test_a_chart_of_a_white_sphere(sphere_job_folder, capsys, tmp_path):
+    folder, truth = sphere_job_folder
+    write_lighting(tmp_path / "truth.json", exactly(truth))
+    arguments = ["--material", "reference/white-diffuse", "--repeats", "1", "--quick", "--paper-samples", "2"]
+    code = main(["chart", str(folder), *arguments, "--truth", str(tmp_path / "truth.json"), "--json"])
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    assert code == 0 and result["reference"] == "truth"
+    by_name = {p["name"]: p for p in result["points"]}
+    assert by_name["balanced"]["error"] < 0.05 and all(p["seconds"] > 0 for p in result["points"])
+    paper = [p for p in result["points"] if p["axis"] == "paper"]
+    assert len(paper) == 1 and paper[0]["paper_ratio"] == 1
+    assert by_name["balanced"]["paper_ratio"] == pytest.approx(paper[0]["seconds"] / by_name["balanced"]["seconds"])
+    best = min(result["points"], key=lambda p: p["error"])
+    assert best["front"] and any(not p["front"] for p in result["points"])
+    kept = json.loads((folder / "result" / "chart.json").read_text())
+    assert kept["points"] == result["points"]
+    picture = images.read_linear(folder / "result" / "chart.png").pixels
+    assert min(picture.shape[:2]) > 400 and np.ptp(picture) > 0.5
+
+
+def test_a_truth_of_too_low_an_order_is_refused(sphere_job_folder, capsys, tmp_path):
+    folder, truth = sphere_job_folder
+    write_lighting(tmp_path / "truth.json", exactly(truth[: sh.term_count(1)]))
+    assert main(["chart", str(folder), "--truth", str(tmp_path / "truth.json")]) == 2
+    assert "give order 2 or more" in capsys.readouterr().err
