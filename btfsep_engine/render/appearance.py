@@ -81,14 +81,14 @@ class LightTables:
     """
 
     def __init__(self, tracer: Tracer, material: Tabulated):
-        self.mi, self.dr, self.material = tracer.mi, tracer.dr, material
+        self._tracer, self.mi, self.dr, self.material = tracer, tracer.mi, tracer.dr, material
         views, lights = material.angular.shape[:2]
         self.views, self.lights = views, lights
         taps = interpolator(material.lights)
-        self._grid = self.mi.UInt32(taps.grid.ravel().astype(np.uint32))
+        self._grid = tracer.integers(taps.grid)
         # a corner of a triangle in one packet: its row of the affine map, and which light it is
         corners = np.concatenate([taps.affine, taps.triangles[..., None]], -1)
-        self._corners = self.mi.Float(corners.astype(np.float32).ravel())
+        self._corners = tracer.floats(corners)
         padded = np.zeros((views, material.texels.shape[2], lights, 4), np.float32)
         padded[..., :3] = np.moveaxis(material.angular, 3, 1)
         self._angular = padded.reshape(views, -1, lights * 4)
@@ -111,7 +111,7 @@ class LightTables:
         for some in np.split(order, ends[:-1]):
             if len(some):
                 tables[some] = rows[some] @ self._angular[taps[some[0]]].reshape(rows.shape[1], -1)
-        return self.mi.Float(tables.ravel())
+        return self._tracer.floats(tables)
 
     def _view_taps(self, points):
         """Three views and their weights for each point: (n, 3) int and (n, 3) float32."""

@@ -14,6 +14,7 @@ from btfsep_engine.render.backend import import_mitsuba
 
 MISS = np.int32(-1)
 LANES = 1 << 22  # rays traced at once: bounds the memory of a pass to a few hundred MB
+ALIGNMENT = 64  # bytes, of memory that Dr.Jit works on
 OFFSET = 2e-4  # start of a secondary ray off its surface, in scene radii
 
 
@@ -82,13 +83,21 @@ class Tracer:
 
     def vector(self, values):
         """(n, 3) array to a Mitsuba vector of n lanes."""
-        return self.mi.Vector3f(np.ascontiguousarray(np.asarray(values, np.float32).T))
+        return self.mi.Vector3f(*(self.floats(column) for column in np.asarray(values, np.float32).T))
 
     def packets(self, values):
         """(n, 3) array to a Mitsuba Float whose lanes are gathered four at a time, the fourth 0."""
         padded = np.zeros((len(values), 4), np.float32)
         padded[:, :3] = values
-        return self.mi.Float(padded.ravel())
+        return self.floats(padded)
+
+    def floats(self, values):
+        """An array of any shape to a flat Mitsuba Float."""
+        return self.mi.Float(_aligned(values, np.float32))
+
+    def integers(self, values):
+        """An array of any shape, of numbers >= 0, to a flat Mitsuba UInt32."""
+        return self.mi.UInt32(_aligned(values, np.uint32))
 
     def nearest(self, origins, directions) -> Hits:
         """Nearest hits of rays ``origins, directions : (n, 3) float``, world space, directions unit."""
@@ -154,6 +163,20 @@ class Tracer:
         starts = np.asarray(positions, np.float64) + OFFSET * self.radius * np.asarray(offset_normals, np.float64)
         above = (np.asarray(offset_normals) * directions).sum(1) > 0
         return above & (self.nearest(starts, directions).mesh == MISS)
+
+
+def _aligned(values, kind) -> np.ndarray:
+    """A flat copy at an address that is a multiple of `ALIGNMENT`.
+
+    Dr.Jit borrows NumPy's memory, and compiles other kernels for memory that is not aligned: without this, chance would
+    decide whether a kernel is found in the cache.
+    """
+    values = np.asarray(values)
+    room = np.empty(values.size * np.dtype(kind).itemsize + ALIGNMENT, np.uint8)
+    start = -room.ctypes.data % ALIGNMENT
+    flat = room[start : start + values.size * np.dtype(kind).itemsize].view(kind)
+    flat.reshape(values.shape)[...] = values
+    return flat
 
 
 def divided(mi, dr, lane, divisor: int):

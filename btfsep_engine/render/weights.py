@@ -40,7 +40,7 @@ class Weights:
 
     def _packets(self, columns):
         """Columns side by side as a Mitsuba Float, to be gathered four at a time."""
-        return self.mi.Float(np.concatenate(columns, 1).astype(np.float32).ravel())
+        return self.tracer.floats(np.concatenate(columns, 1))
 
     def of_all(self, points: SurfacePoints, active) -> list[np.ndarray]:
         """Weights of every direction at every point.
@@ -60,7 +60,7 @@ class Weights:
 
     def of_pairs(self, points: SurfacePoints, point, direction) -> list[np.ndarray]:
         """Weights of pairs, given by numbers of points and directions (t,): 1 or 3 arrays (t,) float32."""
-        point, direction = (self.mi.UInt32(np.asarray(i, np.uint32)) for i in (point, direction))
+        point, direction = (self.tracer.integers(i) for i in (point, direction))
         return self._of(points, point, direction, self.dr.full(self.mi.Bool, True, len(point)))
 
     def _of(self, points, point, direction, active) -> list[np.ndarray]:

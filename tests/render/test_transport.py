@@ -206,3 +206,31 @@ def test_the_albedo_of_a_table_is_that_of_the_function():
     # f = cos_i cos_o / 4: (1 / 4 pi) (2 pi / 3)^2
     table = tabulated(lambda i, o: np.repeat(i[..., 2:] * o[..., 2:] / 4, 3, -1) * np.ones((151, 151, 1)))
     assert diffuse_albedo(table) == pytest.approx(np.pi / 9, rel=0.02)
+
+
+def test_other_materials_sizes_and_lights_compile_nothing():
+    """Values and sizes are data of the kernels: only a new kind of question may cost a compilation."""
+    import_mitsuba()
+    import drjit as dr
+
+    def run(shape, table, *, count, directions, order, textured):
+        tracer, _, transport = prepared(
+            [as_mesh(shape)], looking_down(), count=count, directions=directions, textured=textured
+        )
+        transport.radiance(table, SHBasis(order))
+        indirect = Indirect(tracer, [np.full(3, 0.5)], SHBasis(order), bounces=3)
+        assert indirect.reflected(transport, table).any()
+
+    random, d = np.random.default_rng(0), ubo2014_directions()[:127]
+    other = Tabulated(
+        "o", "test", random.random((8, 9, 5), np.float32), random.random((127, 127, 3, 5), np.float32), d, d, 1.0
+    )
+    torus = trimesh.creation.torus
+    run(torus(1.0, 0.4), tabulated(lobe), count=300, directions=256, order=2, textured=False)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        run(torus(0.8, 0.3), other, count=517, directions=333, order=3, textured=True)
+        run(torus(1.2, 0.4), tabulated(lobe), count=401, directions=1024, order=4, textured=True)
+        kernels = [k for k in dr.kernel_history() if k["type"] is dr.KernelType.JIT]
+    assert len(kernels) > 4
+    assert all(k["cache_hit"] for k in kernels)
