@@ -50,11 +50,11 @@ def write_chart(path, points, *, reference: str, title: str) -> None:
         axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
     axes.yaxis.set_minor_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.margins(x=0.12, y=0.08)
+    axes.margins(x=0.14, y=0.08)
     axes.grid(alpha=0.25, which="both")
     axes.set_xlabel("seconds of transport and fit, warm")
     axes.set_ylabel(f"error of order 2, one free scale, {REFERENCES[reference]}")
     axes.set_title(title, fontsize=11)
-    axes.legend(fontsize=8, loc="upper right")
+    figure.legend(fontsize=8, loc="outside right upper")
     with replacing(path) as scratch:
         figure.savefig(scratch, format="png")
