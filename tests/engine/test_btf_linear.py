@@ -141,6 +141,28 @@ def test_a_lambertian_table_conserves_energy_exactly_with_the_band():
         np.testing.assert_allclose(up, np.broadcast_to(exact, up.shape), atol=1e-6)
 
 
+def oren_nayar(views, lights, sigma=0.5):
+    """(views, lights): the qualitative model of Oren and Nayar, 1994, albedo 0.5."""
+    a, b = 1 - 0.5 * sigma**2 / (sigma**2 + 0.33), 0.45 * sigma**2 / (sigma**2 + 0.09)
+    s = views[:, :2] @ lights[:, :2].T
+    t = np.where(s > 0, np.maximum(views[:, None, 2], lights[None, :, 2]), 1)
+    return 0.5 / np.pi * (a + b * np.maximum(s, 0) / t)
+
+
+@pytest.mark.parametrize("function", [glossy, lambda v, l: glossy(v, l, 40), oren_nayar])
+@pytest.mark.parametrize("d", [ubo2014_directions(), ubo2003_directions()])
+def test_the_band_to_the_horizon_keeps_the_energy_within_one_percent(function, d):
+    """The albedo of a table that ends at 75 degrees against the integral of the function itself over all of it."""
+    nodes, weights = hemisphere_quadrature()
+    weights = weights * nodes[:, 2]
+    exact = function(d, nodes) @ weights
+    table = np.repeat(function(d, d)[:, :, None, None], 3, 2).astype(np.float32)
+    found = Tabulated("a/b", "a", np.ones((1, 1, 1), np.float32), table, d, d, 1.0).albedo()[:, 0]
+    np.testing.assert_allclose(found, exact, rtol=0.01)
+    without = function(d, nodes) @ np.where(nodes[:, 2] > np.cos(np.radians(75)), weights, 0)
+    assert (without < 0.975 * exact).all()  # that much hangs on the rule
+
+
 def test_values_between_and_beyond_the_directions_stay_within_the_table(rng):
     d = ubo2014_directions()
     values = rng.uniform(0.2, 0.9, (151, 151, 3, 1)).astype(np.float32)
