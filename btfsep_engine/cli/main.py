@@ -12,6 +12,7 @@ from btfsep_engine.cli.chart import chart
 from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
 from btfsep_engine.cli.library import library
 from btfsep_engine.cli.measure import measure
+from btfsep_engine.cli.plan import plan
 from btfsep_engine.errors import InputError
 
 
@@ -154,6 +155,7 @@ cli.add_command(batch_command(estimate))
 cli.add_command(chart)
 library.add_command(measure)
 cli.add_command(library)
+cli.add_command(plan)
 
 
 def main(arguments=None) -> int:

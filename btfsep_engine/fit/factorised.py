@@ -21,16 +21,14 @@ CHUNK = 1 << 14  # pixels converted at once: the basis images of a large photo a
 
 @dataclass(frozen=True)
 class Measured:
-    """What is kept of one photograph: b at unit response (p, 3) and its products with the basis images.
+    """The products of one photograph, b at unit response, with the basis images.
 
     Attributes
     ----------
-    values : (p, 3) float64
     level : the light's mean radiance over sqrt(4 pi) of a first fit by even light
     energies : (3, 3), b^T b; moments : (3, terms, 3), A_c^T b_d; sums : (blocks, 3), of b
     """
 
-    values: np.ndarray
     level: float
     energies: np.ndarray
     moments: np.ndarray
@@ -181,6 +179,15 @@ class Factorised:
         out = out * deviation[:, None, None, None] * deviation[:, None]
         return out.reshape(3 * terms, 3 * terms)
 
+    def products(self, b) -> Measured:
+        """The products of b (p, 3), at unit response, with the basis images."""
+        moments = np.zeros((3, 3 * self.terms))
+        for part in self._parts():
+            moments += b[part].T @ self.rows(part)
+        moments = moments.reshape(3, self.terms, 3).transpose(2, 1, 0)
+        level = float(np.trace(moments[:, 0]) / self.prior.deviation[0] / (3 * self.pixels))
+        return Measured(level, b.T @ b, moments, self.gather @ b)
+
     def measure(self, radiance) -> Measured:
         """The products of a photograph's pixels (p, 3) with the basis images.
 
@@ -189,15 +196,17 @@ class Factorised:
         InputError
             When the photo is black there.
         """
-        b = np.asarray(radiance, np.float64) / self.response
-        moments = np.zeros((3, 3 * self.terms))
-        for part in self._parts():
-            moments += b[part].T @ self.rows(part)
-        moments = moments.reshape(3, self.terms, 3).transpose(2, 1, 0)
-        level = float(np.trace(moments[:, 0]) / self.prior.deviation[0] / (3 * self.pixels))
-        if not level > 0:
+        measured = self.products(np.asarray(radiance, np.float64) / self.response)
+        if not measured.level > 0:
             raise InputError("the fit", "the photo is black where the object is", "use a longer exposure")
-        return Measured(b, level, b.T @ b, moments, self.gather @ b)
+        return measured
+
+    def predicted(self, x) -> np.ndarray:
+        """A x: (p, 3), of coefficients (terms, 3)."""
+        columns = np.zeros((self.terms, 3, 3))
+        columns[:, np.arange(3), np.arange(3)] = x / self.prior.deviation[:, None]
+        columns = columns.reshape(3 * self.terms, 3)
+        return np.concatenate([self.rows(part) @ columns for part in self._parts()]) * self.response
 
     def misfit(self, measured: Measured, x) -> np.ndarray:
         """(b - A x)^T (b - A x), the channels at unit response: (3, 3), of x (terms, 3).

@@ -241,6 +241,17 @@ class LightSolver:
             found=found,
         )
 
+    def left_over(self, found: Found, values) -> np.ndarray:
+        """b - A x(b) of any ``values : (p, 3)``, with the smoother that ``found`` makes of the fit: (p, 3).
+
+        The photograph's own where ``values`` is the photograph; for another column, what no light can imitate of it.
+        """
+        f, b = self.factorised, np.asarray(values, np.float64)
+        measured = f.products(b / f.response)
+        factor, moments = self._system(measured, found.correlation, found.channels, found.q)
+        x = f.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
+        return b - f.predicted(x)
+
     def posterior_factor(self, found: Found) -> np.ndarray:
         """R (3 terms, 3 terms), channel by channel, of the posterior's covariance R R^T (of all orders, no model part).
 

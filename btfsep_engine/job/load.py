@@ -16,12 +16,13 @@ from btfsep_engine.job.schema import CameraSchema, JobSchema, parse
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
 
 
-def load_job(folder) -> Job:
+def load_job(folder, *, with_photo: bool = True) -> Job:
     """Reads ``folder/job.json`` and all that it names.
 
     Parameters
     ----------
     folder : the job folder, or the path of the job.json in it
+    with_photo : false: the image is not read and need not be there; the photo is black
 
     Returns
     -------
@@ -41,7 +42,7 @@ def load_job(folder) -> Job:
     schema = parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
     camera = _camera(schema.camera)
     notes: list[str] = []
-    photo = _photo(reader, schema, camera, notes)
+    photo = _photo(reader, schema, camera, notes) if with_photo else _no_photo(camera)
     names = [o.name for o in schema.objects]
     for i, name in enumerate(names):
         if name in names[:i]:
@@ -132,6 +133,11 @@ def _camera(schema: CameraSchema) -> Camera:
     if np.abs(to_world[:3, 3]).max() > 1e15:
         raise InputError(what, "the camera is absurdly far away", "check its position")
     return Camera(schema.width, schema.height, schema.fx, schema.fy, schema.cx, schema.cy, to_world)
+
+
+def _no_photo(camera: Camera) -> Photo:
+    shape = camera.height, camera.width
+    return Photo(np.zeros((*shape, 3), np.float32), np.ones(shape, bool), 0)
 
 
 def _photo(reader: _Folder, schema: JobSchema, camera: Camera, notes: list) -> Photo:

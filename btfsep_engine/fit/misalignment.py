@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far a photograph is shifted against the known geometry: where its edges fall on the rendered silhouettes.
+
+The silhouette of what the camera should see is known to the pixel. Moved over the photo's gradient image, its mean
+gradient has a peak where the photo's own outline is. The logarithm of the radiance is used, so that a bright light
+outweighs nothing, and gradients are capped, so that one strong edge of the background does not decide.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_erosion, gaussian_gradient_magnitude
+
+from btfsep_engine.conventions import REC709_LUMINANCE
+
+REACH = 8  # pixels, the largest shift looked for
+BLUR = 1.0  # pixels, of the gradient
+CAP = 95  # percentile of the gradients
+DARK = 0.02  # of the object's median luminance: noise in shadows is no edge
+LEAST_EDGE = 40  # pixels of silhouette; less says nothing
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Where the photo's outline lies.
+
+    Attributes
+    ----------
+    rows, columns : pixels; the photo's outline is so far below and to the right of the rendered one
+    gain : mean gradient there over that at no shift, >= 1
+    contrast : mean gradient there over the median of all shifts; near 1 the outline cannot be seen
+    """
+
+    rows: int
+    columns: int
+    gain: float
+    contrast: float
+
+    @property
+    def distance(self) -> float:
+        """Pixels."""
+        return float(np.hypot(self.rows, self.columns))
+
+
+def silhouette_shift(photo, seen, *, reach: int = REACH) -> Shift | None:
+    """The shift of a photo against the silhouettes of what it should show.
+
+    Parameters
+    ----------
+    photo : (h, w, 3) float, linear
+    seen : (h, w) bool, where known geometry stands before the background
+    reach : pixels
+
+    Returns
+    -------
+    Shift, or None where there is no silhouette inside the picture
+    """
+    seen = np.asarray(seen, bool)
+    edge = seen & ~binary_erosion(seen, np.ones((3, 3), bool))
+    margin = reach + 1
+    inside = np.zeros_like(edge)
+    inside[margin:-margin, margin:-margin] = True
+    rows, columns = np.nonzero(edge & inside)
+    if len(rows) < LEAST_EDGE:
+        return None
+    luminance = np.maximum(np.asarray(photo, np.float64) @ REC709_LUMINANCE, 0)
+    level = np.median(luminance[seen])
+    if not level > 0:
+        return None
+    gradient = gaussian_gradient_magnitude(np.log(luminance + DARK * level), BLUR)
+    gradient = np.minimum(gradient, np.percentile(gradient, CAP))
+    shifts = range(-reach, reach + 1)
+    score = np.array([[gradient[rows + i, columns + j].mean() for j in shifts] for i in shifts])
+    i, j = np.unravel_index(score.argmax(), score.shape)
+    best = max(float(score[i, j]), 1e-300)
+    return Shift(
+        int(i) - reach,
+        int(j) - reach,
+        best / max(float(score[reach, reach]), 1e-300),
+        best / max(float(np.median(score)), 1e-300),
+    )

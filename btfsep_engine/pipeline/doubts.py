@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Warnings about an estimate, in words, and every threshold at which one is given.
+
+The thresholds were set so that none of 64 photographs by Cycles with the right material and geometry is warned about,
+and are judged by what wrong materials, shifted photos and near lights do (docs/method.md, *Warnings*).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine import sh
+from btfsep_engine.fit.diagnose import Effect
+from btfsep_engine.fit.misalignment import Shift
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """At which a doubt is said.
+
+    Attributes
+    ----------
+    shift, shift_gain, shift_contrast : pixels; of the silhouette's mean gradient (`fit.misalignment.Shift`)
+    near : chi^2 of three degrees of freedom; near_size : change of brightness over the object's radius
+    blocked, diffuse : chi^2 of one degree of freedom, which real shapes and textures raise above 1
+    contrast : of the light, over what natural light has (`Fit.prior_scale`)
+    negative : the darkest radiance of the light, over its brightest
+    residual : relative misfit of an object
+    condition : of a least-squares fit
+    clipped : share of an object's pixels
+    unknown : expected error of order 2
+    """
+
+    shift: float = 1.5
+    shift_gain: float = 1.1
+    shift_contrast: float = 1.3
+    near: float = 20.0
+    near_size: float = 0.1
+    blocked: float = 45.0
+    diffuse: float = 65.0
+    contrast: float = 2.2
+    negative: float = -0.46
+    residual: float = 0.55
+    condition: float = 300.0
+    clipped: float = 0.05
+
+
+THRESHOLDS = Thresholds()
+
+
+def alignment_doubt(shift: Shift | None, t: Thresholds = THRESHOLDS) -> str | None:
+    """The photo's outline does not lie where the geometry says."""
+    if shift is None or shift.distance < t.shift or shift.gain < t.shift_gain or shift.contrast < t.shift_contrast:
+        return None
+    down = f"{abs(shift.rows)} pixels {'down' if shift.rows > 0 else 'up'}"
+    right = f"{abs(shift.columns)} to the {'right' if shift.columns > 0 else 'left'}"
+    return (
+        f"geometry and photo do not line up: the outlines in the photo lie {down} and {right} of where the camera "
+        "should see them; check the camera's pose and lens"
+    )
+
+
+def light_is_negative(x) -> float:
+    """The darkest radiance of a light (terms, 3) over its brightest."""
+    radiance = sh.to_map(x, 32, 64)
+    return float(radiance.min() / max(radiance.max(), 1e-300))
+
+
+def structure_doubts(effects: dict[str, Effect], *, contrast: float, negative: float, names, t=THRESHOLDS) -> list[str]:
+    """What the residual's structure speaks for.
+
+    Parameters
+    ----------
+    effects : of `fit.diagnose.diagnose`
+    contrast : `Fit.prior_scale`; negative : `light_is_negative`
+    names : of the materials
+    """
+    out = []
+    material = " or ".join(dict.fromkeys(names))
+    near, blocked, diffuse = (effects[k] for k in ("near", "blocked", "diffuse"))
+    if near.chi2 > t.near and np.linalg.norm(near.size) > t.near_size:
+        out.append(
+            f"brightness changes with the place by {100 * np.linalg.norm(near.size):.0f} % over the object where its "
+            "orientation does not: light from nearby (a lamp, a window, a table), which the method takes to be far away"
+        )
+    if blocked.chi2 > t.blocked and blocked.size[0] > 0:
+        out.append(
+            "places that see little of the sky are brighter than they should be: reflections from surfaces that are "
+            "not modelled (more --bounces, or the neighbours as objects with a material)"
+        )
+    reasons = []
+    if diffuse.chi2 > t.diffuse:
+        reasons.append("what is left over looks like shading")
+    if contrast > t.contrast:
+        reasons.append(f"the light would have {contrast:.1f} times the contrast of natural light")
+    if negative < t.negative:
+        reasons.append("the light would be far below zero in places")
+    if reasons:
+        out.append(
+            f"the material ({material}) does not go with the photo: {' and '.join(reasons)}; "
+            "its gloss or its class may be wrong"
+        )
+    return out
