@@ -119,14 +119,13 @@ class StreamingFactoriser:
         patterns = _leading_patterns(w, k, self.rng)
         patterns -= patterns.mean(0)
         patterns /= np.maximum(np.sqrt((patterns**2).mean(0)), 1e-30)
-        seen = self.omega @ patterns
-        solve = np.linalg.pinv(seen).astype(np.float32)  # of few columns: the same for all blocks
-        seen = seen.astype(np.float32)
+        q, r = np.linalg.qr(self.omega @ patterns)
+        qt, back = np.ascontiguousarray(q.T, np.float32), np.linalg.pinv(r).T  # patterns may be fewer than k
         u, residual, at = np.empty((len(mean), k), np.float32), 0.0, 0
         for y in self.y:  # block by block: all of them are hundreds of megabytes
-            end = at + y.shape[1]
-            u[at:end] = (solve @ y).T
-            left = ((y - seen @ u[at:end].T) ** 2).sum(0, dtype=np.float64)
+            end, along = at + y.shape[1], qt @ y
+            u[at:end] = along.T @ back
+            left = np.einsum("ij,ij->j", y, y) - np.einsum("ij,ij->j", along, along)  # least squares: Pythagoras
             residual, at = residual + float(left @ scale[at:end].astype(np.float64) ** 2), end
         residual /= max(rows - k, 1) / rows  # the fit took k of the rows' degrees of freedom
         return Factors(

@@ -186,6 +186,7 @@ def build(
     *,
     names=None,
     reporter: Reporter | None = None,
+    told=None,
     **settings,
 ) -> Library:
     """Measures the procedural materials into ``folder``. What was built with the same settings is kept.
@@ -195,6 +196,7 @@ def build(
     folder : made if it is not there
     names : some of :data:`btfsep_engine.btf.procedural.NAMES`; None: all 42. Other entries of the folder stay
     reporter : told the progress of each material
+    told : called with a dict of each material that was measured: name, seconds, rays, rays_per_second
     settings : mesh, texels, samples, components, seed in place of :data:`DEFAULT_SETTINGS`
 
     Raises
@@ -222,6 +224,8 @@ def build(
             continue
         rest = {key: value for key, value in settings.items() if key != "mesh"}
         measured = measure(maps, reporter=reporter, **rest)
+        if told:
+            told({"name": name, **measured.speed()})
         entry = _store(folder, measured.material, maps, measured.relative_error, made_by)
         with changing(folder) as entries:
             entries[name] = entry

@@ -77,9 +77,11 @@ def library_build(*, folder, names, reporter):
     from btfsep_engine.btf.library import build
 
     with reporter.stage("library"):
-        built = build(folder, names=list(names) or None, reporter=reporter)
-    result = {"library": str(folder), "materials": built.names()}
-    return result, f"{len(result['materials'])} materials in {folder}"
+        measured = []
+        built = build(folder, names=list(names) or None, reporter=reporter, told=measured.append)
+    result = {"library": str(folder), "materials": built.names(), "measured": measured}
+    lines = [f"{m['name']}: {m['seconds']:.1f} s, {m['rays'] / 1e6:.0f} M rays" for m in measured]
+    return result, "\n".join([*lines, f"{len(result['materials'])} materials in {folder}"])
 
 
 @library.command("import")

@@ -63,5 +63,6 @@ def _in_words(result: dict) -> str:
     return (
         f"measured {result['name']} in {sum(result['seconds'].values()):.0f} s ({used}; relief "
         f"{result['relief_mm']:.3g} mm)\n{Path(result['library']) / result['file']}: {result['size'] / 1e6:.1f} MB, "
-        f"{result['components']} components, error {result['relative_error']:.2f}, the noise of single paths included"
+        f"{result['components']} components, error {result['relative_error']:.2f}, the noise of single paths included; "
+        f"{result['speed']['rays'] / 1e6:.0f} M rays, {result['speed']['rays_per_second'] / 1e6:.1f} M a second"
     )

@@ -95,7 +95,8 @@ def measure_maps(
     Returns
     -------
     dict : name, class, library, file, size (bytes), relative_error, components, texels, texel_mm, relief_mm, maps (kind
-        -> file name), normal_convention, measured (False: it was there already), warnings
+        -> file name), normal_convention, measured (False: it was there already), speed (of this run: seconds, rays,
+        rays_per_second; None: nothing was measured), warnings
 
     Raises
     ------
@@ -122,13 +123,13 @@ def measure_maps(
             reporter=reporter,
         )
     made_by = measurement_digest(read.maps, settings, directions)
-    entry, was_there = entries_of(library).get(full), False
+    entry, was_there, speed = entries_of(library).get(full), False, None
     if entry is not None:
         was_there = entry.made_by == made_by and _holds(library / entry.file, entry.sha256)
         if not was_there and not replace_old:
             raise InputError(f"material '{full}'", "the library has one of this name", "use another name, or --replace")
     if not was_there:
-        entry = _measure_and_add(read, settings, directions, library, made_by, every, replace_old, reporter)
+        entry, speed = _measure_and_add(read, settings, directions, library, made_by, every, replace_old, reporter)
     return {
         "name": full,
         "class": material_class,
@@ -143,6 +144,7 @@ def measure_maps(
         "maps": read.files,
         "normal_convention": read.normal_convention,
         "measured": not was_there,
+        "speed": speed,
         "warnings": list(reporter.warnings),
     }
 
@@ -177,7 +179,7 @@ def _measure_and_add(read: TextureMaps, settings, directions, library, made_by, 
             overwrite=replace_old,
         )
     checkpoints.remove()
-    return entry
+    return entry, found.speed()
 
 
 def measurement_digest(maps, settings: MeasureSettings, directions) -> str:

@@ -56,6 +56,11 @@ class Measurement:
     rays: int
     seconds: float
 
+    def speed(self) -> dict:
+        """seconds, rays, rays_per_second: plain numbers."""
+        per_second = round(self.rays / max(self.seconds, 1e-9))
+        return {"seconds": round(self.seconds, 2), "rays": self.rays, "rays_per_second": per_second}
+
 
 def measure(
     maps: Maps,
@@ -294,34 +299,49 @@ class Patch:
             ]
         return mi.Color3f(*values[:3]), *values[3:]
 
+    def _aimed(self, vertex: Vertex, bounce: int, count: int, of_path, of_light):
+        """One shadow ray from each vertex to each light, vertex by vertex (rays of one start are traced fastest).
+
+        Returns
+        -------
+        which, light : UInt32, the numbers of the vertex and of the light
+        ray : Ray3f; facing : Float, the cosine at the surface
+        weigh : what :meth:`Hats.draw` gives beside the direction
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        n_lights = len(self.lights)
+        entry, start_of = dr.gather(mi.UInt32, of_path, vertex.path), vertex.path // count * n_lights
+        dr.eval(entry, start_of)
+        index = dr.arange(mi.UInt32, dr.width(vertex.path) * n_lights)
+        which = index // n_lights
+        light = index - which * n_lights
+        turn = dr.gather(mi.UInt32, of_light, dr.gather(mi.UInt32, start_of, which) + light)
+        drawn = (dr.gather(mi.UInt32, entry, which) ^ (turn + 85 * bounce)) % self.hats.drawn
+        direction, *weigh = self.hats.draw(light, drawn)
+        facing = dr.dot(dr.gather(mi.Vector3f, vertex.facet.normal, which), direction)
+        return which, light, mi.Ray3f(dr.gather(mi.Point3f, vertex.start, which), direction), facing, weigh
+
     def _connect(self, out, vertex: Vertex, bounce: int, count: int, share: float, of_path, of_light) -> None:
         """Adds what the vertices send on under each light to ``out`` (:meth:`_looked_at`), times ``share``."""
         import drjit as dr
         import mitsuba as mi
 
-        n_lights = len(self.lights)
         lobes = 0 if bounce else self.lobes
-        weight = vertex.weight * share
-        entry = dr.gather(mi.UInt32, of_path, vertex.path)
-        start_of, row = vertex.path // count * n_lights, self._row(vertex.path, count)
-        dr.eval(weight, entry, start_of, row)
-        index = dr.arange(mi.UInt32, dr.width(vertex.path) * n_lights)
-        which = index // n_lights
-        light = index - which * n_lights
-        facet, start = vertex.facet.taken(which), dr.gather(mi.Point3f, vertex.start, which)
-        turn = dr.gather(mi.UInt32, of_light, dr.gather(mi.UInt32, start_of, which) + light)
-        drawn = (dr.gather(mi.UInt32, entry, which) ^ (turn + 85 * bounce)) % self.hats.drawn
-        direction, density, reach, scale = self.hats.draw(light, drawn)
-        facing = dr.dot(facet.normal, direction)
-        shadow = self.scene.ray_test(mi.Ray3f(start, direction), facing > 0)
-        value, of_lobe = self.material.value_and_density(facet, direction)
+        weight, row = vertex.weight * share, self._row(vertex.path, count)
+        dr.eval(weight, row)
+        which, light, ray, facing, (density, reach, scale) = self._aimed(vertex, bounce, count, of_path, of_light)
+        shadow = self.scene.ray_test(ray, facing > 0)
+        value, of_lobe = self.material.value_and_density(vertex.facet.taken(which), ray.d)
         scale = scale * facing / (density + lobes * of_lobe * reach) if self.hats.averaged else facing
         value = dr.select((facing > 0) & ~shadow, value * dr.gather(mi.Color3f, weight, which) * scale, 0)
         target = dr.gather(mi.UInt32, row, which) + light
         for channel in range(3):  # one path a row: no two write to one place, and the order of sums is always the same
-            dr.scatter_add(out, value[channel], target + channel * (count * n_lights), mode=dr.ReduceMode.NoConflicts)
+            at = target + channel * (count * len(self.lights))
+            dr.scatter_add(out, value[channel], at, mode=dr.ReduceMode.NoConflicts)
         dr.eval(out)
-        self.rays += dr.width(index) + lobes * dr.width(vertex.path)
+        self.rays += dr.width(which) + lobes * dr.width(vertex.path)
         if lobes:
             self._connect_lobe(out, vertex, weight, row, count)
 

@@ -229,6 +229,10 @@ def test_the_command(tmp_path, capsys, monkeypatch):
         round((i + 1) / 9, 4) for i in range(9)
     ]
     result = lines[-1]["result"]
+    speed = result["speed"]
+    assert speed["rays"] > 9 * 9 * 144 and speed["rays_per_second"] == pytest.approx(
+        speed["rays"] / speed["seconds"], rel=0.2
+    )
     assert result["name"] == "stone/waves" and result["components"] == 5 and result["texels"] == [12, 12]
     assert main(["library", "show", "stone/waves", "--library", lib]) == 0
     assert main([*command, "--library", lib]) == 2
