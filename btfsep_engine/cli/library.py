@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The commands of ``btfsep library``."""
 
+import os
 from pathlib import Path
 
 import click
@@ -76,6 +77,9 @@ def library_build(*, folder, names, reporter):
     """Builds all 42 materials into FOLDER by path-tracing displaced patches; resumes where it stopped."""
     from btfsep_engine.btf.library import build
 
+    nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):  # said before the work, not after
+        raise InputError(f"cannot write to {folder}", f"{nearest} is no such folder", "choose one that can be written")
     with reporter.stage("library"):
         measured = []
         built = build(folder, names=list(names) or None, reporter=reporter, told=measured.append)

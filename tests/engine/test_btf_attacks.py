@@ -82,6 +82,17 @@ def test_a_source_whose_name_is_not_text(tmp_path, rng):
     assert library.open_library(tmp_path / "l").entries["felt/a"].source == "caf?.btf (DFMF08FCR file)"
 
 
+def test_a_build_into_a_file_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    (tmp_path / "file").write_text("")
+
+    def measured(*_, **__):
+        raise AssertionError("measured first")
+
+    monkeypatch.setattr(library, "build", measured)
+    for folder in (tmp_path / "file", tmp_path / "file" / "deeper"):
+        assert "cannot write to" in said(capsys, "build", folder, "--only", "felt/grey-melange")
+
+
 def test_a_removal_makes_nothing_and_takes_links_not_what_they_point_to(tmp_path, capsys):
     assert "no readable index.json" in said(capsys, "remove", "felt/x", "--library", tmp_path / "none")
     assert not (tmp_path / "none").exists()
