@@ -5,9 +5,16 @@
 def estimate(result: dict) -> str:
     """What an estimate found."""
     lines = [_object_line(o) for o in result["objects"]]
+    if len(result["photos"]) > 1:
+        each = ", ".join(f"{p['job']} {p['exposure']:.3g}" for p in result["photos"])
+        lines.append(f"{len(result['photos'])} photos together; exposures: {each}")
+    lines.append(f"light of order {result['order']}: {result['determined']}")
+    if result["expected_error"]:
+        errors = [f"{v['median']:.2f} up to {k.replace('_', ' ')}" for k, v in result["expected_error"].items()]
+        lines.append(f"expected error: {', '.join(errors)} (relative, one free scale)")
     lines.append(
-        f"light of order {result['order']}: {result['determined']}; residual {result['residual']:.3f}, "
-        f"condition number {result['condition_number']:.0f}, {result['seconds']['total']:.1f} s"
+        f"residual {result['residual']:.3f}, condition number {result['condition_number']:.0f}, "
+        f"{result['seconds']['total']:.1f} s"
     )
     lines.append(f"results in {result['out']}")
     return "\n".join(lines)

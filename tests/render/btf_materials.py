@@ -42,7 +42,7 @@ def textured(texel_mm: float = 5.0) -> Tabulated:
         [
             table(across=0.2, along=0.7, strength=0.5, base=0.15),
             table(across=0.7, along=0.2, strength=0.3, base=0.02),
-            *(0.05 * rng.normal(size=(3, len(LIST), len(LIST), 3))),
+            *(0.1 * rng.normal(size=(3, len(LIST), len(LIST), 3))),
         ],
         -1,
     )

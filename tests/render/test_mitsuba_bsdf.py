@@ -66,7 +66,7 @@ def test_the_look_up_is_numpys(mi, make, rng):
     assert np.abs(got - expected).max() < 1e-4 * np.abs(expected).max()
     if make is textured:
         assert np.abs(expected - material.mean_material().abrdf(uv, wo, wi) * wo[:, 2:]).max() > 0.05  # texels matter
-        assert (expected < 0).any()  # negative values are kept, as in the kernel
+        assert (expected < -0.01).any()  # negative values are kept, as in the kernel
 
 
 def test_options_scale_the_texture_and_choose_the_mean(mi, rng):

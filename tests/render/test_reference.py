@@ -5,6 +5,7 @@ The difference is measured in its own standard deviations: of the reference from
 kernel from the spread between four sets of directions.
 """
 
+import json
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,8 @@ import pytest
 import trimesh
 
 from btfsep_engine.btf.model import Mirror
+from btfsep_engine.cli.main import main
+from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.lightings import EnvironmentMaps, SHBasis
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
 from btfsep_engine.render.reference import Reference, all_pixels
@@ -141,3 +144,25 @@ def test_whole_pictures_and_pixels_that_see_nothing():
     seen = camera_view(scene.tracer, scene.job).mesh == 0
     assert not picture[0, 0].any() and (picture[48, 48] > 0).all()
     assert ((picture > 0).all(-1) == seen).mean() > 0.97
+
+
+def test_estimate_by_the_reference_finds_the_light_and_says_so(sphere_job_folder, capsys):
+    """The whole command on a white ball; of order 1, which stands noise in the basis images."""
+    folder, _ = sphere_job_folder
+    light = np.array([[3, 2.5, 2], [0.5, 0, 0], [0.3, 0.8, 0.1], [-0.4, 0.2, 0.9]])
+    known = Lighting(1, light, np.zeros((4, 3)), np.ones(4, bool), 0.0)
+    write_lighting(folder / "known.json", known)
+    white = ["--material", "reference/white-diffuse"]
+    photo = ["--lighting", str(folder / "known.json"), "--out", str(folder / "photo.exr")]
+    assert main(["relight", str(folder), *white, *photo]) == 0
+    options = ["--order", "1", "--estimator", "least-squares", "--no-report", "--pixels", "600", "--bounces", "1"]
+    options += ["--transport", "reference", "--samples", "256"]
+    assert main(["estimate", str(folder), *white, *options]) == 0
+    assert "by the reference: 256 paths" in capsys.readouterr().out
+    record = json.loads((folder / "result" / "result.json").read_text())
+    assert record["transport"]["by"] == record["settings"]["transport"] == "reference"
+    assert 0.01 < record["transport"]["relative_noise"] < 0.2 and record["transport"]["seconds_per_light"] > 0
+    found = read_lighting(folder / "result" / "lighting.json").coefficients
+    assert np.linalg.norm(found - light) < 0.04 * np.linalg.norm(light)
+    for wrong in (["--transport", "magic"], ["--samples", "1"]):
+        assert main(["estimate", str(folder), *wrong]) == 2
