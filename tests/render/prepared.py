@@ -55,9 +55,8 @@ def plate(height=1.5, half=0.6):
     return as_mesh(shape.apply_translation([1.3, 0.2, height]), flat=True)
 
 
-def sheet(*, mirrored, back):
-    """A waved open sheet with its own UV, mirrored or not, its face or its back to the camera."""
-    n = 25
+def sheet(*, mirrored=False, back=False, n=25):
+    """A waved open sheet with its own UV, mirrored or not, its face or its back to the camera; n x n vertices."""
     x, y = np.meshgrid(np.linspace(-0.9, 0.9, n), np.linspace(-0.9, 0.9, n))
     vertices = np.stack([x, y, 0.15 * np.sin(3 * x + 2 * y)], -1).reshape(-1, 3)
     at = np.arange(n * n).reshape(n, n)
