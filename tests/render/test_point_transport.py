@@ -96,5 +96,5 @@ def test_a_prepared_scene_takes_lamps_as_it_takes_skies():
     ],
 )
 def test_lamps_that_cannot_be_are_refused(make, wrong):
-    with pytest.raises(ValueError, match="shape|length"):
+    with pytest.raises(ValueError, match=r"shape|length"):
         make(*wrong)
