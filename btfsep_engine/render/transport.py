@@ -40,6 +40,7 @@ class Transport:
         self.tracer, self.points, self.millimetres_per_unit = tracer, points, millimetres_per_unit
         self.directions = fibonacci_sphere(directions)
         self._seen = {}
+        self._lit = None, None
 
     @cached_property
     def visible(self) -> np.ndarray:
@@ -62,6 +63,14 @@ class Transport:
             self._seen[part.start] = seen
         return seen
 
+    def _light(self, lightings) -> np.ndarray:
+        """The lightings in the shared directions, 1 or 3 channels of (n, M) float32; kept for the next material."""
+        known, light = self._lit
+        if known is not lightings:
+            light = np.ascontiguousarray(np.moveaxis(lightings.cell_averages(self.directions), 2, 0), np.float32)
+            self._lit = lightings, light
+        return light
+
     def radiance(self, material: Material, lightings) -> np.ndarray:
         """Radiance towards the camera by the light that comes straight from outside the scene.
 
@@ -76,7 +85,7 @@ class Transport:
         """
         if isinstance(material, Mirror):
             return self._mirror(material, lightings)
-        light = np.ascontiguousarray(np.moveaxis(lightings.cell_averages(self.directions), 2, 0), np.float32)
+        light = self._light(lightings)
         weights = self.weights(material)
         out = np.empty((3, len(self.points), light.shape[2]), np.float32)
         for part in self._parts():

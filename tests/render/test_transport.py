@@ -89,6 +89,23 @@ def test_texels_are_found_at_their_millimetres(sphere):
     assert ratio == pytest.approx(1 + 0.5 * np.cos(2 * np.pi * points.uv[:, 0] / (n * texel)), abs=0.01)
 
 
+def test_weights_are_the_values_of_the_material(sphere):
+    """Texels, views and lights of a factorised material, against its own look-up in NumPy."""
+    _, points, transport = prepared([sphere], looking_down(), textured=True)
+    random, d = np.random.default_rng(4), ubo2014_directions()
+    angular = random.random((151, 151, 3, 5), np.float32)
+    table = Tabulated("t", "test", random.random((6, 7, 5), np.float32), angular, d, d, 40.0)
+    point, direction = random.integers(0, len(points), 3000), random.integers(0, 1024, 3000)
+    frame = np.stack([points.tangent, points.bitangent, points.normal], 1)[point]
+    to_light = (frame @ transport.directions[direction][..., None])[..., 0]
+    to_eye = (frame @ points.to_eye[point][..., None])[..., 0]
+    above = to_light[:, 2] > 1e-3
+    expected = table.abrdf(points.uv[point], to_light, to_eye) * to_light[:, 2:] * (4 * np.pi / 1024)
+    got = np.stack(transport.weights(table).of_pairs(points, point, direction), -1)
+    assert above.sum() > 1000 and (got[to_light[:, 2] <= 0] == 0).all()
+    assert np.abs(got - expected)[above].max() < 1e-3 * expected.max()
+
+
 def test_a_mirror_shows_the_light_from_where_it_reflects(sphere):
     _, points, transport = prepared([sphere], looking_down())
     got = transport.radiance(Mirror("m", np.array([1.0, 0.5, 0.25])), SHBasis(6))
