@@ -4,6 +4,8 @@
 import hashlib
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from btfsep_engine.atomic import replacing
 from btfsep_engine.cache import cache_folder
@@ -12,6 +14,8 @@ from btfsep_engine.job.model import TriangleMesh
 
 # xatlas charts 5,000 to 20,000 faces a second; finer meshes are projected onto the axes' planes instead, at once
 XATLAS_FACES = 40_000
+# a chart whose field around z averages to less than this (1: a wall) has no direction around z
+HORIZONTAL = 0.1
 
 
 def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float, reporter=None) -> np.ndarray:
@@ -20,7 +24,8 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
     Parameters
     ----------
     mesh : TriangleMesh
-    method : "xatlas" (charts computed here) or "mesh" (the file's own, scaled to its mean texel size)
+    method : "xatlas" (charts computed here, each to scale, u around the world's z axis as far as it can) or
+        "mesh" (the file's own, scaled to its mean texel size)
     millimetres_per_unit : millimetres in a world unit
 
     Returns
@@ -65,11 +70,60 @@ def _uv_areas(uv):
 
 
 def _axis_projection(mesh):
+    """Each face onto the plane that it is nearest to; u runs around the world's z axis and v up it, seen from outside.
+
+    Lengths along the slope of a face shrink, at most to 1 / sqrt(3).
+    """
     corners = mesh.vertices[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     axis = np.abs(normal).argmax(1)
-    others = np.array([[1, 2], [2, 0], [0, 1]])[axis]
-    return np.take_along_axis(corners, others[:, None, :].repeat(3, 1), axis=2)
+    side = np.where(np.take_along_axis(normal, axis[:, None], 1) < 0, -1.0, 1.0)
+    u, v = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
+    turn = np.array([1.0, -1.0, 1.0])[axis][:, None] * side
+    flat = [np.take_along_axis(corners, k[:, None, None].repeat(3, 1), axis=2)[..., 0] for k in (u, v)]
+    return np.stack([flat[0] * turn, flat[1]], -1)
+
+
+def _physical_charts(mesh, uv, chart):
+    """Each chart for itself: to the size of its surface, unmirrored, and turned.
+
+    u follows the horizontal around the world's z axis, area-weighted over the chart, so that frames change little
+    from a chart to its neighbours; where that field has no direction (a horizontal chart) u follows x.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh
+    uv : (f, 3, 2) float64
+    chart : (f,) int, the chart of each face, from 0
+
+    Returns
+    -------
+    (f, 3, 2) float64, world units
+    """
+    corners = mesh.vertices[mesh.faces]
+    count = int(chart.max()) + 1
+    mirrored = np.bincount(chart, _uv_areas(uv), count) < 0
+    uv = uv * np.where(mirrored[chart], -1.0, 1.0)[:, None, None] ** np.array([1, 0])
+    surface, flat = _areas(corners), np.abs(_uv_areas(uv))
+    surfaces, flats = np.bincount(chart, surface, count), np.bincount(chart, flat, count)
+    mean = surfaces.sum() / max(flats.sum(), 1e-300)
+    # a chart that collapsed has no scale of its own
+    scale = np.sqrt(np.where(flats * mean > 1e-3 * surfaces, surfaces / np.maximum(flats, 1e-300), mean))
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    tangent, bitangent = tangent_frames(corners, uv, normal)
+    weight = surface * (flat > 0)
+
+    def towards(field):
+        along, across = (weight * (field * axis).sum(1) for axis in (tangent, bitangent))
+        return np.bincount(chart, along, count) + 1j * np.bincount(chart, across, count)
+
+    around = towards(np.cross([0.0, 0.0, 1.0], normal))
+    lost = np.abs(around) < HORIZONTAL * surfaces
+    direction = np.where(lost, towards(np.broadcast_to([1.0, 0.0, 0.0], normal.shape)), around)
+    turn = np.exp(-1j * np.angle(direction)) * scale
+    turned = (uv[..., 0] + 1j * uv[..., 1]) * turn[chart][:, None]
+    return np.stack([turned.real, turned.imag], -1)
 
 
 def _xatlas_uv(mesh):
@@ -77,7 +131,7 @@ def _xatlas_uv(mesh):
     import xatlas
 
     key = hashlib.sha256(
-        b"xatlas1" + np.ascontiguousarray(mesh.vertices).tobytes() + np.ascontiguousarray(mesh.faces).tobytes()
+        b"xatlas2" + np.ascontiguousarray(mesh.vertices).tobytes() + np.ascontiguousarray(mesh.faces).tobytes()
     ).hexdigest()
     stored = cache_folder() / "charts" / f"{key[:32]}.npy"
     try:
@@ -97,7 +151,15 @@ def _xatlas_uv(mesh):
     pack.create_image = False
     atlas.generate(xatlas.ChartOptions(), pack)
     _, indices, coordinates = atlas[0]
-    uv = np.asarray(coordinates, np.float32)[np.asarray(indices, np.int64)]
+    indices = np.asarray(indices, np.int64)
+    # vertices of the atlas belong to one chart: faces that share one are of the same chart
+    links = coo_matrix(
+        (np.ones(2 * len(indices), bool), (indices[:, [0, 1]].ravel(), indices[:, [1, 2]].ravel())),
+        shape=(len(coordinates),) * 2,
+    )
+    chart = connected_components(links, directed=False)[1][indices[:, 0]]
+    uv = np.asarray(coordinates, np.float64)[indices]
+    uv = _physical_charts(mesh, uv, np.unique(chart, return_inverse=True)[1]).astype(np.float32)
     try:
         with replacing(stored) as scratch, open(scratch, "wb") as handle:
             np.save(handle, uv)

@@ -13,6 +13,7 @@ from btfsep_engine.render.tracer import Tracer
 
 BESIDE = (0.031, 0.017)  # pixels
 SLIPPED = 1e-3  # scene radii
+RAYS_AT_ONCE = 2**19  # the view of a large photo is traced in bands of rows: memory for the rays of one band only
 
 
 @dataclass(frozen=True)
@@ -68,19 +69,23 @@ def camera_view(tracer: Tracer, job: Job) -> View:
     first tells: where it stops much earlier, it is the one that is believed.
     """
     camera = job.camera
-    rows, columns = np.mgrid[: camera.height, : camera.width]
-    hits, beside = (
-        tracer.nearest(*camera.rays(columns.ravel() + 0.5 + shift[0], rows.ravel() + 0.5 + shift[1]))
-        for shift in ((0.0, 0.0), BESIDE)
-    )
-    slipped = beside.distance < hits.distance - SLIPPED * tracer.radius
     shape = (camera.height, camera.width)
-    return View(
-        np.where(slipped, beside.mesh, hits.mesh).reshape(shape),
-        np.where(slipped, beside.face, hits.face).reshape(shape),
-        np.where(slipped[:, None], beside.barycentric, hits.barycentric).reshape(*shape, 3),
-        np.where(slipped, beside.distance, hits.distance).reshape(shape),
+    view = View(
+        np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape)
     )
+    band = max(1, RAYS_AT_ONCE // camera.width)
+    for top in range(0, camera.height, band):
+        rows, columns = np.mgrid[top : min(top + band, camera.height), : camera.width]
+        hits, beside = (
+            tracer.nearest(*camera.rays(columns.ravel() + 0.5 + shift[0], rows.ravel() + 0.5 + shift[1]))
+            for shift in ((0.0, 0.0), BESIDE)
+        )
+        slipped = beside.distance < hits.distance - SLIPPED * tracer.radius
+        for name, whole in vars(view).items():
+            one, other = getattr(hits, name), getattr(beside, name)
+            chosen = np.where(slipped.reshape(-1, *[1] * (one.ndim - 1)), other, one)
+            whole[top : top + band] = chosen.reshape(whole[top : top + band].shape)
+    return view
 
 
 def object_region(view: View, job: Job, index: int) -> np.ndarray:
