@@ -112,7 +112,7 @@ class Reference:
         pixels : (p, 2) int, row and column
         lightings : light.lightings.Lightings, or PointLights or DirectionalLights; M lights
         samples : paths for each pixel and sign
-        seed : of the random numbers; others give independent results
+        seed : >= 0, of the random numbers; others give independent results
         jitter : true: paths start all over the pixel; false: through its centre, as the kernel's ray does
         reporter : told the progress of stage "transport"
         """
@@ -126,7 +126,7 @@ class Reference:
         render = 0
         for number, sign, scene in self._lit_scenes(lightings):
             # numbers of the independent sampler differ with the render: the parts' errors are independent
-            got, spread = self._traced(scene, pixels, samples, seed * 100_003 + render, jitter)
+            got, spread = self._traced(scene, pixels, samples, (seed, render), jitter)
             mean[:, number] += sign * got
             variance[:, number] += spread
             render += 1
@@ -221,7 +221,7 @@ class Reference:
         for start in range(0, len(pixels), step):
             part = corner[start : start + step]
             lanes = len(part) * samples
-            sampler.seed(seed * 4099 + start // step, lanes)
+            sampler.seed(int(np.random.SeedSequence([*seed, start]).generate_state(1)[0]), lanes)
             point = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, samples)
             within = sampler.next_2d() if jitter else mi.Point2f(*(dr.opaque(mi.Float, x) for x in CENTRE))
             direction = dr.gather(mi.Vector3f, self.tracer.vector(part), point) + within.x * right + within.y * down
