@@ -12,7 +12,9 @@ from btfsep_engine.cli.chart import chart
 from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
 from btfsep_engine.cli.library import library
 from btfsep_engine.cli.measure import measure
+from btfsep_engine.cli.parameters import Order
 from btfsep_engine.cli.plan import plan
+from btfsep_engine.cli.sequence import sequence
 from btfsep_engine.errors import InputError
 
 
@@ -53,18 +55,25 @@ def doctor(*, library_folder, reporter):
 @click.argument("job", type=click.Path(path_type=Path))
 @click.option("--material", help="The material of all objects, instead of recognition.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]")
-@click.option("--order", type=int, help="Order of the spherical harmonics, 0 to 9.")
+@click.option("--order", type=Order(), help="Order of the spherical harmonics, 0 to 9, or auto.")
 @click.option("--estimator", help="map (natural-light prior) or least-squares (the paper's).")
-@click.option("--appearance", help="mean (mean ABRDF) or textured (the BTF).")
+@click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=int, help="Light directions per pixel.")
 @click.option("--bounces", type=int, help="Reflections followed; 1 leaves out light between surfaces.")
 @click.option("--transport", help="kernel, or reference (the paper's: one path-traced image for each basis light).")
 @click.option("--samples", type=int, help="Paths per pixel and basis light of the reference.")
+@click.option(
+    "--with",
+    "others",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="A further job under the same light, solved together; may be given again.",
+)
 @click.option("--report/--no-report", "with_report", default=True, help="Whether report.png is made.")
 @estimate_options
 @command
-def estimate(*, job, library_folder, preset, material, out, with_report, reporter, **changes):
+def estimate(*, job, library_folder, preset, material, out, with_report, others, reporter, **changes):
     """Recognises the material and estimates the light of JOB."""
     from btfsep_engine.pipeline.estimation import run_estimate
     from btfsep_engine.pipeline.settings import choose
@@ -77,6 +86,7 @@ def estimate(*, job, library_folder, preset, material, out, with_report, reporte
         material=material,
         out=out,
         with_report=with_report,
+        others=others,
         reporter=reporter,
     )
     return result, words.estimate(result)
@@ -156,6 +166,7 @@ cli.add_command(chart)
 library.add_command(measure)
 cli.add_command(library)
 cli.add_command(plan)
+cli.add_command(sequence)
 
 
 def main(arguments=None) -> int:

@@ -20,16 +20,17 @@ def expected_error(coefficients, covariance, *, orders=(1, 2), draws: int = DRAW
     Parameters
     ----------
     coefficients : (terms, 3), the estimate
-    covariance : (3 n, 3 n) of its first n <= terms rows, row by row and in it channel by channel
-    orders : those of them that n reaches are answered
+    covariance : (3 n, 3 n) of its first n rows, row by row and in it channel by channel
+    orders : those of them that n and the terms reach are answered
 
     Returns
     -------
     {"order_1": {"median", "low", "high"}, …}, relative errors with one free scale
     """
-    known = len(covariance) // 3
+    known = min(len(covariance) // 3, len(coefficients))
+    covariance = np.asarray(covariance)[: 3 * known, : 3 * known]
     x = np.asarray(coefficients, np.float64)[:known].ravel()
-    values, vectors = np.linalg.eigh((covariance + np.transpose(covariance)) / 2)
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
     root = vectors * np.sqrt(np.maximum(values, 0))
     truth = x + np.random.default_rng(seed).standard_normal((draws, len(values))) @ root.T
     out = {}

@@ -216,7 +216,8 @@ class Factorised:
         z = x / self.prior.deviation[:, None]
         cross = np.einsum("mc,cmd->cd", z, measured.moments)
         gram = self.gram_of(0.0).reshape(3, 3, self.terms, self.terms)
-        return measured.energies - cross - cross.T + np.einsum("mc,cdmn,nd->cd", z, gram, z, optimize=True)
+        out = measured.energies - cross - cross.T + np.einsum("mc,cdmn,nd->cd", z, gram, z, optimize=True)
+        return (out + out.T) / 2  # of an exact photo only rounding is left over, which has no symmetry
 
     def singular_values(self, terms: int) -> np.ndarray:
         """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""

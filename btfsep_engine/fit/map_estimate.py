@@ -33,7 +33,7 @@ other two.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lapack
@@ -42,7 +42,7 @@ from scipy.optimize import minimize_scalar
 from btfsep_engine import sh
 from btfsep_engine.fit.factorised import Factorised, Measured
 from btfsep_engine.fit.least_squares import Fit
-from btfsep_engine.fit.tridiagonal import Tridiagonal
+from btfsep_engine.fit.tridiagonal import PRECISE, Tridiagonal
 
 COARSENING = 5.0
 BLOCK_CORRELATIONS = (0.0, 0.03, 0.1, 0.3)  # c: variance that a block's pixels share over a pixel's own
@@ -268,13 +268,29 @@ def solve_map(basis, radiance, *, blocks, prior, order: int, coarsening: float =
     return LightSolver(basis, blocks=blocks, prior=prior, order=order, coarsening=coarsening).solve(radiance)
 
 
+def reported_up_to(fit: Fit, order: int, solver: LightSolver) -> Fit:
+    """The same fit with fewer orders reported."""
+    terms = sh.term_count(order)
+    singular = solver.factorised.singular_values(terms)
+    return replace(
+        fit,
+        coefficients=fit.coefficients[:terms],
+        stddev=fit.stddev[:terms],
+        determined=fit.determined[:terms],
+        singular_values=singular,
+        condition=float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
+    )
+
+
 def cholesky(matrix) -> np.ndarray:
-    """The lower factor of a matrix that is positive definite but for rounding: n^3 / 3."""
-    factor, failed = lapack.dpotrf(matrix, lower=1, clean=1)
-    if not failed:
-        return factor
-    values, vectors = np.linalg.eigh(matrix)  # rounding, at so large a q: eigenvalues of I + q M are at least 1
-    return np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1))).T, mode="r").T
+    """The lower factor of I + q M, n^3 / 3; where rounding could hide the I, M's eigenvalues are cut off at zero."""
+    if np.trace(matrix) < PRECISE:
+        factor, failed = lapack.dpotrf(matrix, lower=1, clean=1)
+        if not failed:
+            return factor
+    values, vectors = np.linalg.eigh(matrix)
+    upper = np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1))).T, mode="r")
+    return upper.T * np.where(np.diag(upper) < 0, -1.0, 1.0)
 
 
 def model_variance(x, residual: float) -> np.ndarray:

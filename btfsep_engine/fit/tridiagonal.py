@@ -10,6 +10,8 @@ from copy import copy
 import numpy as np
 from scipy.linalg import eigh_tridiagonal, lapack
 
+PRECISE = 1e13  # trace of q M: from here on rounding is as large as the I in I + q M
+
 
 class Tridiagonal:
     """A symmetric positive semidefinite matrix M, reduced, and a vector h in its basis.
@@ -41,29 +43,33 @@ class Tridiagonal:
     def with_vector(self, vector) -> "Tridiagonal":
         """The same matrix with another h."""
         other = copy(self)
-        other.vector, other._spectrum = self._turned(vector, "T"), None
+        other.vector = self._turned(vector, "T")
         return other
 
     def log_det_and_explained(self, q: float) -> tuple[float, float]:
         """log det (I + q M) and q h^T (I + q M)^-1 h."""
-        if self._spectrum is None:
+        if q * self.diagonal.sum() < PRECISE:
             pivots, factors, failed = lapack.dpttrf(1 + q * self.diagonal, q * self.beside)
             if not failed:
                 solved, _ = lapack.dpttrs(pivots, factors, self.vector)
                 return float(np.log(pivots).sum()), float(q * (self.vector @ solved))
-            # rounding has made M indefinite at so large a q: its eigenvalues, cut off at zero, do for all
-            values, vectors = eigh_tridiagonal(self.diagonal, self.beside)
-            self._spectrum = np.maximum(values, 0), (vectors.T @ self.vector) ** 2
-        values, squares = self._spectrum
+        values, _, inside = self._eigen()
         growth = 1 + q * values
-        return float(np.log(growth).sum()), float((q * squares / growth).sum())
+        return float(np.log(growth).sum()), float((q * inside**2 / growth).sum())
 
     def solved(self, q: float) -> np.ndarray:
         """q (I + q M)^-1 h, in M's own basis: (n,)."""
-        pivots, factors, failed = lapack.dpttrf(1 + q * self.diagonal, q * self.beside)
-        if failed:
+        if q * self.diagonal.sum() < PRECISE:
+            pivots, factors, failed = lapack.dpttrf(1 + q * self.diagonal, q * self.beside)
+            if not failed:
+                inside, _ = lapack.dpttrs(pivots, factors, self.vector)
+                return self._turned(q * inside, "N")
+        values, vectors, inside = self._eigen()
+        return self._turned(vectors @ (q * inside / (1 + q * values)), "N")
+
+    def _eigen(self):
+        """T's eigenvalues, cut off at zero, its eigenvectors, and h among them."""
+        if self._spectrum is None:
             values, vectors = eigh_tridiagonal(self.diagonal, self.beside)
-            inside = vectors @ (vectors.T @ self.vector / (1 + q * np.maximum(values, 0)))
-        else:
-            inside, _ = lapack.dpttrs(pivots, factors, self.vector)
-        return self._turned(q * inside, "N")
+            self._spectrum = np.maximum(values, 0), vectors
+        return *self._spectrum, self._spectrum[1].T @ self.vector

@@ -140,28 +140,40 @@ def _no_photo(camera: Camera) -> Photo:
     return Photo(np.zeros((*shape, 3), np.float32), np.ones(shape, bool), 0)
 
 
+def read_photo(path, camera: Camera, *, colorspace: str = "auto") -> Photo:
+    """A photograph that ``camera`` took, which no job names.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, or is not of the camera's size.
+    """
+    return _checked(images.read_linear(path, colorspace=colorspace), Path(path).name, camera, [])
+
+
 def _photo(reader: _Folder, schema: JobSchema, camera: Camera, notes: list) -> Photo:
     path = reader.path(schema.image, "job.json: image")
-    image = images.read_linear(path, colorspace=schema.image_colorspace)
+    return _checked(images.read_linear(path, colorspace=schema.image_colorspace), schema.image, camera, notes)
+
+
+def _checked(image, name: str, camera: Camera, notes: list) -> Photo:
     height, width = image.pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         got = f"it has {width} x {height} pixels and the camera {camera.width} x {camera.height}"
-        raise InputError(schema.image, got, "export the photo and the camera at the same size")
+        raise InputError(name, got, "export the photo and the camera at the same size")
     finite = np.isfinite(image.pixels).all(-1)
     if not finite.all():
         rows, columns = np.nonzero(~finite)
         got = f"{len(rows)} pixels are NaN or infinite, first x {columns[0]}, y {rows[0]}"
-        raise InputError(schema.image, got, "render or export the photo again")
+        raise InputError(name, got, "render or export the photo again")
     if not image.usable.any():
-        raise InputError(
-            schema.image, "every pixel is saturated or transparent", "give a photo with a shorter exposure"
-        )
+        raise InputError(name, "every pixel is saturated or transparent", "give a photo with a shorter exposure")
     saturated = int(image.saturated.sum())
     if saturated:
-        notes.append(f"{schema.image}: {saturated} of {width * height} pixels are saturated and left out")
+        notes.append(f"{name}: {saturated} of {width * height} pixels are saturated and left out")
     hidden = int((~image.usable & ~image.saturated).sum())
     if hidden:
-        notes.append(f"{schema.image}: {hidden} of {width * height} pixels are transparent and left out")
+        notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
     return Photo(image.pixels, image.usable, saturated)
 
 

@@ -2,29 +2,38 @@
 """From a job to its lighting: materials, basis images, fit, result files."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from btfsep_engine import report, sh
 from btfsep_engine.btf.model import Material, Tabulated
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.expected_error import expected_error
-from btfsep_engine.fit.least_squares import Fit, determined, solve
-from btfsep_engine.fit.map_estimate import solve_map
+from btfsep_engine.fit.least_squares import Fit, determined
+from btfsep_engine.fit.map_estimate import reported_up_to
+from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.light.natural import natural_amplitude, natural_prior
+from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, light_is_negative, structure_doubts
+from btfsep_engine.pipeline.model_choice import (
+    appearance_choice,
+    cross_validated_order,
+    determined_order,
+    texture_may_help,
+)
 from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
+from btfsep_engine.pipeline.together import fit_together, stacked
 from btfsep_engine.render.surface import SurfacePoints, spread
 
-CLIPPED_SHARE = 0.01  # of an object's pixels: from here on saturation is worth a warning
-POOR_RESIDUAL = 0.35
-POOR_CONDITION = 300.0
+OPEN_DIRECTIONS = 128
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class ObjectMaterial:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Everything that an estimate found, before it is written."""
+    """Everything that an estimate found, before it is written; ``settings`` are those that were used."""
 
     scene: PreparedScene
     materials: list
@@ -50,6 +59,19 @@ class Estimate:
     residuals: list
     pixels: list
     transport: dict
+    settings: Settings
+    choice: dict
+    photos: list
+
+
+@dataclass(frozen=True)
+class PhotoFit:
+    """One photograph of an estimate: its scene, exposure over the first's, and each object's residual and pixels."""
+
+    scene: PreparedScene
+    exposure: float
+    residuals: list
+    pixels: list
 
 
 def object_materials(scene: PreparedScene, library, settings: Settings, *, names) -> list:
@@ -77,7 +99,7 @@ def object_materials(scene: PreparedScene, library, settings: Settings, *, names
 
 def appearance(material: Material, settings: Settings) -> Material:
     """What stands for the material in the fit: the BTF itself, or its mean ABRDF."""
-    if settings.appearance == "mean" and isinstance(material, Tabulated):
+    if settings.appearance != "textured" and isinstance(material, Tabulated):
         return material.mean_material()
     return material
 
@@ -87,7 +109,7 @@ def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settin
     points = scene.points(index, textured=settings.appearance == "textured")
     usable = scene.usable(points)
     clipped = 1 - usable.mean()
-    if clipped > CLIPPED_SHARE:
+    if clipped > THRESHOLDS.clipped:
         scene.reporter.warn(
             f"{100 * clipped:.0f} % of the pixels of object '{scene.job.objects[index].name}' are saturated or "
             "transparent and were left out: what they saw of the light is not in the estimate"
@@ -96,65 +118,199 @@ def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settin
     return points.take(spread(points, share, seed=settings.seed)) if share else points
 
 
-def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None) -> Estimate:
-    """Recognises what is not given and solves for the light that all objects share."""
-    reporter = scene.reporter
-    names = [material or o.material for o in scene.job.objects]
-    materials = object_materials(scene, library, settings, names=names)
+def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None, others=()) -> Estimate:
+    """Recognises what is not given and solves for the light that all objects share.
+
+    ``others`` are PreparedScenes of further photographs under the same light, each with an exposure of its own.
+    """
+    scenes, reporter = [scene, *others], scene.reporter
+    materials = []
+    for each in scenes:
+        known = {o.name: m.name for o, m in zip(scene.job.objects, materials[0], strict=True)} if materials else {}
+        names = [material or o.material or known.get(o.name) for o in each.job.objects]
+        materials.append(object_materials(each, library, settings, names=names))
     with reporter.stage("transport"):
-        counts = shares(scene, settings.pixels)
-        chosen = [chosen_points(scene, i, counts[i], settings) for i in range(len(materials))]
-        problem = pose(scene, [appearance(m.material, settings) for m in materials], chosen, settings)
+        tried, why = textures_to_try(scenes, materials, settings)
+        problems, rich = posed(scenes, materials, settings, both=tried)
     with reporter.stage("fit"):
-        measured = problem.radiance()
-        fit = solved(problem.all_basis, measured, problem.blocks, settings)
-        left = measured - problem.predicted(fit.coefficients if fit.all_coefficients is None else fit.all_coefficients)
-    residuals = [
-        float(np.linalg.norm(r) / max(np.linalg.norm(b), 1e-30))
-        for r, b in zip(problem.by_object(left), problem.by_object(measured), strict=True)
-    ]
+        settings, fit, solver, exposures, choice = chosen_fit(problems, rich, settings)
+    choice.setdefault("appearance", why)
+    if rich is not None and settings.appearance == "textured":
+        problems = rich
+    fitted = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
+    measured, photos = [p.radiance() for p in problems], []
+    for problem, b, exposure in zip(problems, measured, exposures, strict=True):
+        left = b - exposure * problem.predicted(fitted)
+        residuals = [
+            float(np.linalg.norm(r) / max(np.linalg.norm(c), 1e-30))
+            for r, c in zip(problem.by_object(left), problem.by_object(b), strict=True)
+        ]
+        photos.append(PhotoFit(problem.scene, exposure, residuals, [len(p) for p in problem.points]))
     known = fit.determined
     if known is None:
         known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
     lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev)
-    _warn(scene, materials, fit, residuals, lighting, settings)
-    return Estimate(scene, materials, fit, lighting, residuals, [len(p) for p in chosen], problem.transport)
+    with reporter.stage("checks"):
+        doubts = all_doubts(problems, photos, materials, fit, solver, measured, lighting, settings)
+    for doubt in doubts:
+        reporter.warn(doubt)
+    first = photos[0]
+    return Estimate(
+        scene,
+        materials[0],
+        fit,
+        lighting,
+        first.residuals,
+        first.pixels,
+        problems[0].transport,
+        settings,
+        choice,
+        photos,
+    )
 
 
-def solved(basis, radiance, blocks, settings: Settings) -> Fit:
-    """The fit by the estimator of the settings."""
-    if settings.estimator == "least-squares":
-        return solve(basis, radiance, blocks=blocks)
-    return solve_map(basis, radiance, blocks=blocks, prior=natural_prior(settings.fit_order), order=settings.order)
+def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
+    """Whether the textured BTFs are tried beside their mean ABRDFs, and why, in words."""
+    if settings.appearance != "auto":
+        return False, "as asked for"
+    answers = []
+    for scene, found in zip(scenes, materials, strict=True):
+        for i, m in enumerate(found):
+            points = scene.points(i, textured=False)
+            footprint = float(np.median(points.footprint)) * scene.millimetres_per_unit
+            answers.append(texture_may_help(scene.job.objects[i], m.material, footprint))
+    return any(a for a, _ in answers), "; ".join(dict.fromkeys(reason for _, reason in answers))
 
 
-def _warn(scene, materials, fit: Fit, residuals, lighting: Lighting, settings: Settings) -> None:
-    warn = scene.reporter.warn
-    for obj, found, residual in zip(scene.job.objects, materials, residuals, strict=True):
-        if residual > POOR_RESIDUAL:
-            warn(
-                f"the light explains object '{obj.name}' poorly (relative residual {residual:.2f}): the material "
-                f"({found.name}), the geometry or the camera may be wrong"
+def posed(scenes, materials, settings: Settings, *, both: bool):
+    """The fit's problems with mean ABRDFs (or as the settings say), and with textures where ``both`` is asked for."""
+    chosen = []
+    textured = replace(settings, appearance="textured")
+    for scene in scenes:
+        counts = shares(scene, settings.pixels)
+        how = textured if both else settings
+        chosen.append([chosen_points(scene, i, n, how) for i, n in enumerate(counts)])
+
+    def all_with(how):
+        return [
+            pose(scene, [appearance(m.material, how) for m in found], points, how)
+            for scene, found, points in zip(scenes, materials, chosen, strict=True)
+        ]
+
+    if not both:
+        return all_with(settings), None
+    return all_with(replace(settings, appearance="mean")), all_with(textured)
+
+
+def chosen_fit(problems, rich, settings: Settings):
+    """The fit with the appearance and the order that the settings name or the photo asks for.
+
+    Returns
+    -------
+    settings as chosen, Fit, LightSolver or None, exposures, {what: why}
+    """
+    choice = {}
+    automatic = settings.order == "auto"
+    if automatic:
+        settings = replace(settings, order=LARGEST_ORDER)
+        if settings.estimator == "least-squares":
+            basis, blocks = stacked(problems)
+            b = np.concatenate([p.radiance() for p in problems]).astype(np.float64)
+            order, choice["order"] = cross_validated_order(basis, b, blocks, LARGEST_ORDER, seed=settings.seed)
+            settings = replace(settings, order=order)
+            problems = [p.up_to(order) for p in problems]
+            rich = rich and [p.up_to(order) for p in rich]
+    fit, solver, exposures = fit_together(problems, settings)
+    appearance_name = "mean" if settings.appearance == "auto" else settings.appearance
+    if rich is not None:
+        other = fit_together(rich, settings)
+        left = [
+            np.concatenate(
+                [
+                    p.radiance() / e - p.predicted(f.coefficients if f.all_coefficients is None else f.all_coefficients)
+                    for p, e in zip(posed_problems, es, strict=True)
+                ]
             )
+            for posed_problems, (f, _, es) in ((problems, (fit, solver, exposures)), (rich, other))
+        ]
+        appearance_name, choice["appearance"] = appearance_choice(*left, stacked(problems)[1])
+        if appearance_name == "textured":
+            fit, solver, exposures = other
+    settings = replace(settings, appearance=appearance_name)
+    if automatic and settings.estimator == "map":
+        order = determined_order(fit.determined)
+        fit = reported_up_to(fit, order, solver)
+        settings = replace(settings, order=order)
+        choice["order"] = f"the highest order of which the photo determines something is {order}"
+    return settings, fit, solver, exposures, choice
+
+
+def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting: Lighting, settings) -> list[str]:
+    """Everything that speaks against the estimate, in words."""
+    out = []
+    shifted = False
+    for problem in problems:
+        scene = problem.scene
+        doubt = alignment_doubt(silhouette_shift(scene.job.photo.radiance, scene.view.mesh >= 0))
+        shifted |= doubt is not None
+        out += [doubt] if doubt else []
+    if solver is not None and not shifted:
+        points = [p for problem in problems for p in problem.points]
+        b = np.concatenate([m / photo.exposure for m, photo in zip(measured, photos, strict=True)])
+        effects = diagnose(
+            solver,
+            fit,
+            b,
+            blocks=stacked(problems)[1],
+            position=np.concatenate([p.position for p in points]),
+            normal=np.concatenate([p.normal for p in points]),
+            open_share=np.concatenate([open_share(q.scene, p) for q in problems for p in q.points]),
+        )
+        names = [m.name for found in materials for m in found]
+        negative = light_is_negative(fit.coefficients)
+        out += structure_doubts(effects, contrast=fit.prior_scale, negative=negative, names=names)
+    for photo, found in zip(photos, materials, strict=True):
+        for obj, m, residual in zip(photo.scene.job.objects, found, photo.residuals, strict=True):
+            if residual > THRESHOLDS.residual:
+                out.append(
+                    f"the light explains object '{obj.name}' poorly (relative residual {residual:.2f}): the material "
+                    f"({m.name}), the geometry or the camera may be wrong"
+                )
+    return out + uncertainty_doubts(fit, lighting, settings)
+
+
+def open_share(scene: PreparedScene, points: SurfacePoints) -> np.ndarray:
+    """How much of the hemisphere above each point is sky: (p,), weighted by the cosine."""
+    directions = fibonacci_sphere(OPEN_DIRECTIONS)
+    seen = np.asarray(scene.tracer.visible(points.position, points.flat_normal, directions))
+    cosine = np.maximum(points.normal @ directions.T, 0)
+    return (cosine * seen).sum(1) / np.maximum(cosine.sum(1), 1e-12)
+
+
+def uncertainty_doubts(fit: Fit, lighting: Lighting, settings: Settings) -> list[str]:
+    """What the photo cannot tell."""
+    out = []
     count, terms = int(lighting.determined.sum()), len(lighting.determined)
-    if settings.estimator == "least-squares" and fit.condition > POOR_CONDITION:
-        warn(
+    if settings.estimator == "least-squares" and fit.condition > THRESHOLDS.condition:
+        out.append(
             f"the fit is badly conditioned (condition number {fit.condition:.0f}): {count} of {terms} coefficients are "
             "determined by the photo; --estimator map or a lower --order is steadier"
         )
     if settings.estimator == "map" and not lighting.determined[: min(terms, 4)].all():
-        warn(
+        out.append(
             f"the photo determines {count} of {terms} coefficients, and not all of the first four, which hold the "
             "main direction of the light: the others are natural light's average; see stddev in lighting.json"
         )
-    radiance = sh.to_map(lighting.coefficients, 32, 64)
-    if radiance.min() < -0.1 * radiance.max():
-        warn(
+    if light_is_negative(lighting.coefficients) < -0.1:
+        out.append(
             "the estimated light is negative in some directions, as a truncated series can be; the World clamps it at 0"
         )
+    return out
 
 
-def run_estimate(folder, library, settings: Settings, *, material=None, out=None, with_report=True, reporter) -> dict:
+def run_estimate(
+    folder, library, settings: Settings, *, material=None, out=None, with_report=True, others=(), reporter
+) -> dict:
     """The whole command: reads the job, estimates, writes the results.
 
     Parameters
@@ -163,6 +319,7 @@ def run_estimate(folder, library, settings: Settings, *, material=None, out=None
     library : btf.library.Library
     material : a name for all objects, instead of recognition
     out : folder for the results, default ``folder/result``
+    others : folders of further jobs, photographs under the same light
 
     Returns
     -------
@@ -170,12 +327,14 @@ def run_estimate(folder, library, settings: Settings, *, material=None, out=None
     """
     started = time.perf_counter()
     with reporter.stage("reading"):
-        job = load_job(folder)
-        for note in job.warnings:
+        job, *further = (load_job(each) for each in (folder, *others))
+        for note in (note for each in (job, *further) for note in each.warnings):
             reporter.warn(note)
     out = Path(out) if out is not None else job.folder / "result"
     scene = PreparedScene(job, reporter)
-    found = estimate(scene, library, settings, material=material)
+    beside = [PreparedScene(each, reporter) for each in further]
+    found = estimate(scene, library, settings, material=material, others=beside)
+    settings = found.settings
     if with_report:
         with reporter.stage("report"):
             report.write_estimate_report(out / "report.png", found, settings)
@@ -219,6 +378,16 @@ def result_record(found: Estimate, settings: Settings) -> dict:
         "expected_error": None
         if fit.covariance is None
         else expected_error(fit.coefficients, fit.covariance, seed=settings.seed),
+        "choice": found.choice,
+        "photos": [
+            {
+                "job": photo.scene.job.folder.name,
+                "exposure": photo.exposure,
+                "residuals": photo.residuals,
+                "pixels": photo.pixels,
+            }
+            for photo in found.photos
+        ],
         "condition_number": fit.condition,
         "transport": found.transport,
         "saturated_pixels": scene.job.photo.saturated,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the fit is given: the chosen points of every object, their basis images, their photograph, their blocks."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,13 +54,17 @@ class Problem:
         """Rows of all points, (p, …), cut by object."""
         return np.split(values, np.cumsum([len(p) for p in self.points])[:-1])
 
+    def up_to(self, order: int) -> "Problem":
+        """The same with fewer basis lights."""
+        return replace(self, basis=[a[:, : (order + 1) ** 2] for a in self.basis])
+
     def predicted(self, x) -> np.ndarray:
-        """A x: (p, 3), of coefficients (terms, 3)."""
+        """A x: (p, 3), of coefficients (terms, 3), as many as there are basis lights or fewer."""
         out = []
-        for a in self.basis:
+        for a in (a[:, : len(x)] for a in self.basis):
             columns = np.zeros((a.shape[1], 3, 3), np.float32)
             columns[:, np.arange(3), np.arange(3)] = x
-            out.append(a.reshape(len(a), -1) @ columns.reshape(-1, 3))
+            out.append(np.ascontiguousarray(a).reshape(len(a), -1) @ columns.reshape(-1, 3))
         return np.concatenate(out)
 
 

@@ -17,10 +17,12 @@ class Settings:
     Attributes
     ----------
     preset : the name of the preset that these settings started from
-    order : order of the spherical harmonics, 0 to 9
+    order : order of the spherical harmonics, 0 to 9, or "auto": with "map" the highest of which the photo determines
+        something, with "least-squares" the lowest that cross-validation cannot tell from the best
     estimator : "map" (all orders up to 9 under a prior of natural light, ``order`` of them reported) or
         "least-squares" (the paper's: the orders up to ``order`` and no others)
-    appearance : "mean" (mean ABRDF, the paper's regulariser) or "textured" (the BTF with the computed charts)
+    appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
+        (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
     directions : light directions per pixel
     bounces : reflections followed; 1 is light that comes straight from outside
@@ -34,9 +36,9 @@ class Settings:
     """
 
     preset: str = "balanced"
-    order: int = 4
+    order: int | str = 4
     estimator: str = "map"
-    appearance: str = "mean"
+    appearance: str = "auto"
     pixels: int = 4000
     directions: int = 512
     bounces: int = 4
@@ -51,7 +53,7 @@ class Settings:
     @property
     def fit_order(self) -> int:
         """The order up to which basis images are made and fitted."""
-        return LARGEST_ORDER if self.estimator == "map" else self.order
+        return LARGEST_ORDER if self.estimator == "map" or self.order == "auto" else self.order
 
 
 PRESETS = {
@@ -60,7 +62,7 @@ PRESETS = {
     "accurate": Settings(
         "accurate", pixels=16000, directions=1024, training_directions=512, training_pixels=24000, training_turns=4
     ),
-    "paper": Settings("paper", estimator="least-squares", pixels=0, directions=1024, bounces=1),
+    "paper": Settings("paper", estimator="least-squares", appearance="mean", pixels=0, directions=1024, bounces=1),
 }
 
 
@@ -75,16 +77,16 @@ def choose(preset: str = "balanced", **changes) -> Settings:
     if preset not in PRESETS:
         raise InputError("--preset", f"'{preset}'", f"choose one of {', '.join(PRESETS)}")
     settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
-    if not 0 <= settings.order <= LARGEST_ORDER:
-        raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}")
+    if settings.order != "auto" and not (isinstance(settings.order, int) and 0 <= settings.order <= LARGEST_ORDER):
+        raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}, or auto")
     if settings.estimator not in ESTIMATORS:
         raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
     if settings.transport not in TRANSPORTS:
         raise InputError("--transport", f"'{settings.transport}'", f"choose one of {', '.join(TRANSPORTS)}")
     if not 2 <= settings.samples <= 1 << 16:
         raise InputError("--samples", str(settings.samples), "choose 2 to 65536")
-    if settings.appearance not in ("mean", "textured"):
-        raise InputError("--appearance", f"'{settings.appearance}'", "choose 'mean' or 'textured'")
+    if settings.appearance not in ("auto", "mean", "textured"):
+        raise InputError("--appearance", f"'{settings.appearance}'", "choose 'auto', 'mean' or 'textured'")
     if settings.classifier not in ("svm", "nearest"):
         raise InputError("--classifier", f"'{settings.classifier}'", "choose 'svm' or 'nearest'")
     if settings.pixels < 0 or not 16 <= settings.directions <= 65536 or not 1 <= settings.bounces <= 64:
