@@ -16,6 +16,12 @@ def estimate(result: dict) -> str:
         f"residual {result['residual']:.3f}, condition number {result['condition_number']:.0f}, "
         f"{result['seconds']['total']:.1f} s"
     )
+    made = result.get("transport", {})
+    if made.get("by") == "reference":
+        lines.append(
+            f"basis images by the reference: {made['samples']} paths, noise {100 * made['relative_noise']:.1f} %, "
+            f"{made['seconds_per_light']:.1f} s a light"
+        )
     lines.append(f"results in {result['out']}")
     return "\n".join(lines)
 
