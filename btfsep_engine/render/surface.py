@@ -127,6 +127,8 @@ def surface_points(view: View, job: Job, index: int, *, region=None) -> SurfaceP
     rows, columns = np.nonzero(region)
     mesh, camera = job.objects[index].mesh, job.camera
     face, weights = view.face[rows, columns], view.barycentric[rows, columns].astype(np.float64)
+    # rounded to float32 they do not sum to one, and a position far from the origin would move
+    weights[:, 0] = 1 - weights[:, 1] - weights[:, 2]
     triangles = mesh.vertices[mesh.faces[face]]
     position = (weights[..., None] * triangles).sum(1)
     eye = camera.to_world[:3, 3]
