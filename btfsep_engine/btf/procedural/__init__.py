@@ -6,10 +6,8 @@ who displaces real geometry with the same maps: a height field over the patch; a
 diffuse base of colour ``base_colour`` under a GGX specular layer of ``roughness`` (alpha = roughness squared) and
 normal-incidence reflectance ``f0`` (refractive index (1 + sqrt f0) / (1 - sqrt f0)): Blender's Principled BSDF, GGX.
 
-Level materials should not be smoother than 0.34 (granite and walnut, the first made, are): the 151 directions of
-UBO2014 are 15 degrees apart, and a narrower lobe that one of them hits is taken for 15 degrees wide. On a mirror-flat
-dielectric of f0 0.04, such a table reflects 0.08 of the light from everywhere with roughness 0.34 and 0.8 with 0.17
-(the truth is below 0.06).
+Highlights narrower than the 15 degrees between UBO2014's directions (level materials smoother than 0.3: granite,
+walnut) are that wide in a table, their energy kept (:mod:`btfsep_engine.render.hats`).
 """
 
 import difflib
