@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the residual tells: shifts to the pixel, near light, missing reflections; silence where nothing is wrong."""
+
+import numpy as np
+import pytest
+
+from btfsep_engine.fit.diagnose import diagnose
+from btfsep_engine.fit.map_estimate import LightSolver
+from btfsep_engine.fit.misalignment import silhouette_shift
+from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, light_is_negative, structure_doubts
+from tests.engine.test_map_estimate import drawn, photographed, view_of_a_sphere
+
+
+def ball(size=80, radius=24, background=0.05):
+    """A shaded ball before a background, and where it is."""
+    y, x = np.mgrid[:size, :size] - size // 2
+    seen = x**2 + y**2 < radius**2
+    shade = 0.5 + 0.4 * x / radius + 0.3 * y / radius
+    return np.where(seen, np.maximum(shade, 0.02), background)[..., None] * [1.0, 0.9, 0.7], seen
+
+
+@pytest.mark.parametrize("moved", [(0, 0), (2, 0), (0, -3), (-4, 5)])
+def test_a_shift_is_found_to_the_pixel(moved):
+    photo, seen = ball()
+    shift = silhouette_shift(np.roll(photo, moved, (0, 1)), seen)
+    assert abs(shift.rows - moved[0]) <= 1 and abs(shift.columns - moved[1]) <= 1
+    doubt = alignment_doubt(shift)
+    assert (doubt is not None) == (moved != (0, 0))
+    if moved == (0, -3):
+        assert "to the left" in doubt and "line up" in doubt
+
+
+def test_without_an_outline_nothing_is_said(rng):
+    photo, seen = ball()
+    assert silhouette_shift(photo, np.ones_like(seen)) is None  # it fills the picture
+    assert silhouette_shift(np.zeros_like(photo), seen) is None
+    noise = silhouette_shift(rng.uniform(0.4, 0.6, photo.shape), seen)
+    assert alignment_doubt(noise) is None
+
+
+def scene(rng):
+    """A glossy sphere's basis images with the normals that made them, and blocks."""
+    state = rng.bit_generator.state
+    basis, blocks = view_of_a_sphere(rng, pixels=1500, order=4)
+    rng.bit_generator.state = state
+    n = rng.normal(size=(1500, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    n[:, 1] = -np.abs(n[:, 1])
+    return basis, blocks, n
+
+
+def effects(rng, change):
+    """Effects of a photo that ``change(photo, place, open_share)`` made; two spheres stand side by side."""
+    basis, blocks, n = scene(rng)
+    side = np.arange(len(n)) % 2
+    place = n + 2.5 * side[:, None] * [1.0, 0.0, 0.0]
+    opened = np.where(rng.random(len(n)) < 0.3, 0.4, 1.0)
+    blocks = blocks * 2 + side
+    prior = natural_prior(4)
+    b = photographed(rng, basis, drawn(rng, prior), blocks, noise=0.03)
+    b = change(b, place, opened)
+    solver = LightSolver(basis, blocks=blocks, prior=prior, order=2)
+    fit = solver.solve(b)
+    found = diagnose(solver, fit, b, blocks=blocks, position=place, normal=n, open_share=opened)
+    negative = light_is_negative(fit.coefficients)
+    return found, structure_doubts(found, contrast=fit.prior_scale, negative=max(negative, -0.3), names=["white"])
+
+
+def test_a_right_model_is_not_doubted(rng):
+    found, said = effects(rng, lambda b, place, opened: b)
+    assert said == [] and found["near"].chi2 < 15 and found["blocked"].chi2 < 15
+
+
+def test_light_nearby_is_seen(rng):
+    """One of two equal spheres is darker: no light from far away does that."""
+    found, said = effects(rng, lambda b, place, opened: b * (1 + 0.15 * place[:, :1]))
+    assert found["near"].chi2 > THRESHOLDS.near and any("nearby" in text for text in said)
+    assert found["near"].size[0] > 0.1  # along x
+
+
+def test_missing_reflections_are_seen_and_missing_light_is_none(rng):
+    found, said = effects(rng, lambda b, place, opened: b * (1 + 0.4 * (1 - opened))[:, None])
+    assert found["blocked"].chi2 > THRESHOLDS.blocked and any("not modelled" in text for text in said)
+    found, said = effects(rng, lambda b, place, opened: b * (1 - 0.4 * (1 - opened))[:, None])
+    assert found["blocked"].size[0] < 0 and not any("not modelled" in text for text in said)
+
+
+def test_a_light_that_nature_does_not_make_speaks_against_the_material(rng):
+    found, _ = effects(rng, lambda b, place, opened: b)
+    say = dict(names=["fabric/a", "wood/b"])
+    assert structure_doubts(found, contrast=1.0, negative=-0.1, **say) == []
+    (text,) = structure_doubts(found, contrast=3.0, negative=-0.8, **say)
+    assert "fabric/a or wood/b" in text and "3.0 times" in text and "below zero" in text

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The simplest model within one standard error: appearance, order, and what is worth trying."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from btfsep_engine.btf.model import Lambertian, Tabulated
+from btfsep_engine.errors import InputError
+from btfsep_engine.pipeline.estimation import determined_words
+from btfsep_engine.pipeline.model_choice import (
+    appearance_choice,
+    cross_validated_order,
+    determined_order,
+    texture_contrast,
+    texture_may_help,
+)
+from btfsep_engine.pipeline.sequence import frame_files
+
+
+def checkered(period=8):
+    """A Tabulated of black and white squares, 1 mm a texel."""
+    i = np.arange(64) // period
+    texels = ((i[:, None] + i) % 2 * 1.6 + 0.2).astype(np.float32)[..., None]
+    up = np.array([[0.0, 0.0, 1.0]])
+    return Tabulated("fabric/check", "fabric", texels, np.ones((1, 1, 3, 1), np.float32), up, up, 1.0)
+
+
+def test_the_texture_fades_with_the_footprint():
+    material = checkered()
+    contrasts = [texture_contrast(material, mm) for mm in (0.5, 4, 8, 16, 100)]
+    assert contrasts[0] == pytest.approx(0.8, rel=1e-6) and contrasts[3] < 0.01 and contrasts[4] == 0
+    assert all(a >= b - 1e-9 for a, b in pairwise(contrasts))
+    assert texture_contrast(material.mean_material(), 0.1) == 0
+    own, computed = SimpleNamespace(uv="mesh"), SimpleNamespace(uv="xatlas")
+    assert texture_may_help(own, material, 1.0)[0] and not texture_may_help(own, material, 16.0)[0]
+    assert not texture_may_help(computed, material, 1.0)[0]
+    assert not texture_may_help(own, Lambertian("x", np.ones(3)), 1.0)[0]
+
+
+def test_the_richer_model_has_to_earn_it(rng):
+    blocks = np.arange(2000) // 20
+    simple = rng.normal(size=(2000, 3))
+    assert appearance_choice(simple, 0.7 * simple, blocks)[0] == "textured"
+    assert appearance_choice(simple, simple, blocks)[0] == "mean"
+    assert appearance_choice(simple, 1.2 * simple, blocks)[0] == "mean"
+    # better in some blocks and worse in others, a little better on the whole: luck
+    factor = np.where(np.arange(100) % 2, 0.5, 1.32)[blocks]
+    one = factor[:, None] * simple
+    assert np.square(one).sum() < np.square(simple).sum()
+    assert appearance_choice(simple, one, blocks)[0] == "mean"
+
+
+def test_cross_validation_finds_the_order_that_made_the_photo(rng):
+    basis = rng.normal(size=(3000, 25, 3))
+    basis[:, 0] += 2
+    x = rng.normal(size=(25, 3))
+    x[9:] = 0
+    b = np.einsum("pmc,mc->pc", basis, x) + 0.5 * rng.normal(size=(3000, 3))
+    order, reason = cross_validated_order(basis, b, np.arange(3000) // 30, 4)
+    assert order == 2 and "one standard error" in reason
+
+
+def test_the_reported_order_is_the_highest_with_something_determined():
+    known = np.zeros(25, bool)
+    assert determined_order(known) == 1
+    known[[0, 2]] = True
+    assert determined_order(known) == 1
+    known[10] = True
+    assert determined_order(known) == 3
+    assert determined_order(np.zeros(1, bool)) == 0
+
+
+def test_what_is_determined_in_words():
+    all_of_them = np.ones(100, bool)
+    all_of_them[16:] = False
+    all_of_them[20] = True
+    text = determined_words(all_of_them[:25], all_of_them)
+    assert text == (
+        "the photo determines 17 of 100 coefficients, 17 of the 25 that are reported; "
+        "all up to order 3, none above order 4"
+    )
+    assert "not even" in determined_words(np.zeros(4, bool))
+    assert "not all of any order" in determined_words(np.array([False, True, True, True]))
+
+
+def test_frames_come_in_the_order_of_their_numbers(tmp_path):
+    for name in ("f10.png", "f9.png", "f100.png", "notes.txt", "a.png"):
+        (tmp_path / name).touch()
+    assert [p.name for p in frame_files(tmp_path / "f*.png")] == ["f9.png", "f10.png", "f100.png"]
+    assert len(frame_files(tmp_path)) == 4
+    (tmp_path / "f9.jpg").touch()
+    with pytest.raises(InputError, match="two frames"):
+        frame_files(tmp_path / "f*")
+    with pytest.raises(InputError, match="no image matches"):
+        frame_files(tmp_path / "g*")
