@@ -17,6 +17,7 @@ from btfsep_engine.cli.command import LIBRARY, command, opened_library
 @click.option("--appearance", help="mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels that would be used, 0: all.")
 @click.option("--directions", type=int, help="Light directions per pixel.")
+@click.option("--bounces", type=int, help="Reflections followed; 1 leaves out light between surfaces.")
 @click.option("--preset", default="balanced", show_default=True, help="draft, balanced or accurate.")
 @click.option("--seed", type=int, help="Seed of every random choice.")
 @LIBRARY

@@ -34,12 +34,12 @@ class Thresholds:
     shift: float = 1.5
     shift_gain: float = 1.1
     shift_contrast: float = 1.3
-    near: float = 20.0
+    near: float = 36.0
     near_size: float = 0.1
-    blocked: float = 45.0
+    blocked: float = 80.0
     diffuse: float = 65.0
-    contrast: float = 2.2
-    negative: float = -0.46
+    contrast: float = 3.5
+    negative: float = -0.55
     residual: float = 0.55
     condition: float = 300.0
     clipped: float = 0.05

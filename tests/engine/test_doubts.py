@@ -90,5 +90,5 @@ def test_a_light_that_nature_does_not_make_speaks_against_the_material(rng):
     found, _ = effects(rng, lambda b, place, opened: b)
     say = dict(names=["fabric/a", "wood/b"])
     assert structure_doubts(found, contrast=1.0, negative=-0.1, **say) == []
-    (text,) = structure_doubts(found, contrast=3.0, negative=-0.8, **say)
-    assert "fabric/a or wood/b" in text and "3.0 times" in text and "below zero" in text
+    (text,) = structure_doubts(found, contrast=4.0, negative=-0.8, **say)
+    assert "fabric/a or wood/b" in text and "4.0 times" in text and "below zero" in text

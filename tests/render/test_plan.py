@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""plan, sequence and several photos through the command line, against known answers."""
+
+import json
+
+import numpy as np
+import pytest
+
+from btfsep_engine import images
+from btfsep_engine.cli.main import main
+from btfsep_engine.light.files import read_lighting
+
+WHITE = ["--material", "reference/white-diffuse"]
+QUICK = ["--pixels", "800", "--directions", "128", "--bounces", "1"]
+
+
+def last(capsys) -> dict:
+    """The result of the last line."""
+    return json.loads(capsys.readouterr().out.strip().splitlines()[-1])["result"]
+
+
+def test_a_plan_needs_no_photo_and_knows_what_gloss_adds(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    (folder / "photo.exr").unlink()
+    found = {}
+    for name in ("reference/white-diffuse", "leather/brown-grain"):
+        assert main(["plan", str(folder), "--material", name, "--noise", "0.05", *QUICK, "--json"]) == 0
+        found[name] = last(capsys)
+    white, leather = found.values()
+    assert 3 < white["effective_degrees_of_freedom"] < leather["effective_degrees_of_freedom"] < 100
+    # across the view a matte sphere tells; along it (z), half of the normals are not seen
+    assert [white["determined_coefficients"][i] for i in (0, 1, 3)] == [True] * 3 and len(white["stddev"]) == 25
+    # odd orders from 3 up leave no trace on a matte sphere
+    share = np.array(white["prior_share"])
+    assert share[9:16].mean() > 0.8 > 0.3 > share[[1, 3]].max()
+    assert share[2] > 2 * share[[1, 3]].max()
+    assert 0 < white["expected_error"]["order_1"]["median"] < 1
+    assert (folder / "plan" / "plan.png").read_bytes()[:4] == b"\x89PNG"
+    written = json.loads((folder / "plan" / "plan.json").read_text())
+    assert written["determined"] == leather["determined"] and "could determine" in written["determined"]
+    assert main(["plan", str(folder), *QUICK]) == 2
+    assert "give --material" in capsys.readouterr().err
+
+
+def test_noise_makes_a_plan_less_sure(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    errors = []
+    for noise in ("0.01", "0.4"):
+        assert main(["plan", str(folder), *WHITE, "--noise", noise, *QUICK, "--json"]) == 0
+        errors.append(last(capsys)["expected_error"]["order_1"]["median"])
+    assert errors[0] < errors[1]
+
+
+def test_a_sequence_gives_each_frame_what_it_gives_alone(sphere_job_folder, capsys, tmp_path):
+    folder, truth = sphere_job_folder
+    photo = images.read_linear(folder / "photo.exr").pixels
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    for i, factor in enumerate((1.0, 3.0, 0.5)):
+        images.write_exr(frames / f"f{i + 8}.exr", photo * np.float32(factor))
+    command = ["sequence", str(folder), "--images", str(frames / "*.exr"), *WHITE, "--order", "2", *QUICK, "--exr"]
+    assert main([*command, "--json"]) == 0
+    result = last(capsys)
+    assert [f["image"] for f in result["frames"]] == ["f8.exr", "f9.exr", "f10.exr"]
+    for frame, factor in zip(result["frames"], (1.0, 3.0, 0.5), strict=True):
+        light = read_lighting(folder / "sequence" / frame["lighting"]).coefficients
+        assert np.linalg.norm(light - factor * truth) < 0.05 * factor * np.linalg.norm(truth)
+        assert (folder / "sequence" / frame["image"]).exists()
+    alone = ["estimate", str(folder), *WHITE, "--order", "2", "--no-report", *QUICK]
+    assert main(alone) == 0
+    own = read_lighting(folder / "result" / "lighting.json").coefficients
+    first = read_lighting(folder / "sequence" / "f8.json").coefficients
+    assert np.allclose(first, own, rtol=1e-5, atol=1e-6)
+    assert main([*command[:3], str(frames / "*.png"), *WHITE]) == 2
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.5])
+def test_two_photos_share_one_light_at_any_exposure(sphere_job_folder, capsys, tmp_path, factor):
+    folder, truth = sphere_job_folder
+    other = tmp_path / "other"
+    other.mkdir()
+    job = json.loads((folder / "job.json").read_text())
+    images.write_exr(other / "photo.exr", images.read_linear(folder / "photo.exr").pixels * np.float32(factor))
+    (other / "sphere.ply").write_bytes((folder / "sphere.ply").read_bytes())
+    (other / "job.json").write_text(json.dumps(job))
+    command = ["estimate", str(folder), "--with", str(other), *WHITE, "--order", "2", "--no-report", *QUICK, "--json"]
+    assert main(command) == 0
+    result = last(capsys)
+    assert result["photos"][1]["exposure"] == pytest.approx(factor, rel=0.01)
+    found = read_lighting(result["lighting"]).coefficients
+    assert np.linalg.norm(found - truth) < 0.05 * np.linalg.norm(truth)
