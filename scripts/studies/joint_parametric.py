@@ -29,6 +29,7 @@ ENTROPY_WEIGHT = 40.0
 LOG_ALPHA, LOG_ALPHA_SPREAD = np.log(0.3), 0.8
 LOG_SPECULAR_SPREAD = 1.5  # of the lobe's strength over the diffuse albedo, about that of F0 0.04
 COLOUR_SPREAD = 0.15  # of the logarithm of the colour of the light's mean
+WIDEST = 1e4  # between the brightest cell of the light and its start; a guard, not a prior
 FIRST, THEN = 60, 300  # iterations from every start, and from the best
 
 
@@ -160,7 +161,10 @@ def _light_prior(log_light, share):
 def fit(diffuse, glossy, radiance) -> Joint:
     """The most probable reflectance and light; parameters as of `Energy`."""
     energy = Energy(diffuse, glossy, radiance)
-    bounds = [(-12, 12)] * (3 * energy.cells) + [(None, None)] * 6 + [(None, None), (np.log(ALPHAS[0]), 0.0)]
+    level, widest = np.log(energy.scale), np.log(WIDEST)
+    bounds = [(-widest, widest)] * (3 * energy.cells)
+    bounds += [(level - widest, level + widest)] * 3 + [(-1, 1)] * 3  # diffuse, colour of the light
+    bounds += [(level - widest / 2, level + widest / 2), (np.log(ALPHAS[0]), 0.0)]  # specular, alpha
 
     def downhill(x, iterations):
         return minimize(

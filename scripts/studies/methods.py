@@ -107,7 +107,7 @@ def paper_mean(folder, material, library) -> Given:
 
 def lambertian_order_2(folder, material, library) -> Given:
     """`lambertian`; it is not told the material."""
-    seen, radiance = lobes.look(folder, count=LAMBERTIAN_PIXELS)
+    seen, radiance = lobes.look(folder, count=LAMBERTIAN_PIXELS, shadows=False)
     if len(radiance) < 9:
         raise InputError("the fit", f"{len(radiance)} pixels for 9 unknowns", "use a larger picture")
     return Given(lambertian.fit(seen.normal, radiance), None, (), "", 0.0)

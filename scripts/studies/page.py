@@ -72,7 +72,7 @@ def write(chosen, options) -> None:
             names=light_words(options.lights),
             resolution=options.resolution,
             samples=options.samples,
-            photos=len(chosen) * len(options.lights),
+            photos=len(answers.pairs),
             csv=table.name,
             poor=POOR,
             hidden=HIDDEN,

@@ -36,13 +36,13 @@ class Task:
         return axis.make(setting, axis.zero if self.index == 0 else axis.values[self.index - 1])
 
 
-def tasks(chosen, lights, names) -> list[Task]:
-    """All tasks of the scenes, lights and axes; first what is not disturbed, then every axis's worst."""
-    out = [Task(UNDISTURBED, 0, s, l) for s in chosen for l in lights]
+def tasks(pairs, names) -> list[Task]:
+    """All tasks of pairs (scene, light) and axes; first what is not disturbed."""
+    out = [Task(UNDISTURBED, 0, s, l) for s, l in pairs]
     for name in names:
         axis = axes.AXES[name]
         numbers = ([0] if axis.zero is not None else []) + list(range(1, len(axis.values) + 1))
-        out += [Task(name, i, s, l) for i in numbers for s in chosen if axis.concerns(s) for l in lights]
+        out += [Task(name, i, s, l) for i in numbers for s, l in pairs if axis.concerns(s)]
     return out
 
 
@@ -64,7 +64,7 @@ def run(chosen, options) -> None:
     from btfsep_engine.btf.library import open_library
 
     library = open_library()
-    todo = tasks(chosen, options.lights, options.axes)
+    todo = tasks(scenes.pairs(chosen, options.lights, half=options.half), options.axes)
     shard, shards = (int(n) for n in options.shard.split("/"))
     todo = todo[shard::shards]
     for method in options.anew:

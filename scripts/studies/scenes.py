@@ -88,19 +88,20 @@ def light_name(light: str) -> str:
     return Path(light).stem
 
 
-def photographs(scene: Scene, lights, axes) -> list[Photo]:
-    """The photographs that the axes need of one scene."""
-    out = [Photo(scene, AS_IS, f"light-{light_name(l)}", light=l) for l in lights]
+def photographs(scene: Scene, lights, axes, *, under) -> list[Photo]:
+    """The photographs that the axes need of one scene, which is estimated ``under`` these of the ``lights``."""
+    plain = lights if "coloured light" in axes else under
+    out = [Photo(scene, AS_IS, f"light-{light_name(l)}", light=l) for l in plain]
     if "sun" in axes:
         out += [Photo(scene, AS_IS, f"sun-{i}", lamp=(None, SUNS[i])) for i in range(len(SUNS))]
     if "near light" in axes:
         out += [Photo(scene, AS_IS, f"near-{d:g}", lamp=(d, LAMP_FROM)) for d in NEAR]
     if "second object" in axes:
-        out += [Photo(scene, AS_IS, f"wall-{d:g}-{light_name(l)}", light=l, wall=d) for l in lights for d in WALL]
+        out += [Photo(scene, AS_IS, f"wall-{d:g}-{light_name(l)}", light=l, wall=d) for l in under for d in WALL]
     if "flat geometry" in axes:
-        out += [Photo(scene, f"{t:g}", f"light-{light_name(l)}", light=l) for l in lights for t in THICKNESS]
+        out += [Photo(scene, f"{t:g}", f"light-{light_name(l)}", light=l) for l in under for t in THICKNESS]
     if "wrong UV" in axes and scene.material != "white":
-        out += [Photo(scene, LIBRARY_TEXELS, f"light-{light_name(l)}", light=l) for l in lights]
+        out += [Photo(scene, LIBRARY_TEXELS, f"light-{light_name(l)}", light=l) for l in under]
     return out
 
 
@@ -142,3 +143,11 @@ def chosen(options) -> tuple:
     files = sorted(p for p in options.meshes.resolve().iterdir() if p.suffix.lower() in (".obj", ".ply"))
     more = [Scene(f"{s.name}-{file.stem}", str(file), 0, s.material) for file in files[:2] for s in SCENES]
     return (*SCENES, *more)
+
+
+def pairs(chosen_scenes, lights, *, half: bool) -> list:
+    """(scene, light): every scene under every light, or, ``half``, each scene under one of them in turn."""
+    lights = list(lights)
+    if half:
+        return [(scene, lights[i % len(lights)]) for i, scene in enumerate(chosen_scenes)]
+    return [(scene, light) for scene in chosen_scenes for light in lights]

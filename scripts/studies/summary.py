@@ -24,9 +24,9 @@ class Answers:
 
     def __init__(self, chosen, options):
         self.work, self.names, self.methods = options.work, list(options.axes), list(options.methods)
-        self.scenes, self.lights = tuple(chosen), tuple(options.lights)
+        self.pairs = scenes.pairs(chosen, options.lights, half=options.half)
         self.records = {}
-        for task in run.tasks(chosen, options.lights, options.axes):
+        for task in run.tasks(self.pairs, options.axes):
             for method in options.methods:
                 found = run.read(task, options.work, method)
                 if found is not None:
@@ -35,14 +35,13 @@ class Answers:
     def of(self, axis: str, index: int, method: str) -> list[dict]:
         """The answers at one severity (0: of the same photographs, undisturbed)."""
         out = []
-        for scene in self.scenes:
-            for light in self.lights:
-                if axis != UNDISTURBED and not AXES[axis].concerns(scene):
-                    continue
-                task = Task(axis, index, scene, light)
-                found = self.records.get((run.zero_of(task) if index == 0 else task, method))
-                if found is not None:
-                    out.append(found)
+        for scene, light in self.pairs:
+            if axis != UNDISTURBED and not AXES[axis].concerns(scene):
+                continue
+            task = Task(axis, index, scene, light)
+            found = self.records.get((run.zero_of(task) if index == 0 else task, method))
+            if found is not None:
+                out.append(found)
         return out
 
     def values(self, axis: str, index: int, method: str, measure: str) -> np.ndarray:
@@ -63,15 +62,14 @@ class Answers:
     def warned(self, axis: str, index: int, method: str, *, anew: bool = False):
         """How many were warned of, of how many; ``anew``: in words that were not said of the photo undisturbed."""
         count = total = 0
-        for scene in self.scenes:
-            for light in self.lights:
-                task = Task(axis, index, scene, light)
-                here, zero = (self.records.get((t, method)) for t in (task, run.zero_of(task)))
-                if here is None or (anew and zero is None):
-                    continue
-                total += 1
-                before = {kind(w) for w in zero["warnings"]} if anew else set()
-                count += any(kind(w) not in before for w in here["warnings"])
+        for scene, light in self.pairs:
+            task = Task(axis, index, scene, light)
+            here, zero = (self.records.get((t, method)) for t in (task, run.zero_of(task)))
+            if here is None or (anew and zero is None):
+                continue
+            total += 1
+            before = {kind(w) for w in zero["warnings"]} if anew else set()
+            count += any(kind(w) not in before for w in here["warnings"])
         return count, total
 
     def refused(self, axis, index, method) -> int:
