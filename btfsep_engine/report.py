@@ -98,7 +98,7 @@ def write_estimate_report(path, found, settings) -> None:
     textured = settings.appearance == "textured"
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
     lighting = SHLighting(found.lighting.coefficients)
-    indirect = scene.indirect(materials, lighting, bounces=settings.bounces)
+    indirect = scene.indirect(materials, lighting, bounces=settings.reflections)
     shown = [m if textured or not hasattr(m, "mean_material") else m.mean_material() for m in materials]
     again = render_objects(scene, shown, lighting, textured=textured, directions=DIRECTIONS, indirect=indirect)[0]
     sample = render_objects(

@@ -12,7 +12,7 @@ from btfsep_engine.cli.chart import chart
 from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
 from btfsep_engine.cli.library import library
 from btfsep_engine.cli.measure import measure
-from btfsep_engine.cli.parameters import Order
+from btfsep_engine.cli.parameters import NumberOrAuto
 from btfsep_engine.cli.plan import plan
 from btfsep_engine.cli.sequence import sequence
 from btfsep_engine.errors import InputError
@@ -55,12 +55,16 @@ def doctor(*, library_folder, reporter):
 @click.argument("job", type=click.Path(path_type=Path))
 @click.option("--material", help="The material of all objects, instead of recognition.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]")
-@click.option("--order", type=Order(), help="Order of the spherical harmonics, 0 to 9, or auto.")
+@click.option("--order", type=NumberOrAuto(), help="Order of the spherical harmonics, 0 to 9, or auto.")
 @click.option("--estimator", help="map (natural-light prior) or least-squares (the paper's).")
 @click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=int, help="Light directions per pixel.")
-@click.option("--bounces", type=int, help="Reflections followed; 1 leaves out light between surfaces.")
+@click.option(
+    "--bounces",
+    type=NumberOrAuto(),
+    help="Reflections followed; 1 leaves out light between surfaces; auto: as the estimate needs.",
+)
 @click.option("--transport", help="kernel, or reference (the paper's: one path-traced image for each basis light).")
 @click.option("--samples", type=int, help="Paths per pixel and basis light of the reference.")
 @click.option(

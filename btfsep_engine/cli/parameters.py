@@ -4,10 +4,10 @@
 import click
 
 
-class Order(click.ParamType):
+class NumberOrAuto(click.ParamType):
     """A whole number, or "auto"."""
 
-    name = "order"
+    name = "number or auto"
 
     def convert(self, value, param, ctx):
         """Click's hook: the text of the command line as an int or "auto"."""

@@ -24,12 +24,12 @@ def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[
     """
     if settings.transport == "reference":
         return _by_reference(scene, materials, chosen, lights, settings)
-    indirect = scene.indirect(materials, lights, bounces=settings.bounces)
+    indirect = scene.indirect(materials, lights, bounces=settings.reflections)
     basis = []
     for i, (points, material) in enumerate(zip(chosen, materials, strict=True)):
         basis.append(scene.radiance(points, material, lights, directions=settings.directions, indirect=indirect))
         scene.reporter.progress("transport", (i + 1) / len(chosen), material.name)
-    return basis, {"by": "kernel", "directions": settings.directions}
+    return basis, {"by": "kernel", "directions": settings.directions, "bounces": settings.reflections}
 
 
 def _by_reference(scene, materials, chosen, lights, settings):
@@ -37,7 +37,7 @@ def _by_reference(scene, materials, chosen, lights, settings):
         scene.job,
         scene.tracer,
         materials,
-        bounces=settings.bounces,
+        bounces=settings.reflections,
         textured=settings.appearance == "textured",
         reporter=scene.reporter,
     )
@@ -47,6 +47,7 @@ def _by_reference(scene, materials, chosen, lights, settings):
     record = {
         "by": "reference",
         "samples": settings.samples,
+        "bounces": settings.reflections,
         "seconds_per_light": float(found.seconds.mean()),
         "relative_noise": float(noise),
     }

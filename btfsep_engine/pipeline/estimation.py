@@ -9,7 +9,6 @@ import numpy as np
 
 from btfsep_engine import report, sh
 from btfsep_engine.btf.model import Material, Tabulated
-from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.least_squares import Fit, determined
@@ -19,6 +18,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, light_is_negative, structure_doubts
+from btfsep_engine.pipeline.interreflection import open_share, own_light, with_own_light
 from btfsep_engine.pipeline.model_choice import (
     appearance_choice,
     cross_validated_order,
@@ -29,11 +29,9 @@ from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
+from btfsep_engine.pipeline.settings import LARGEST_ORDER, MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
 from btfsep_engine.render.surface import SurfacePoints, spread
-
-OPEN_DIRECTIONS = 128
 
 
 @dataclass(frozen=True)
@@ -131,9 +129,28 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         materials.append(object_materials(each, library, settings, names=names))
     with reporter.stage("transport"):
         tried, why = textures_to_try(scenes, materials, settings)
+        # path tracing has interreflections for nothing; the kernel looks first whether they are needed
+        decides = settings.bounces == "auto" and settings.transport == "kernel"
+        settings = replace(settings, bounces=1 if decides else settings.reflections)
         problems, rich = posed(scenes, materials, settings, both=tried)
+    asked = settings
     with reporter.stage("fit"):
-        settings, fit, solver, exposures, choice = chosen_fit(problems, rich, settings)
+        settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
+    if decides:
+        with reporter.stage("transport"):
+            straight = rich if rich is not None and settings.appearance == "textured" else problems
+            used = [[appearance(m.material, settings) for m in found] for found in materials]
+            own = own_light(straight, used, fit, solver, exposures, bounces=MODELLED_BOUNCES)
+            if own.modelled:
+                asked = replace(asked, bounces=MODELLED_BOUNCES)
+                problems = all_with_own_light(
+                    problems, materials, replace(asked, appearance="mean") if tried else asked
+                )
+                rich = rich and all_with_own_light(rich, materials, replace(asked, appearance="textured"))
+        if own.modelled:
+            with reporter.stage("fit"):
+                settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
+        choice["interreflections"] = own.why
     choice.setdefault("appearance", why)
     if rich is not None and settings.appearance == "textured":
         problems = rich
@@ -200,6 +217,14 @@ def posed(scenes, materials, settings: Settings, *, both: bool):
     if not both:
         return all_with(settings), None
     return all_with(replace(settings, appearance="mean")), all_with(textured)
+
+
+def all_with_own_light(problems, materials, settings: Settings) -> list:
+    """The problems with the light between surfaces added to their basis images."""
+    return [
+        with_own_light(problem, [appearance(m.material, settings) for m in found], settings)
+        for problem, found in zip(problems, materials, strict=True)
+    ]
 
 
 def chosen_fit(problems, rich, settings: Settings):
@@ -277,14 +302,6 @@ def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
     return out + uncertainty_doubts(fit, lighting, settings)
-
-
-def open_share(scene: PreparedScene, points: SurfacePoints) -> np.ndarray:
-    """How much of the hemisphere above each point is sky: (p,), weighted by the cosine."""
-    directions = fibonacci_sphere(OPEN_DIRECTIONS)
-    seen = np.asarray(scene.tracer.visible(points.position, points.flat_normal, directions))
-    cosine = np.maximum(points.normal @ directions.T, 0)
-    return (cosine * seen).sum(1) / np.maximum(cosine.sum(1), 1e-12)
 
 
 def uncertainty_doubts(fit: Fit, lighting: Lighting, settings: Settings) -> list[str]:

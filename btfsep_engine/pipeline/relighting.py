@@ -61,7 +61,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
     found = object_materials(scene, library, settings, names=names)
     with reporter.stage("transport"):
         materials = [m.material for m in found]
-        indirect = scene.indirect(materials, light, bounces=settings.bounces, seed=settings.seed)
+        indirect = scene.indirect(materials, light, bounces=settings.reflections, seed=settings.seed)
         image = render_objects(
             scene, materials, light, textured=True, directions=settings.directions, indirect=indirect
         )[0]

@@ -8,6 +8,7 @@ from btfsep_engine.errors import InputError
 LARGEST_ORDER = 9
 ESTIMATORS = ("map", "least-squares")
 TRANSPORTS = ("kernel", "reference")
+MODELLED_BOUNCES = 4  # where interreflections are modelled and no number was asked for
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Settings:
         (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
     directions : light directions per pixel
-    bounces : reflections followed; 1 is light that comes straight from outside
+    bounces : reflections followed; 1 is light that comes straight from outside; "auto": more than that only where it
+        changes the estimate by more than its stated uncertainty (pipeline/interreflection.py)
     transport : what makes the basis images: "kernel", or "reference" (the paper's path-traced image for each light)
     samples : paths per pixel and basis light (and sign) of the reference
     classifier : "svm" or "nearest"
@@ -41,7 +43,7 @@ class Settings:
     appearance: str = "auto"
     pixels: int = 4000
     directions: int = 512
-    bounces: int = 4
+    bounces: int | str = "auto"
     transport: str = "kernel"
     samples: int = 256
     classifier: str = "svm"
@@ -55,9 +57,14 @@ class Settings:
         """The order up to which basis images are made and fitted."""
         return LARGEST_ORDER if self.estimator == "map" or self.order == "auto" else self.order
 
+    @property
+    def reflections(self) -> int:
+        """The number of reflections to follow where none is chosen by an estimate."""
+        return MODELLED_BOUNCES if self.bounces == "auto" else self.bounces
+
 
 PRESETS = {
-    "draft": Settings("draft", pixels=1000, directions=256, bounces=2, training_pixels=8000, training_directions=128),
+    "draft": Settings("draft", pixels=1000, directions=256, training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
         "accurate", pixels=16000, directions=1024, training_directions=512, training_pixels=24000, training_turns=4
@@ -89,10 +96,12 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--appearance", f"'{settings.appearance}'", "choose 'auto', 'mean' or 'textured'")
     if settings.classifier not in ("svm", "nearest"):
         raise InputError("--classifier", f"'{settings.classifier}'", "choose 'svm' or 'nearest'")
-    if settings.pixels < 0 or not 16 <= settings.directions <= 65536 or not 1 <= settings.bounces <= 64:
+    if not (settings.bounces == "auto" or (isinstance(settings.bounces, int) and 1 <= settings.bounces <= 64)):
+        raise InputError("--bounces", str(settings.bounces), "choose 1 to 64, or auto")
+    if settings.pixels < 0 or not 16 <= settings.directions <= 65536:
         raise InputError(
             "the settings",
-            f"{settings.pixels} pixels, {settings.directions} directions, {settings.bounces} bounces",
-            "choose pixels >= 0, directions 16 to 65536, bounces 1 to 64",
+            f"{settings.pixels} pixels, {settings.directions} directions",
+            "choose pixels >= 0, directions 16 to 65536",
         )
     return settings

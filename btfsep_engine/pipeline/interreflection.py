@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""When the light that a scene's surfaces send each other is worth modelling: no more than the estimate needs.
+
+Of the light found without it, one extra image says what the surfaces would send each other: y, at a few hundred pixels,
+spread to the others by nearest place and normal (it is smooth). The fit of b - y tells what it does to the estimate.
+Where no coefficient moves by more than `WORTH` of its stated standard deviation, it is left out. Before that, a bound
+that needs no light: a pixel from which no surface is seen receives nothing, and none sends more than its albedo.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.least_squares import Fit, solve
+from btfsep_engine.light.lightings import SHBasis, SHLighting
+from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS, PreparedScene
+from btfsep_engine.pipeline.together import stacked
+from btfsep_engine.render.radiosity import diffuse_albedo
+from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
+from btfsep_engine.render.surface import SurfacePoints
+
+WORTH = 1.0  # stated standard deviations; photographs of 16 scenes fall into two groups, below 1 and above 1.6 (docs/sampling.md)
+NEGLIGIBLE = 0.003  # of the sky's light: below any misfit
+PROBE = 400  # pixels of an object at which the scene's own light is found
+OPEN_DIRECTIONS = 128
+NEIGHBOURS = 3
+
+
+@dataclass(frozen=True)
+class OwnLight:
+    """The answer.
+
+    Attributes
+    ----------
+    modelled : bool
+    bound : how much light other surfaces could add under an even sky, over the sky's own
+    share : how much of the photo it is under the light that was found without it; None where the bound was enough
+    change : the most that it moves a coefficient, in stated standard deviations; None where the bound was enough
+    why : in words
+    """
+
+    modelled: bool
+    bound: float
+    share: float | None
+    change: float | None
+    why: str
+
+
+def open_share(scene: PreparedScene, points: SurfacePoints) -> np.ndarray:
+    """How much of the hemisphere above each point is sky: (p,), weighted by the cosine."""
+    directions = fibonacci_sphere(OPEN_DIRECTIONS)
+    seen = np.asarray(scene.tracer.visible(points.position, points.flat_normal, directions))
+    cosine = np.maximum(points.normal @ directions.T, 0)
+    return (cosine * seen).sum(1) / np.maximum(cosine.sum(1), 1e-12)
+
+
+def even_sky_bound(scene: PreparedScene, materials, points) -> float:
+    """What other surfaces can add to the light that falls on the points, over what the sky gives, under an even sky.
+
+    Nothing that a closed direction shows is brighter than ``albedo`` times all that falls on it.
+
+    Parameters
+    ----------
+    materials : of each object
+    points : list of SurfacePoints, of each object
+    """
+    albedo = max(float(diffuse_albedo(m).max()) for m in materials)
+    opened = np.concatenate([open_share(scene, p) for p in points])
+    received = albedo * (1 - opened) / (1 - albedo * (1 - opened))
+    return float(received.sum() / max(opened.sum(), 1e-12))
+
+
+def own_light(problems, materials, fit: Fit, solver, exposures, *, bounces: int) -> OwnLight:
+    """Whether the scenes' own light is worth modelling.
+
+    Parameters
+    ----------
+    problems : list of pipeline.problem.Problem, of each photograph, their basis images without the scene's own light
+    materials : for each photograph the Material of each object, as in the fit
+    fit, solver, exposures : of `together.fit_together`
+    bounces : that would be followed, >= 2
+    """
+    few = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
+    bound = max(even_sky_bound(q.scene, m, p) for q, m, p in zip(problems, materials, few, strict=True))
+    if bound < NEGLIGIBLE:
+        return OwnLight(False, bound, None, None, words(False, bound, None, None))
+    x = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
+    problems = [p.up_to(sh.order_of(len(x))) for p in problems]
+    light, added = SHLighting(np.asarray(x)), []
+    for problem, own, some in zip(problems, materials, few, strict=True):
+        indirect = problem.scene.indirect(own, light, bounces=bounces)
+        for material, all_points, probe in zip(own, problem.points, some, strict=True):
+            transport = problem.scene.transport(probe, directions=INDIRECT_DIRECTIONS)
+            added.append(carried_over(probe, indirect.reflected(transport, material)[:, 0], all_points))
+    added = np.concatenate(added).astype(np.float64)
+    measured = np.concatenate([p.radiance() / e for p, e in zip(problems, exposures, strict=True)]).astype(np.float64)
+    basis, blocks = (None, None) if solver else stacked(problems)
+    again = solver.solve(measured - added) if solver else solve(basis, measured - added, blocks=blocks)
+    terms = len(fit.coefficients)  # a solver may state more than are reported
+    moved = np.abs(again.coefficients[:terms] - fit.coefficients) / np.maximum(fit.stddev, 1e-300)
+    change = float(moved.max())
+    share = float(np.linalg.norm(added) / max(np.linalg.norm(measured), 1e-300))
+    return OwnLight(change > WORTH, bound, share, change, words(change > WORTH, bound, share, change))
+
+
+def with_own_light(problem, materials, settings):
+    """The same problem with what the scene's surfaces send each other added to its basis images.
+
+    Parameters
+    ----------
+    problem : pipeline.problem.Problem, its basis images of light that comes straight from outside
+    materials : the Material of each object, as in the fit
+    settings : Settings, its bounces a number >= 2
+    """
+    scene = problem.scene
+    indirect = scene.indirect(materials, SHBasis(settings.fit_order), bounces=settings.bounces)
+    basis = []
+    for material, points, straight in zip(materials, problem.points, problem.basis, strict=True):
+        transport = scene.transport(points, directions=INDIRECT_DIRECTIONS)
+        basis.append(straight + indirect.reflected(transport, material))
+    return replace(problem, basis=basis, transport={**problem.transport, "bounces": settings.bounces})
+
+
+def carried_over(probe: SurfacePoints, values, points: SurfacePoints) -> np.ndarray:
+    """Smooth ``values`` (q, 3) of the probe's points at other points (p, 3): the mean of the nearest few."""
+    size = max(float(np.ptp(points.position, axis=0).max()), 1e-300)
+
+    def feature(p):
+        return np.concatenate([p.position / size, p.normal * NORMAL_WEIGHT], 1)
+
+    k = min(NEIGHBOURS, len(probe))
+    taps = cKDTree(feature(probe)).query(feature(points), k=k)[1].reshape(len(points), k)
+    return np.asarray(values)[taps].mean(1)
+
+
+def words(modelled: bool, bound: float, share: float | None, change: float | None) -> str:
+    """The decision for people."""
+    if share is None:
+        return f"interreflections are left out: they are at most {100 * bound:.1f} % of the light under an even sky"
+    effect = (
+        f"{100 * share:.0f} % of the photo, which moves the estimate by up to {change:.1f} of its stated uncertainty"
+    )
+    return f"interreflections are modelled: {effect}" if modelled else f"interreflections are left out: {effect}"
