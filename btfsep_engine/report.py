@@ -9,7 +9,7 @@ from btfsep_engine.atomic import replacing
 from btfsep_engine.images import linear_to_srgb
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.maps import training_lights
-from btfsep_engine.render.surface import spread
+from btfsep_engine.render.sampling import spread
 
 PIXELS = 40_000  # most pixels of an object that the report renders; the others are filled from their neighbours
 DIRECTIONS = 256  # a picture to look at

@@ -31,7 +31,8 @@ from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
-from btfsep_engine.render.surface import SurfacePoints, spread
+from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.surface import SurfacePoints
 
 
 @dataclass(frozen=True)

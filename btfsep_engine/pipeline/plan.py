@@ -21,7 +21,7 @@ from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.surface import spread
+from btfsep_engine.render.sampling import spread
 
 SHAPE_NOISE = 0.05  # misfit of an object without texture, over its photo: shape, noise, what the basis leaves out
 TEXTURE_SHARE = 0.6  # of a texture's contrast: so much stays a pixel's own misfit (white, leather, wood, denim alike)

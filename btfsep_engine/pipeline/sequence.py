@@ -22,7 +22,7 @@ from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.surface import spread
+from btfsep_engine.render.sampling import spread
 
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 

@@ -175,26 +175,3 @@ def with_any_tangent(points: SurfacePoints) -> SurfacePoints:
     tangent -= (tangent * points.normal).sum(1, keepdims=True) * points.normal
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     return replace(points, tangent=tangent, bitangent=np.cross(points.normal, tangent), uv=np.zeros((len(points), 2)))
-
-
-def spread(points: SurfacePoints, count: int, *, seed: int = 0) -> np.ndarray:
-    """Indices of about ``count`` points spread evenly over the picture.
-
-    Stratified along the Hilbert-like order of a space-filling (Morton) curve: every stretch of the curve gives
-    one pixel, at a random place in it.
-    """
-    n = len(points)
-    if count >= n:
-        return np.arange(n)
-    order = np.argsort(_morton(points.pixels[:, 0], points.pixels[:, 1]), kind="stable")
-    random = np.random.default_rng(seed).random(count)
-    return np.sort(order[((np.arange(count) + random) * n / count).astype(np.int64)])
-
-
-def _morton(row, column):
-    """Interleaved bits of two 16-bit coordinates."""
-    code = np.zeros(len(row), np.int64)
-    for bit in range(16):
-        code |= ((column.astype(np.int64) >> bit) & 1) << (2 * bit)
-        code |= ((row.astype(np.int64) >> bit) & 1) << (2 * bit + 1)
-    return code

@@ -91,7 +91,7 @@ def look(folder, *, count: int, seed: int = 0, shadows: bool = True):
     from btfsep_engine.job.load import load_job
     from btfsep_engine.pipeline.scene import PreparedScene
     from btfsep_engine.progress import Reporter
-    from btfsep_engine.render.surface import spread
+    from btfsep_engine.render.sampling import spread
 
     scene = PreparedScene(load_job(folder), Reporter())
     points = scene.points(0, textured=False)

@@ -70,7 +70,7 @@ def _basis(folder: str, material: str):
     from btfsep_engine.light.lightings import SHBasis
     from btfsep_engine.pipeline.scene import PreparedScene
     from btfsep_engine.progress import Reporter
-    from btfsep_engine.render.surface import spread
+    from btfsep_engine.render.sampling import spread
 
     scene = PreparedScene(load_job(folder), Reporter())
     points = scene.points(0, textured=False)

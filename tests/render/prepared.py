@@ -8,7 +8,8 @@ import trimesh
 
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.render.reference import Reference
-from btfsep_engine.render.surface import camera_view, spread, surface_points, with_any_tangent, with_texture
+from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.surface import camera_view, surface_points, with_any_tangent, with_texture
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.transport import Transport
 from tests.render.scenes import as_mesh, job_of, looking_down

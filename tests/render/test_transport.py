@@ -12,7 +12,8 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.lightings import EnvironmentMaps, SHBasis, SHLighting
 from btfsep_engine.render.backend import import_mitsuba
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
-from btfsep_engine.render.surface import camera_view, spread, surface_points, with_any_tangent, with_texture
+from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.surface import camera_view, surface_points, with_any_tangent, with_texture
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.transport import Transport
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
