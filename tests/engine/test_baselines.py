@@ -3,11 +3,14 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from btfsep_engine import sh
+from btfsep_engine.btf.model import Lambertian, Tabulated
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.compare import direction_error, relative_l2
-from scripts.studies import haber_alternating, joint_parametric, lambertian, lobes
+from btfsep_engine.job.load import load_job
+from scripts.studies import axes, cases, haber_alternating, joint_parametric, lambertian, lobes, methods, scenes
 
 
 @pytest.fixture(scope="module")
@@ -114,3 +117,69 @@ def test_lambertian_finds_its_own_model():
     photo = np.array([0.6, 0.3, 0.2]) / np.pi * sh.irradiance(x, normals)
     found = lambertian.fit(normals, photo)
     assert relative_l2(found, x)["relative_l2_free_scale"] < 1e-9
+
+
+def test_the_lamps_light_is_what_a_ball_gives():
+    """The coefficients of a ball are those of a cap of the sphere, by quadrature; its irradiance is pi."""
+    lamp = (3.0, (0.3, -0.8, 0.5))
+    d = fibonacci_sphere(400_000)
+    inside = d @ scenes.unit(lamp[1]) > np.cos(scenes.lamp_angle(lamp))
+    radiance = inside * scenes.lamp_radiance(lamp)
+    expected = sh.evaluate(scenes.ORDER, d[inside]).sum(0) * scenes.lamp_radiance(lamp) * 4 * np.pi / len(d)
+    np.testing.assert_allclose(scenes.lamp_coefficients(lamp)[:, 1], expected, atol=0.02 * np.abs(expected).max())
+    irradiance = (radiance * (d @ scenes.unit(lamp[1]))).sum() * 4 * np.pi / len(d)
+    assert irradiance == pytest.approx(np.pi, rel=0.01)
+
+
+def test_smoothing_takes_bumps_and_leaves_the_ball():
+    """Heat over a length sigma takes a wave of length w down to exp(-(2 pi sigma / w)^2 / 2)."""
+    vertices, faces = _ball()
+    assert np.linalg.norm(axes.smoothed(vertices, vertices, faces, 0.05), axis=1) == pytest.approx(1.0, abs=0.01)
+    order, length = 12, 0.1
+    wave = sh.evaluate(order, vertices)[:, order * order + order]
+    left = axes.smoothed(wave[:, None], vertices, faces, length)[:, 0]
+    expected = np.exp(-order * (order + 1) * length**2 / 2)  # the sphere's own wave number
+    assert (left @ wave) / (wave @ wave) == pytest.approx(expected, rel=0.1)
+
+
+def _ball():
+    directions = fibonacci_sphere(6000)
+    return directions, ConvexHull(directions).simplices
+
+
+def test_materials_are_mixed_by_their_shares():
+    random = np.random.default_rng(0)
+    directions = fibonacci_sphere(20)
+
+    def material(size, components):
+        texels, angular = random.random((size, size, components)), random.random((20, 20, 3, components))
+        return Tabulated("a/b", "a", texels.astype("f4"), angular.astype("f4"), directions, directions, 0.3)
+
+    first, second = material(4, 3), material(7, 2)
+    both = methods.blended(first, second, 0.25)
+    np.testing.assert_allclose(both.mean_abrdf, 0.75 * first.mean_abrdf + 0.25 * second.mean_abrdf, rtol=1e-4)
+    matte = methods.blended(Lambertian("white", np.array([0.8, 0.6, 0.4])), second, 0.5)
+    np.testing.assert_allclose(
+        matte.mean_abrdf, 0.5 * second.mean_abrdf + 0.5 * np.array([0.8, 0.6, 0.4]) / np.pi, rtol=1e-4
+    )
+    assert methods.blended(first, second, 1) is second
+
+
+def test_a_case_is_a_job_that_the_engine_reads(tmp_path):
+    vertices, faces = _ball()
+    image = np.random.default_rng(0).random((12, 12, 3))
+    to_world = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+    camera = {"width": 12, "height": 12, "fx": 18.0, "fy": 18.0, "cx": 6.0, "cy": 6.0, "to_world": to_world}
+    case = cases.Case(
+        2 * image, image, camera, vertices, faces, np.zeros((len(faces), 3, 2)) + np.arange(3)[None, :, None] % 2,
+        image[..., 0] > 0, np.ones((25, 3)), "reference/white-diffuse", scenes.AS_IS, coded=True,
+    )  # fmt: skip
+    cases.write_job(case, tmp_path)
+    job = load_job(tmp_path)
+    clipped = (2 * image >= 1).any(-1)
+    assert 0 < clipped.sum() < clipped.size
+    assert (job.photo.usable[~clipped & (2 * image < 0.95).all(-1)]).all() and not job.photo.usable[clipped].any()
+    np.testing.assert_allclose(job.photo.radiance[~clipped], 2 * image[~clipped], atol=0.01)
+    again, _ = cases.welded(job.objects[0].mesh)
+    assert len(again) == len(vertices)
+    np.testing.assert_allclose(np.sort(again, 0), np.sort(vertices, 0), atol=1e-6)
