@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""When the scene's own light is modelled: never for what cannot light itself, always where it changes the estimate."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.cli import main
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.pipeline import interreflection
+from btfsep_engine.pipeline.basis import basis_images
+from btfsep_engine.pipeline.interreflection import carried_over, even_sky_bound, own_light, with_own_light
+from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import fit_together
+from btfsep_engine.progress import Reporter
+from btfsep_engine.render.sampling import spread
+from tests.render.prepared import ball, bowl
+from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+
+BRIGHT, GREY, DARK = (Lambertian(f"test/{a}", np.full(3, a)) for a in (0.85, 0.3, 0.05))
+STRAIGHT = choose("draft", bounces=1, directions=256)
+
+
+def photographed(meshes, materials, *, settings=STRAIGHT, occluders=(), count=500):
+    """A problem whose photo has all interreflections, by the kernel, with noise; fitted without any."""
+    scene = PreparedScene(job_of(meshes, looking_down(), occluders=occluders), Reporter())
+    points = [scene.points(i, textured=False) for i in range(len(meshes))]
+    points = [p.take(spread(p, count)) for p in points]
+    full, _ = basis_images(scene, materials, points, SHBasis(2), choose("draft", bounces=20, directions=1024))
+    image = np.zeros((96, 96, 3), np.float32)
+    noise = np.random.default_rng(1)
+    for p, a in zip(points, full, strict=True):
+        values = np.einsum("ptc,tc->pc", a, positive_light(2))
+        image[p.pixels[:, 0], p.pixels[:, 1]] = values * noise.normal(1, 0.03, values.shape)
+    scene.job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
+    return pose(scene, materials, points, settings)
+
+
+def answer(problem, materials, settings=STRAIGHT):
+    fit, solver, exposures = fit_together([problem], settings)
+    return own_light([problem], [materials], fit, solver, exposures, bounces=20), fit
+
+
+@pytest.mark.parametrize("settings", [STRAIGHT, replace(STRAIGHT, estimator="least-squares", order=2)])
+def test_a_bright_bowl_is_modelled_and_a_dark_one_is_not(settings):
+    bright, _ = answer(photographed([bowl()], [BRIGHT], settings=settings), [BRIGHT], settings)
+    assert bright.modelled and bright.change > 1 and bright.share > 0.1
+    assert bright.why.startswith("interreflections are modelled")
+    dark, _ = answer(photographed([bowl()], [DARK], settings=settings), [DARK], settings)
+    assert not dark.modelled and dark.change < 1 and dark.share < 0.05
+    assert dark.why.startswith("interreflections are left out")
+
+
+def both_ways(material):
+    problem = photographed([bowl()], [material])
+    found, fit = answer(problem, [material])
+    settings = replace(STRAIGHT, bounces=20)
+    after, _, _ = fit_together([with_own_light(problem, [material], settings)], settings)
+    return found, fit, after
+
+
+def test_what_is_foretold_is_what_modelling_does():
+    """Of first order: the light was found without the scene's own, so that strong effects are overstated."""
+    found, fit, after = both_ways(GREY)
+    moved = (np.abs(after.coefficients - fit.coefficients) / fit.stddev).max()
+    assert found.change == pytest.approx(moved, rel=0.3)
+
+
+def test_modelling_it_takes_the_error_away():
+    _, fit, after = both_ways(BRIGHT)
+    truth = positive_light(2)
+    left = [np.linalg.norm(f.coefficients[:9] - truth) for f in (fit, after)]
+    assert left[1] < 0.5 * left[0]
+
+
+def test_a_ball_needs_no_light_to_be_decided(monkeypatch):
+    problem = photographed([ball()], [BRIGHT])
+    monkeypatch.setattr(interreflection, "carried_over", None)  # would be called if the scene's light were looked at
+    found, _ = answer(problem, [BRIGHT])
+    assert not found.modelled and found.change is None and found.bound < interreflection.NEGLIGIBLE
+
+
+def test_a_bright_neighbour_counts_and_a_black_one_does_not():
+    wall = trimesh.creation.box([0.1, 4, 4]).apply_translation([1.3, 0, 0])
+    beside = photographed([ball(), as_mesh(wall, flat=True)], [BRIGHT, BRIGHT])
+    assert answer(beside, [BRIGHT, BRIGHT])[0].modelled
+    occluded = photographed([ball()], [BRIGHT], occluders=[as_mesh(wall, flat=True)])
+    found, _ = answer(occluded, [BRIGHT])
+    assert found.bound > interreflection.NEGLIGIBLE  # it cannot be told from the rays alone
+    assert not found.modelled and found.share < 0.01
+
+
+def test_the_bound_holds_under_an_even_sky():
+    problem = photographed([bowl()], [BRIGHT])
+    sky = np.zeros((1, 3))
+    sky[0] = 1
+    straight, _ = basis_images(problem.scene, [BRIGHT], problem.points, SHBasis(0), STRAIGHT)
+    full, _ = basis_images(problem.scene, [BRIGHT], problem.points, SHBasis(0), replace(STRAIGHT, bounces=40))
+    added = (full[0].sum() - straight[0].sum()) / straight[0].sum()
+    bound = even_sky_bound(problem.scene, [BRIGHT], problem.points)
+    assert 0.1 < added <= 1.1 * bound
+    assert even_sky_bound(problem.scene, [DARK], problem.points) < 0.06 * bound / 0.85 * 1.5
+
+
+def test_smooth_values_are_carried_over():
+    problem = photographed([bowl()], [BRIGHT], count=2000)
+    points = problem.points[0]
+    value = points.normal[:, :1] + points.position[:, 1:2] + np.zeros(3)
+    probe = spread(points, 400)
+    carried = carried_over(points.take(probe), value[probe], points)
+    assert np.abs(carried - value).mean() < 0.05 * np.ptp(value)
+    one = carried_over(points.take(probe[:1]), value[probe[:1]], points)
+    assert np.allclose(one, value[probe[0]])
+
+
+def test_the_command_decides_by_itself_and_says_so(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    command = [
+        "estimate",
+        str(folder),
+        "--material",
+        "reference/white-diffuse",
+        "--order",
+        "2",
+        "--no-report",
+        "--json",
+    ]
+    assert main([*command, "--pixels", "500"]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    assert result["choice"]["interreflections"].startswith("interreflections are left out: they are at most 0.0 %")
+    assert result["transport"]["bounces"] == result["settings"]["bounces"] == 1
+    assert main([*command, "--pixels", "500", "--bounces", "3"]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    assert "interreflections" not in result["choice"] and result["transport"]["bounces"] == 3
+    assert main([*command, "--bounces", "0"]) != 0
