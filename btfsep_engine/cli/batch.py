@@ -21,7 +21,7 @@ from btfsep_engine.pipeline.record import write_json
 
 RESULT = "result"  # of a job folder, where --out is not given
 COLUMNS = ("job", "status", "materials", "residual", "effective_degrees_of_freedom", "seconds", "warnings", "message")
-OWN = ("job", "out", "as_json")  # parameters of `estimate` that batch has in its own way
+OWN = ("job", "out", "as_json", "others")  # parameters of `estimate` that batch has in its own way, or not at all
 
 
 def find_jobs(places, list_file=None) -> list[Path]:

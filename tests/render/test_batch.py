@@ -96,3 +96,13 @@ def test_places_shards_and_what_is_wrong_with_them(shots, tmp_path):
         find_jobs([])
     with pytest.raises(InputError, match="--list"):
         find_jobs([], tmp_path / "missing.txt")
+
+
+def test_its_options_are_those_of_estimate_but_for_further_photos_of_one_light(capsys):
+    """A batch is of jobs that know nothing of each other."""
+    helps = {}
+    for name in ("estimate", "batch"):
+        assert main([name, "--help"]) == 0
+        helps[name] = capsys.readouterr().out
+    assert "--with " in helps["estimate"] and "--with " not in helps["batch"]
+    assert all("--appearance" in text for text in helps.values())
