@@ -59,6 +59,7 @@ def apply_lighting(scene, lighting: dict, *, mode: str = "NODES", clamp: bool = 
     world = _own_world(scene)
     tree = world.node_tree
     tree.nodes.clear()
+    tree.animation_data_clear()  # the keyframes of a sequence that was here before
     _remove_orphans()
     sampling = getattr(world, "cycles", None)  # absent when the Cycles add-on is off
     if sampling is not None:
@@ -115,11 +116,13 @@ def _own_world(scene):
 
 
 def _remove_orphans() -> None:
-    """Removes Worlds, groups and maps of ours that nothing uses any more."""
+    """Removes Worlds, groups, maps and keyframes of ours that nothing uses any more."""
     for world in [w for w in bpy.data.worlds if is_ours(w) and w.users == 0]:
         bpy.data.worlds.remove(world)
     for group in [g for g in bpy.data.node_groups if sh_nodes.GROUP_TAG in g and g.users == 0 and not g.library]:
         bpy.data.node_groups.remove(group)
+    for action in [a for a in bpy.data.actions if WORLD_TAG in a and a.users == 0 and not a.library]:
+        bpy.data.actions.remove(action)
     for image in [i for i in bpy.data.images if WORLD_TAG in i and i.users == 0 and not i.library]:
         bpy.data.images.remove(image)
 

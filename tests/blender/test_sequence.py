@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lights of a sequence as keyframes: at the frame of a photo, Blender evaluates and renders the light of that photo."""
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_btfsep import animation, frames, harmonics, world
+from blender_btfsep.errors import InputError
+from blender_btfsep.sh_nodes import CLAMP_GAIN, GROUP_NAME, coefficient_name
+from btfsep_engine import sh
+
+FRAMES = (3, 4, 9)
+
+
+def lighting(coefficients):
+    return {"order": harmonics.order_of(len(coefficients)), "coefficients": np.asarray(coefficients).tolist()}
+
+
+def random_coefficients(order, seed=0):
+    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
+
+
+def positive_coefficients(order, seed=0):
+    """Random, with enough of Y_00 that the light is nowhere negative."""
+    c = random_coefficients(order, seed)
+    c[0] = 0
+    c[0] = (0.05 - sh.to_map(c, 64, 128).min(axis=(0, 1))) * np.sqrt(4 * np.pi)
+    return c
+
+
+def look_around(scene):
+    """A panoramic camera whose picture is the environment map itself."""
+    data = bpy.data.cameras.new("Panorama")
+    scene.camera = bpy.data.objects.new("Panorama", data)
+    scene.collection.objects.link(scene.camera)
+    data.type = "PANO"
+    (data if hasattr(data, "panorama_type") else data.cycles).panorama_type = "EQUIRECTANGULAR"  # Blender 5 moved it
+    scene.camera.rotation_euler = (np.pi / 2, 0, -np.pi / 2)  # the middle of the picture is +X
+    scene.render.resolution_x, scene.render.resolution_y = 128, 64
+    scene.cycles.samples, scene.cycles.filter_width = 1, 0.01
+
+
+def sequence(order=2, numbers=FRAMES):
+    return [(number, lighting(random_coefficients(order, seed=number))) for number in numbers]
+
+
+def evaluated(scene, frame):
+    """Coefficients, and Clamp Gain, as Blender evaluates them at a frame."""
+    scene.frame_set(frame)
+    tree = scene.world.evaluated_get(bpy.context.evaluated_depsgraph_get()).node_tree
+    inputs = tree.nodes[GROUP_NAME].inputs
+    return np.array([s.default_value for s in inputs if s.name.startswith("Y ")]), np.array(
+        inputs[CLAMP_GAIN].default_value
+    )
+
+
+def white_ball(scene, add_camera):
+    """A white matte ball that fills an orthographic picture of 2.2 units; gives its normals, (h, w, 3), and (h, w)."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
+    ball = bpy.context.object
+    ball.data.shade_smooth()
+    matte = bpy.data.materials.new("White")
+    matte.use_nodes = True
+    matte.node_tree.nodes.clear()
+    diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
+    output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    ball.data.materials.append(matte)
+    size = 40
+    scene.render.resolution_x = scene.render.resolution_y = size
+    camera = add_camera(scene, (3.0, -5.0, 2.5))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 2.2
+    scene.cycles.samples, scene.cycles.max_bounces = 128, 0
+    x = ((np.arange(size) + 0.5) / size - 0.5) * 2.2
+    px, py = np.meshgrid(x, -x)
+    local = np.stack([px, py, np.sqrt(np.maximum(1 - px**2 - py**2, 0))], -1)
+    return local @ np.array(camera.matrix_world)[:3, :3].T, px**2 + py**2 < 0.9**2
+
+
+@pytest.mark.parametrize("clamp", [True, False])
+def test_each_frame_has_its_own_light(scene, clamp):
+    lights = sequence()
+    animation.apply_sequence(scene, lights, clamp=clamp)
+    for number, light in lights:
+        found, gain = evaluated(scene, number)
+        assert np.allclose(found, light["coefficients"], atol=1e-6)
+        assert np.allclose(gain, world.clamp_gain(light["coefficients"]), atol=1e-6)
+    assert scene.world.node_tree.nodes[GROUP_NAME].inputs["Clamp Negative"].default_value is clamp
+
+
+def test_between_the_photos(scene):
+    lights = sequence(1)
+    before, after = (np.array(light["coefficients"]) for _, light in lights[1:])
+    animation.apply_sequence(scene, lights)
+    assert np.allclose(evaluated(scene, 6)[0], before + 0.4 * (after - before), atol=1e-5)
+    animation.apply_sequence(scene, lights, interpolation="CONSTANT")
+    assert np.allclose(evaluated(scene, 8)[0], before, atol=1e-6)
+    assert np.allclose(evaluated(scene, 1)[0], lights[0][1]["coefficients"], atol=1e-6)
+
+
+def test_a_white_ball_at_two_frames_is_shaded_as_theory_says(scene, render, add_camera):
+    truth = {number: positive_coefficients(3, seed=number) for number in (2, 5)}
+    normals, inside = white_ball(scene, add_camera)
+    animation.apply_sequence(scene, [(number, lighting(c)) for number, c in truth.items()])
+    errors = {}
+    for number in truth:
+        scene.frame_set(number)
+        picture = render(scene)[inside]
+        for other, c in truth.items():
+            shading = sh.irradiance(c, normals[inside]) / np.pi
+            errors[number, other] = np.sqrt(((picture - shading) ** 2).mean() / (shading**2).mean())
+    assert errors[2, 2] < 0.015 and errors[5, 5] < 0.015
+    assert errors[2, 5] > 0.1 and errors[5, 2] > 0.1  # the test can tell the two lights apart
+
+
+def test_a_rendered_animation_shows_every_frame(scene, tmp_path, read_image):
+    """Blender's own frame loop, which evaluates the World in a render's dependency graph."""
+    look_around(scene)
+    lights = sequence(1, (1, 2))
+    animation.apply_sequence(scene, lights, clamp=False)
+    scene.frame_start, scene.frame_end = 1, 2
+    scene.render.filepath = str(tmp_path / "out_####")
+    bpy.ops.render.render(animation=True, scene=scene.name)
+    for number, light in lights:
+        truth = sh.to_map(np.array(light["coefficients"]), 64, 128)
+        assert np.abs(read_image(tmp_path / f"out_{number:04}.exr") - truth).max() < 2e-3 * np.abs(truth).max()
+
+
+def test_keys_can_be_edited_and_go_with_the_next_light(scene):
+    made = animation.apply_sequence(scene, sequence(1))
+    assert len(bpy.data.actions) == 1
+    group = made.node_tree.nodes[GROUP_NAME]
+    path = group.inputs[coefficient_name(1, -1)].path_from_id("default_value")
+    curves = [c for c in animation.fcurves(made.node_tree.animation_data) if c.data_path == path]
+    assert [len(c.keyframe_points) for c in curves] == [3, 3, 3]
+    curves[1].keyframe_points[0].co.y = 7.5
+    curves[1].update()
+    assert evaluated(scene, 3)[0][1, 1] == 7.5
+
+    animation.apply_sequence(scene, sequence(2, (1, 2)))  # another sequence: no key of the first is left
+    curves = animation.fcurves(made.node_tree.animation_data)
+    assert len(bpy.data.actions) == 1 and len(curves) == 3 * 10
+    assert {len(c.keyframe_points) for c in curves} == {2}
+    world.apply_lighting(scene, lighting(random_coefficients(1)))  # a still light stays as it is at all frames
+    assert not bpy.data.actions
+    still = evaluated(scene, 2)[0]
+    assert np.array_equal(still, evaluated(scene, 9)[0]) and np.allclose(still, random_coefficients(1))
+    animation.apply_sequence(scene, sequence(1))
+    scene.world = None
+    world._remove_orphans()
+    assert not bpy.data.worlds
+    world._remove_orphans()
+    assert not bpy.data.actions
+
+
+def test_sequences_that_make_no_sense_change_nothing(scene):
+    scene.world = mine = bpy.data.worlds.new("Mine")
+    with pytest.raises(InputError, match="no frame"):
+        animation.apply_sequence(scene, [])
+    with pytest.raises(InputError, match="orders"):
+        animation.apply_sequence(scene, [*sequence(1, (1,)), *sequence(2, (2,))])
+    assert scene.world == mine and len(bpy.data.worlds) == 1
+
+
+def test_files_and_their_frames(tmp_path):
+    for name in ("a_0009.exr", "a_0010.exr", "a_0100.exr", "b_0001.exr", "a_0011.png", "a_x_0012.exr", "a_1x.exr"):
+        (tmp_path / name).touch()
+    found = frames.family(tmp_path / "a_0010.exr")
+    assert [p.name for p in found] == ["a_0009.exr", "a_0010.exr", "a_0100.exr"]
+    assert [p.name for p in frames.matching(frames.pattern_of(found))] == [p.name for p in found]
+    assert frames.numbers([p.name for p in found]) == [9, 10, 100]
+    assert frames.numbers([p.name for p in found], start=1) == [1, 2, 92]
+    assert frames.numbers(["dawn.exr", "noon.exr"]) == [1, 2] and frames.numbers(["t1 3.exr", "t2 3.exr"], start=5) == [
+        5,
+        6,
+    ]
+    assert frames.split("shot2_v3.0007.exr") == ("shot2_v3.", 7, ".exr")  # the last digits, not those of the suffix
+    assert frames.split("a12b.jpg2") == ("a", 12, "b.jpg2")
+    for number in (1, 10):
+        (tmp_path / f"[c] {number}.png").touch()  # a name that means something in a pattern; lengths differ
+    found = frames.family(tmp_path / "[c] 1.png")
+    assert [p.name for p in frames.matching(frames.pattern_of(found))] == ["[c] 1.png", "[c] 10.png"]
+    (tmp_path / "[c] 01.png").touch()
+    for wrong, words in (("[c] 1.png", "two files"), ("a_1.exr", "no such file")):
+        with pytest.raises(InputError, match=words):
+            frames.family(tmp_path / wrong)
+    (tmp_path / "still.exr").touch()
+    with pytest.raises(InputError, match="no number"):
+        frames.family(tmp_path / "still.exr")
+    with pytest.raises(InputError, match="no image matches"):
+        frames.matching(tmp_path / "z*.exr")
