@@ -49,7 +49,7 @@ Errors are relative L2 errors of the coefficients up to order 2 with one free sc
 estimate itself expects (its standard deviations over its size); **68 %, 95 %** is the share of the true coefficients
 inside the stated intervals, without any free scale; **warned** counts photographs of which the method said anything,
 **anew** those of which it said what it had not said of the same photograph undisturbed. The methods of the study
-itself state nothing and never warn. A failure is an error above {poor:g}; it is hidden where there was no warning and
+itself state nothing and never warn. A failure is an error above {poor:g}; it is hidden where nothing was said anew and
 the error is more than {hidden:g} times the stated one.
 """
 
@@ -129,10 +129,13 @@ def _short(answers) -> str:
                 f"{_percent(inside[0])} and {_percent(inside[1])} of the coefficients."
             )
     totals = {m: np.sum([answers.failures(n, m) for n in answers.names], axis=0) for m in answers.methods}
-    for method, (bad, hidden, total) in totals.items():
+    for method, (bad, hidden, already, total) in totals.items():
         if total:
             said = "" if method in BLIND else f", {hidden} of them hidden"
-            lines.append(f"- {NAMES[method]}: {bad} failures in {total} answers ({100 * bad / total:.0f} %){said}.")
+            lines.append(
+                f"- {NAMES[method]}: {bad} failures in {total} answers ({100 * bad / total:.0f} %), {already} of them on "
+                f"photographs that fail undisturbed too{said}."
+            )
     return "\n".join(lines)
 
 
@@ -250,9 +253,9 @@ def _words(answers, name: str) -> str:
                 f"Ours passes {WORSE:g} times its undisturbed error ({_number(ours[0])}) at {axis.values[felt - 1]:g} "
                 f"and ends at {_number(ours[5])}, where it states {_number(answers.median(name, 5, 'ours', 'stated'))}."
             )
-        bad, hidden, total = answers.failures(name, "ours")
+        bad, hidden, already, total = answers.failures(name, "ours")
         if bad:
-            out.append(f"Of its {total} answers {bad} fail, {hidden} of them hidden.")
+            out.append(f"Of its {total} answers {bad} fail ({already} did undisturbed), {hidden} of them hidden.")
         better = [m for m in errors if m != "ours" and errors[m][5] < 0.9 * ours[5]]
         if better:
             out.append("At the worst severity better: " + _listed(errors, better) + ".")

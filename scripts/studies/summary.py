@@ -10,7 +10,7 @@ from scripts.studies.axes import AXES
 from scripts.studies.run import UNDISTURBED, Task
 
 POOR = 0.5  # an order-2 error that is a failure ...
-HIDDEN = 2.0  # ... and is hidden where it is more than so many times what was stated, without a word
+HIDDEN = 2.0  # ... and is hidden where it is more than so many times what was stated, without a new word
 
 
 class Answers:
@@ -77,11 +77,27 @@ class Answers:
         return sum(r["refused"] for r in self.of(axis, index, method))
 
     def failures(self, axis, method):
-        """Answers with an order-2 error above POOR, and those of them that nobody told of: (count, hidden, total)."""
-        rows = [r for i in range(1, 6) for r in self.of(axis, i, method) if not r["refused"]]
-        bad = [r for r in rows if r["order2"] > POOR]
-        hidden = [r for r in bad if not r["warnings"] and not (r.get("stated", 0) * HIDDEN >= r["order2"])]
-        return len(bad), len(hidden), len(rows)
+        """Answers with an order-2 error above POOR.
+
+        Returns
+        -------
+        their number, how many of them nobody told of, how many of them had failed undisturbed too, and of how many
+        """
+        bad = hidden = already = total = 0
+        for index in range(1, 6):
+            for scene, light in self.pairs:
+                task = Task(axis, index, scene, light)
+                here, zero = (self.records.get((t, method)) for t in (task, run.zero_of(task)))
+                if here is None or here["refused"]:
+                    continue
+                total += 1
+                failed = here["order2"] > POOR
+                before = {kind(w) for w in zero["warnings"]} if zero else set()
+                silent = all(kind(w) in before for w in here["warnings"])
+                bad += failed
+                already += failed and zero is not None and not zero["refused"] and zero["order2"] > POOR
+                hidden += failed and silent and here["order2"] > HIDDEN * here.get("stated", 0)
+        return bad, hidden, already, total
 
 
 def spheres(record: dict):
