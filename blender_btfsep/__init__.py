@@ -5,9 +5,9 @@ import atexit
 
 import bpy
 
-from . import command, importer, measure, operators, panels, preferences, properties
+from . import command, importer, measure, operators, panels, preferences, properties, sequence_run
 
-MODULES = (properties, preferences, operators, importer, measure, panels, command)
+MODULES = (properties, preferences, operators, importer, measure, sequence_run, panels, command)
 
 
 def register():

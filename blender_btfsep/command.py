@@ -11,10 +11,10 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_process, export, lighting_file, measure, preferences, runs, world
+from . import engine_process, export, lighting_file, measure, preferences, runs, sequence_run, world
 from .errors import InputError
-from .operators import chosen, take_materials
-from .properties import PRESETS
+from .operators import chosen, order_of, take_materials, told
+from .properties import APPEARANCES, PRESETS
 
 INPUT_FAULT, BUG = 2, 1
 
@@ -75,6 +75,8 @@ def _parser() -> argparse.ArgumentParser:
         "--object", "--objects", dest="objects", nargs="+", metavar="NAME", help="objects to fit (default: the panel's)"
     )
     job.add_argument("--occluders", choices=("others", "none"), help="what else casts shadows (default: the panel's)")
+    job.add_argument("--depth", metavar="FILE.exr", help="z-depth instead of objects (default: the panel's)")
+    job.add_argument("--exposure", type=float, metavar="EV", help="stops applied to the photo (default: the panel's)")
     job.add_argument("--job", help="folder for the job (default: one that is removed afterwards)")
 
     engine = argparse.ArgumentParser(add_help=False)
@@ -86,10 +88,18 @@ def _parser() -> argparse.ArgumentParser:
     save.add_argument("--save", metavar="FILE.blend", help="save the file with the World")
     save.add_argument("--world", choices=("nodes", "texture", "none"), help="default: the panel's")
 
-    estimate = commands.add_parser("estimate", parents=[job, engine, save], help="estimate the light, write the World")
-    estimate.add_argument("--material", help="the material of all objects, instead of recognition")
-    estimate.add_argument("--order", type=int, help="order of the spherical harmonics (default: the panel's)")
-    estimate.add_argument("--out", help="folder for the results (default: JOB/result)")
+    fit = argparse.ArgumentParser(add_help=False)
+    fit.add_argument("--material", help="the material of all objects, instead of recognition")
+    textures = [name for name, *_ in APPEARANCES]
+    fit.add_argument("--appearance", choices=textures, help="how a material is compared (default: the panel's)")
+    fit.add_argument("--out", help="folder for the results (default: in the job's)")
+
+    estimate = commands.add_parser(
+        "estimate", parents=[job, engine, fit, save], help="estimate the light, write the World"
+    )
+    estimate.add_argument(
+        "--order", type=_order, metavar="N|auto", help="order of the spherical harmonics (default: the panel's)"
+    )
     estimate.set_defaults(run=_estimate)
 
     recognise = commands.add_parser("recognise", parents=[job, engine], help="name the material of each object")
@@ -103,8 +113,21 @@ def _parser() -> argparse.ArgumentParser:
     apply.add_argument("--scene", help="name of the scene (default: the active one)")
     apply.set_defaults(run=_apply)
 
+    sequence_run.add_command(
+        commands,
+        [job, engine, fit, save],
+        scene_of=_scene,
+        write_job=_write_job,
+        settings_of=_settings,
+        run_engine=_run_engine,
+        say=_say,
+    )
     measure.add_command(commands, scene_of=_scene, object_of=_object, run_engine=_run_engine, say=_say)
     return parser
+
+
+def _order(text: str):
+    return text if text == "auto" else int(text)
 
 
 def _scene(options):
@@ -133,8 +156,11 @@ def _write_job(options, scene) -> Path:
     image = options.image or settings.image
     if image is None:
         raise InputError("the photo", "none is named, and the file holds none", "give --image FILE")
-    entries = {entry.object.name: entry.material for entry in chosen(settings)}
-    names = options.objects or list(entries)
+    depth = options.depth or (None if options.objects else settings.depth)
+    if depth and options.objects:
+        raise InputError("--depth", "objects are named, too", "give the one or the other")
+    entries = {export.SURFACE: settings.surface} if depth else {e.object.name: e for e in chosen(settings)}
+    names = list(entries) if depth else options.objects or list(entries)
     if not names:
         raise InputError("the objects", "none is named, and the file holds none", "give --object NAME …")
     occluders = options.occluders or settings.occluders.lower()
@@ -144,9 +170,12 @@ def _write_job(options, scene) -> Path:
         options.job or runs.job_folder(scene, preferences.get().keep_jobs),
         image_path=image,
         camera=_object(scene, options.camera) if options.camera else settings.camera,
-        objects=[_object(scene, name) for name in names],
+        objects=[] if depth else [_object(scene, name) for name in names],
         occluders=[] if occluders == "none" else None,
-        materials={name: material or entries.get(name) for name in names},
+        materials={name: material or (entries[name].material if name in entries else None) for name in names},
+        masks={name: entry.mask for name, entry in entries.items()},
+        depth=depth,
+        exposure_ev=settings.exposure_ev if options.exposure is None else options.exposure,
     ).parent
 
 
@@ -176,18 +205,26 @@ def _run_engine(options, arguments) -> dict:
     return last.result
 
 
+def _settings(options, scene) -> list:
+    """The engine's options for an estimate that the command line names, else the panel's."""
+    appearance = options.appearance or scene.btfsep.appearance.replace("auto", "")  # auto: as the preset has it
+    given = ["--appearance", appearance] if appearance else []
+    return ["--preset", options.preset or scene.btfsep.preset, *given]
+
+
 def _estimate(options) -> None:
     scene = _scene(options)
     mode = (options.world or scene.btfsep.world_mode).upper()
-    order = scene.btfsep.order if options.order is None else options.order
+    order = order_of(scene.btfsep) if options.order is None else options.order
     folder = _write_job(options, scene)
     out = Path(options.out).absolute() if options.out else folder / "result"
-    preset = options.preset or scene.btfsep.preset
-    result = _run_engine(options, ["estimate", folder, "--preset", preset, "--order", order, "--out", out])
+    result = _run_engine(options, ["estimate", folder, "--order", order, "--out", out, *_settings(options, scene)])
     lighting = lighting_file.read(result["lighting"])
     take_materials(scene, result.get("objects") or [])
     for found in result.get("objects") or []:
         _say(_line(found))
+    for sentence in told(result):
+        _say(sentence)
     if mode != "NONE":
         world.apply_lighting(scene, lighting, mode=mode, clamp=scene.btfsep.clamp)
     _say(f"wrote {out}")

@@ -12,10 +12,21 @@ from . import meshes, photo, ply
 from .errors import InputError
 
 JOB_FILE = "job.json"
+SURFACE = "Surface"  # the name of what a depth shows
 
 
 def export_job(
-    context_or_scene, folder, *, image_path, camera=None, objects, occluders=None, materials=None, exposure_ev=0.0
+    context_or_scene,
+    folder,
+    *,
+    image_path,
+    camera=None,
+    objects,
+    occluders=None,
+    materials=None,
+    masks=None,
+    depth=None,
+    exposure_ev=0.0,
 ) -> Path:
     """Writes a job.
 
@@ -25,9 +36,11 @@ def export_job(
     folder : the job's folder; made if need be; an earlier job there is replaced
     image_path : path of the photo, or a bpy.types.Image
     camera : camera object, None for the scene's
-    objects : list of objects to fit
+    objects : list of objects to fit; empty with ``depth``
     occluders : list of objects that only cast shadows; None for all others that the render shows
     materials : dict, object name -> name in the library; what is absent is to be recognised
+    masks : dict, object name -> bpy.types.Image of the photo's size, not black where the object may be used
+    depth : path of an EXR of z-depth, or its bpy.types.Image, instead of objects; its surface is named `SURFACE`
     exposure_ev : the photo's exposure in stops
 
     Returns
@@ -44,7 +57,9 @@ def export_job(
     if camera is None or camera.type != "CAMERA":
         raise InputError("the camera", "the scene has none", "add the camera that took the photo")
     objects = list(objects)
-    if not objects:
+    if depth is not None and objects:
+        raise InputError("the objects", "there is a depth, too", "take the depth or the objects away")
+    if depth is None and not objects:
         raise InputError("the objects", "none is chosen", "choose the objects that the photo shows")
     for thing in objects:
         if thing.type not in meshes.SURFACE_TYPES:
@@ -65,20 +80,22 @@ def export_job(
         gathered = meshes.gather(depsgraph, objects + shadowing)
 
     names = _FileNames()
+    parts = {thing.name: gathered.get(thing.name_full) for thing in objects}
     fitted = []
-    for thing in objects:
-        if thing.name_full not in gathered:
+    for name in parts if depth is None else [SURFACE]:
+        if depth is None and parts[name] is None:
             raise InputError(
-                f"object '{thing.name}'", "it has no faces that the view layer shows", "unhide it or choose another"
+                f"object '{name}'", "it has no faces that the view layer shows", "unhide it or choose another"
             )
-        part = gathered[thing.name_full]
+        file = names.of(name)
+        mask = (masks or {}).get(name)
         fitted.append(
             {
-                "name": thing.name,
-                "mesh": _write(folder, names.of(thing.name), part),
+                "name": name,
+                "mesh": _write(folder, file, parts[name]) if depth is None else None,
                 "to_world": None,
-                "mask": None,
-                "material": (materials or {}).get(thing.name) or None,
+                "mask": None if mask is None else photo.put_mask(mask, folder, f"mask_{Path(file).stem}.png", size),
+                "material": (materials or {}).get(name) or None,
                 "uv": "xatlas",
             }
         )
@@ -97,7 +114,7 @@ def export_job(
         "camera": lens,
         "objects": fitted,
         "occluders": casting,
-        "depth": None,
+        "depth": None if depth is None else photo.put_depth(depth, folder),
         "metres_per_unit": 1.0 if units.system == "NONE" else units.scale_length,
     }
     ply.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())

@@ -4,7 +4,7 @@
 import os
 
 import bpy
-from bpy.props import EnumProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from . import export, lighting_file, preferences, runs, world
 from .errors import InputError
@@ -17,6 +17,20 @@ def chosen(settings) -> list:
     return [entry for entry in settings.objects if entry.object is not None]
 
 
+def fitted(settings) -> dict:
+    """Name in the job -> entry of what is fitted: the objects, or the one surface of a depth."""
+    if settings.depth is not None:
+        return {export.SURFACE: settings.surface}
+    return {entry.object.name: entry for entry in chosen(settings)}
+
+
+def active_entry(settings):
+    """The entry that the panel shows: the surface of the depth, or the active object; None where there is none."""
+    if settings.depth is not None:
+        return settings.surface
+    return settings.objects[settings.active_object] if settings.active_object < len(settings.objects) else None
+
+
 def missing(context) -> str:
     """What the scene lacks for a run, as a sentence for a tooltip; empty when nothing is missing."""
     settings = context.scene.btfsep
@@ -26,29 +40,47 @@ def missing(context) -> str:
         return "Choose the photo first"
     if (settings.camera or context.scene.camera) is None:
         return "The scene has no camera: add the one that took the photo"
-    if not chosen(settings):
+    if not fitted(settings):
         return "Add the objects that the photo shows to the list first"
     return ""
 
 
-def write_job(context, scene, *, folder=None):
-    """Exports the job that the settings of ``scene`` describe; gives its folder. Raises InputError."""
+def write_job(context, scene, *, folder=None, image_path=None):
+    """Exports the job that the settings of ``scene`` describe; gives its folder. Raises InputError.
+
+    ``image_path`` : a photo instead of the panel's.
+    """
     settings = scene.btfsep
-    if settings.image is None:
+    if image_path is None and settings.image is None:
         raise InputError("the photo", "none is chosen", "choose the photo in the BTFsep panel")
-    entries = chosen(settings)
+    entries = fitted(settings)
     folder = folder or runs.job_folder(scene, preferences.get(context).keep_jobs)
     source = context if context.scene == scene else scene
     path = export.export_job(
         source,
         folder,
-        image_path=settings.image,
+        image_path=image_path or settings.image,
         camera=settings.camera or scene.camera,
-        objects=[entry.object for entry in entries],
+        objects=[entry.object for entry in entries.values() if settings.depth is None],
         occluders=[] if settings.occluders == "NONE" else None,
-        materials={entry.object.name: entry.material for entry in entries},
+        materials={name: entry.material for name, entry in entries.items()},
+        masks={name: entry.mask for name, entry in entries.items()},
+        depth=settings.depth,
+        exposure_ev=settings.exposure_ev,
     )
     return path.parent
+
+
+def engine_options(context) -> list:
+    """The engine's options in the panel and in the preferences that every estimate has."""
+    settings = context.scene.btfsep
+    given = [] if settings.appearance == "auto" else ["--appearance", settings.appearance]
+    return ["--preset", settings.preset, *given, *library_arguments(context)]
+
+
+def order_of(settings) -> str:
+    """The order that the panel asks for, as the engine's option has it."""
+    return "auto" if settings.auto_order else str(settings.order)
 
 
 def library_arguments(context) -> list:
@@ -59,7 +91,7 @@ def library_arguments(context) -> list:
 
 def take_materials(scene, objects: list) -> list:
     """Puts the engine's word on each object's material into the list; gives sentences about them."""
-    by_name = {entry.object.name: entry for entry in chosen(scene.btfsep)}
+    by_name = fitted(scene.btfsep)
     words = []
     for found in objects:
         entry = by_name.get(found.get("name"))
@@ -71,8 +103,19 @@ def take_materials(scene, objects: list) -> list:
         for candidate in found.get("candidates") or []:
             item = entry.candidates.add()
             item.name, item.score = str(candidate["name"]), float(candidate["score"])
-        words.append(f"{entry.object.name}: {entry.recognised}" + (" (unsure)" if entry.unknown else ""))
+        words.append(f"{found['name']}: {entry.recognised}" + (" (unsure)" if entry.unknown else ""))
     return words
+
+
+def told(result: dict) -> list:
+    """What the engine says of an estimate, in sentences: what the photo determines, the error to expect, choices."""
+    words = [str(result["determined"])] if result.get("determined") else []
+    expected = (result.get("expected_error") or {}).get("order_2")
+    if expected:
+        median, low, high = (f"{100 * expected[key]:.0f}" for key in ("median", "low", "high"))
+        words.append(f"Error to expect up to order 2: {median} % ({low} to {high} %)")
+    words += [str(why) for why in (result.get("choice") or {}).values()]
+    return [word[:1].upper() + word[1:] for word in words]
 
 
 class BTFSEP_OT_recognise(runs.EngineOperator, bpy.types.Operator):
@@ -118,8 +161,8 @@ class BTFSEP_OT_estimate(runs.EngineOperator, bpy.types.Operator):
         folder = write_job(context, context.scene)
         run = runs.run_state()
         run.folder, run.report = str(folder), ""
-        options = ["--preset", settings.preset, "--order", settings.order, "--out", folder / "result"]
-        return ["estimate", folder, *options, *library_arguments(context)]
+        options = ["--order", order_of(settings), "--out", folder / "result"]
+        return ["estimate", folder, *options, *engine_options(context)]
 
     def finish(self, context, result):
         scene = self.scene()
@@ -127,9 +170,7 @@ class BTFSEP_OT_estimate(runs.EngineOperator, bpy.types.Operator):
         words = take_materials(scene, result.get("objects") or [])
         report = os.path.join(result["out"], "report.png")
         runs.run_state().report = report if os.path.isfile(report) else ""
-        determined = lighting["determined"]
-        if determined is not None:
-            words.append(f"{sum(determined)} of {len(determined)} coefficients determined")
+        words += told(result)
         if scene.btfsep.world_mode != "NONE":
             world.apply_lighting(scene, lighting, mode=scene.btfsep.world_mode, clamp=scene.btfsep.clamp)
         return "; ".join(words)
@@ -239,6 +280,35 @@ class BTFSEP_OT_remove_object(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class BTFSEP_OT_open_picture(bpy.types.Operator):
+    """Open a picture from a file: the mask of the object, or the depth"""
+
+    bl_idname = "btfsep.open_picture"
+    bl_label = "Open Picture"
+    bl_options = {"REGISTER", "UNDO"}
+    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_image: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_folder: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    target: EnumProperty(items=(("mask", "Mask", ""), ("depth", "Depth", "")), options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context, event):
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context):
+        settings = context.scene.btfsep
+        owner = settings if self.target == "depth" else active_entry(settings)
+        if owner is None:
+            self.report({"ERROR"}, "the list of objects is empty; add the object that the mask is for")
+            return {"CANCELLED"}
+        try:
+            setattr(owner, self.target, bpy.data.images.load(self.filepath, check_existing=True))
+        except RuntimeError as error:
+            self.report({"ERROR"}, str(error).strip())
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
 class BTFSEP_OT_use_candidate(bpy.types.Operator):
     """Take this for the object's material, instead of recognising it"""
 
@@ -249,11 +319,11 @@ class BTFSEP_OT_use_candidate(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        return bool(context.scene.btfsep.objects)
+        return active_entry(context.scene.btfsep) is not None
 
     def execute(self, context):
         settings = context.scene.btfsep
-        settings.objects[settings.active_object].material = self.material
+        active_entry(settings).material = self.material
         return {"FINISHED"}
 
 
@@ -336,6 +406,7 @@ CLASSES = (
     BTFSEP_OT_cancel,
     BTFSEP_OT_add_objects,
     BTFSEP_OT_remove_object,
+    BTFSEP_OT_open_picture,
     BTFSEP_OT_use_candidate,
     BTFSEP_OT_apply,
     BTFSEP_OT_restore_world,

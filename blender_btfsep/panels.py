@@ -4,7 +4,7 @@
 import blf
 import bpy
 
-from . import preferences, runs, world
+from . import operators, preferences, runs, sequence_run, world
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
 MARGIN = 105  # pixels of the sidebar's width that a label with an icon in a box cannot have, at scale 1
@@ -61,16 +61,19 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         layout = self.layout
         settings, run = context.scene.btfsep, runs.run_state()
         layout.enabled = not runs.is_running()
-        row = layout.row()
-        row.template_list("BTFSEP_UL_objects", "", settings, "objects", settings, "active_object", rows=3)
-        column = row.column(align=True)
-        column.operator("btfsep.add_objects", text="", icon="ADD")
-        column.operator("btfsep.remove_object", text="", icon="REMOVE")
+        if settings.depth is None:
+            row = layout.row()
+            row.template_list("BTFSEP_UL_objects", "", settings, "objects", settings, "active_object", rows=3)
+            column = row.column(align=True)
+            column.operator("btfsep.add_objects", text="", icon="ADD")
+            column.operator("btfsep.remove_object", text="", icon="REMOVE")
+        else:
+            layout.label(text=f"Surface of {settings.depth.name}", icon="SURFACE_DATA")
 
+        entry = operators.active_entry(settings)
         split = layout.column()
         split.use_property_split = True
         split.use_property_decorate = False
-        entry = settings.objects[settings.active_object] if settings.active_object < len(settings.objects) else None
         if entry is not None:
             row = split.row(align=True)
             if run.library:
@@ -78,6 +81,9 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
             else:  # names not read yet: a search would show any name as wrong
                 row.prop(entry, "material", text="Material", icon="MATERIAL")
             row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
+            row = split.row(align=True)
+            row.prop(entry, "mask")
+            row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "mask"
         split.prop(settings, "occluders")
         chosen = preferences.get(context)
         if isinstance(chosen, bpy.types.AddonPreferences):
@@ -113,10 +119,12 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         column.use_property_decorate = False
         column.enabled = not runs.is_running()
         column.prop(settings, "preset")
-        column.prop(settings, "order")
+        row = column.row(align=True)
+        number = row.row(align=True)
+        number.active = not settings.auto_order
+        number.prop(settings, "order")
+        row.prop(settings, "auto_order", text="Auto", toggle=True)
         column.prop(settings, "world_mode")
-        if settings.world_mode != "NONE":
-            column.prop(settings, "clamp")
 
         if runs.is_running():
             row = layout.row(align=True)
@@ -129,6 +137,8 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             row.scale_y = 1.4
             row.operator("btfsep.recognise", icon="VIEWZOOM")
             row.operator("btfsep.estimate", icon="LIGHT_SUN")
+            if sequence_run.is_sequence(settings.image):
+                layout.operator("btfsep.estimate_sequence", icon="SEQUENCE")
         self._outcome(context, layout, run)
         row = layout.row(align=True)
         row.operator("btfsep.apply", icon="WORLD")
@@ -150,6 +160,28 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             box = layout.box()
             for warning in run.warnings:
                 _wrapped(context, box, warning.name, icon="ERROR")
+
+
+class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
+    bl_label = "Advanced"
+    bl_parent_id = "BTFSEP_PT_light"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        settings = context.scene.btfsep
+        column = self.layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.enabled = not runs.is_running()
+        column.prop(settings, "exposure_ev", text="Photo Exposure")
+        row = column.row(align=True)
+        row.prop(settings, "depth")
+        row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"
+        column.prop(settings, "appearance")
+        if settings.world_mode != "NONE":
+            column.prop(settings, "clamp")
+        if sequence_run.is_sequence(settings.image):
+            column.prop(settings, "interpolation")
 
 
 def _same_shape(size, render) -> bool:
@@ -174,7 +206,7 @@ def _wrapped(context, layout, text: str, *, icon: str = "NONE") -> None:
     column.label(text=line, icon=icon)
 
 
-CLASSES = (BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects, BTFSEP_PT_light)
+CLASSES = (BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects, BTFSEP_PT_light, BTFSEP_PT_advanced)
 
 
 def register():

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The photograph of a job: the file as it is where the engine can read it, else saved as a linear EXR."""
+"""The pictures of a job: the photo (the file itself where the engine can read it, else a linear EXR), masks, depth."""
 
 import shutil
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from .errors import InputError
 
 READABLE = {".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp"}
+FLOAT = {".exr", ".hdr"}
 CODED = {"sRGB"}
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
 
@@ -48,17 +50,78 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
         bpy.data.images.remove(image)
 
 
+def file_of(image) -> Path | None:
+    """The file of ``image``, of a sequence the one that was opened; None where it has none."""
+    return Path(bpy.path.abspath(image.filepath_raw, library=image.library)) if image.filepath_raw else None
+
+
+def taken_as_is(image, path: Path) -> bool:
+    """Whether the engine takes the colours of the file ``path`` of ``image`` for what Blender takes them for."""
+    space = image.colorspace_settings.name
+    return path.suffix.lower() in READABLE and space in (LINEAR if path.suffix.lower() in FLOAT else CODED)
+
+
 def _put_image(image, folder: Path):
     space = image.colorspace_settings.name
-    path = Path(bpy.path.abspath(image.filepath_raw, library=image.library)) if image.filepath_raw else None
-    as_is = image.source == "FILE" and not image.is_dirty and path is not None and path.suffix.lower() in READABLE
-    float_file = as_is and path.suffix.lower() in {".exr", ".hdr"}
+    path = file_of(image)
+    from_file = image.source in {"FILE", "SEQUENCE"}  # of a sequence, the photo that was opened
+    as_is = from_file and not image.is_dirty and path is not None and path.suffix.lower() in READABLE
+    float_file = as_is and path.suffix.lower() in FLOAT
     as_is = as_is and (space in LINEAR or (space in CODED and not float_file))
     size = _size(image)
     if as_is and (image.packed_file or path.is_file()):
         name = _copy(image.packed_file.data if image.packed_file else path, folder, suffix=path.suffix.lower())
         return name, "linear" if space in LINEAR else "auto", size
     return _save(image, folder), "linear", size
+
+
+def put_mask(image, folder, name: str, size) -> str:
+    """Writes where ``image`` is not black (nor, if it has alpha, transparent) as ``name`` into ``folder``.
+
+    ``size`` : (width, height) of the photo. Gives ``name``. Raises InputError.
+    """
+    width, height = _size(image)
+    if (width, height) != tuple(size):
+        raise InputError(
+            f"the mask '{image.name}'",
+            f"it has {width} x {height} pixels, the photo {size[0]} x {size[1]}",
+            "make the mask from the photo, at its size",
+        )
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(-1, 4)
+    inside = (pixels[:, :3] != 0).any(1) & (pixels[:, 3] != 0)
+    if not inside.any():
+        raise InputError(f"the mask '{image.name}'", "it is black everywhere", "paint it white where the object is")
+    copy = bpy.data.images.new("BTFsep mask", width, height, alpha=False, is_data=True)
+    try:
+        pixels[:] = inside[:, None]
+        pixels[:, 3] = 1
+        copy.pixels.foreach_set(pixels.ravel())
+        copy.filepath_raw, copy.file_format = str(Path(folder) / name), "PNG"
+        copy.save()
+    except RuntimeError as error:
+        raise InputError(f"cannot write {Path(folder) / name}", str(error).strip(), "free space") from None
+    finally:
+        bpy.data.images.remove(copy)
+    return name
+
+
+def put_depth(image, folder) -> str:
+    """Copies the EXR of ``image``, or of a path, into ``folder``: the engine reads its channel. Raises InputError."""
+    named = f"the depth '{getattr(image, 'name', Path(str(image)).name)}'"
+    packed = None
+    if isinstance(image, bpy.types.Image):
+        path, packed = file_of(image), image.packed_file
+        if image.source != "FILE" or path is None or (image.is_dirty and not packed):
+            raise InputError(named, "it is no file", "save the z-depth as an EXR and open that")
+    else:
+        path = Path(bpy.path.abspath(str(image)))
+    if path.suffix.lower() != ".exr":
+        raise InputError(named, f"it is a {path.suffix or 'nameless'} file", "save the z-depth as an EXR and open that")
+    if packed is None and not path.is_file():
+        raise InputError(named, "there is no such file", "choose it again")
+    return _copy(packed.data if packed else path, Path(folder), suffix=".exr", stem="depth")
 
 
 def _size(image) -> tuple[int, int]:
@@ -68,8 +131,8 @@ def _size(image) -> tuple[int, int]:
     return width, height
 
 
-def _copy(source, folder: Path, suffix: str | None = None) -> str:
-    name = "photo" + (suffix or source.suffix.lower())
+def _copy(source, folder: Path, suffix: str | None = None, stem: str = "photo") -> str:
+    name = stem + (suffix or source.suffix.lower())
     try:
         if isinstance(source, bytes):
             (folder / name).write_bytes(source)

@@ -12,6 +12,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from .animation import INTERPOLATIONS
 from .meshes import SURFACE_TYPES
 
 PRESETS = (
@@ -29,6 +30,11 @@ OCCLUDERS = (
     ("OTHERS", "All Others", "Everything else that the render shows casts shadows on the objects"),
     ("NONE", "None", "The objects stand alone"),
 )
+APPEARANCES = (
+    ("auto", "Automatic", "The texture where it lines up with the photo and explains more of it, else the mean"),
+    ("mean", "Mean", "The material without its texture: right where the texture does not line up with the photo"),
+    ("textured", "Textured", "The material with its texture"),
+)
 
 
 class BTFSEP_PG_candidate(bpy.types.PropertyGroup):
@@ -38,12 +44,17 @@ class BTFSEP_PG_candidate(bpy.types.PropertyGroup):
 
 
 class BTFSEP_PG_object(bpy.types.PropertyGroup):
-    """An object that the photo shows."""
+    """An object that the photo shows, or the surface of its depth (then without ``object``)."""
 
     object: PointerProperty(name="Object", type=bpy.types.Object, poll=lambda self, thing: thing.type in SURFACE_TYPES)
     material: StringProperty(
         name="Material",
         description="The object's material in the library, where you know it. Empty: recognised from the photo",
+    )
+    mask: PointerProperty(
+        name="Mask",
+        description="Image of the photo's size, not black where the object may be used. Empty: all that is seen of it",
+        type=bpy.types.Image,
     )
     recognised: StringProperty(name="Recognised Material")
     unknown: BoolProperty(name="Unknown", description="The photo looks like no material of the library")
@@ -66,6 +77,28 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
     preset: EnumProperty(name="Preset", description="Speed against accuracy", items=PRESETS, default="balanced")
     order: IntProperty(
         name="Order", description="Order of the spherical harmonics of the light", default=4, min=0, max=9
+    )
+    auto_order: BoolProperty(
+        name="Automatic Order",
+        description="The highest order of which the photo determines something. A sequence takes the number beside",
+    )
+    appearance: EnumProperty(name="Texture", description="How a material is compared with the photo", items=APPEARANCES)
+    exposure_ev: FloatProperty(
+        name="Exposure",
+        description="Stops that had been applied to the photo; it is kept with the light and changes no colour",
+        soft_min=-10,
+        soft_max=10,
+        min=-100,
+        max=100,
+    )
+    depth: PointerProperty(
+        name="Depth",
+        description="EXR of z-depth along the view axis, of the photo's size, instead of objects",
+        type=bpy.types.Image,
+    )
+    surface: PointerProperty(type=BTFSEP_PG_object)
+    interpolation: EnumProperty(
+        name="Between Photos", description="What a sequence's light does between two photos", items=INTERPOLATIONS
     )
     world_mode: EnumProperty(name="World", description="How the light is put into the scene", items=WORLD_MODES)
     clamp: BoolProperty(

@@ -26,6 +26,7 @@ STAGES = {
     "classifier": ("Learning the materials: classes", 0.45, 0.55),
     "recognition": ("Recognising", 0.55, 0.6),
     "transport": ("Light transport", 0.6, 0.8),
+    "factorising": ("Solving for the light", 0.8, 0.81),
     "fit": ("Solving for the light", 0.8, 0.85),
     "report": ("Making the report", 0.85, 0.97),
     "writing": ("Writing the results", 0.97, 1.0),

@@ -42,6 +42,16 @@ def main():
         (out / "lighting.json").write_text(json.dumps(behaviour["lighting"]))
         result = behaviour.get("result", {}) | {"out": str(out), "lighting": str(out / "lighting.json")}
         say(type="done", result=result)
+    if "sequence" in behaviour and arguments[0] == "sequence":
+        out = Path(arguments[arguments.index("--out") + 1])
+        out.mkdir(parents=True, exist_ok=True)
+        frames = []
+        for image, lighting in behaviour["sequence"].items():
+            frames.append(
+                {"image": image, "lighting": f"{Path(image).stem}.json", "residual": 0.25, "determined": "all"}
+            )
+            (out / frames[-1]["lighting"]).write_text(json.dumps(lighting))
+        say(type="done", result=behaviour.get("result", {}) | {"out": str(out), "frames": frames})
     time.sleep(behaviour.get("sleep", 0))
     if "signal" in behaviour:
         os.kill(os.getpid(), behaviour["signal"])

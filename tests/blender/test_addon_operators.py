@@ -27,6 +27,11 @@ FOUND = {
         }
     ]
 }
+SAID = {
+    "determined": "the photo determines 3 of 4 coefficients; of order 2 and above: none",
+    "expected_error": {"order_1": None, "order_2": {"median": 0.124, "low": 0.08, "high": 0.2}},
+    "choice": {"appearance": "the texture does not line up"},
+}
 
 
 def coefficients(world):
@@ -74,7 +79,7 @@ def test_estimate_writes_the_world(photographed, fake_engine, tmp_path):
     fake_engine(
         log=str(log),
         lighting=LIGHTING,
-        result=FOUND,
+        result=FOUND | SAID,
         lines=[
             {"type": "progress", "stage": "fit", "fraction": 0.5, "message": ""},
             {"type": "warning", "message": "half of it is saturated"},
@@ -86,7 +91,11 @@ def test_estimate_writes_the_world(photographed, fake_engine, tmp_path):
     assert coefficients(photographed.world) == [tuple(row) for row in LIGHTING["coefficients"]]
     state = bpy.context.window_manager.btfsep
     assert not state.running and not state.error
-    assert "3 of 4 coefficients" in state.summary and [w.name for w in state.warnings] == ["half of it is saturated"]
+    assert [w.name for w in state.warnings] == ["half of it is saturated"]
+    assert state.summary == (
+        "Cube: wood/oak (unsure); The photo determines 3 of 4 coefficients; of order 2 and above: none; "
+        "Error to expect up to order 2: 12 % (8 to 20 %); The texture does not line up"
+    )
     entry = photographed.btfsep.objects[0]
     assert (entry.recognised, entry.unknown) == ("wood/oak", True)
     assert [(c.name, round(c.score, 3)) for c in entry.candidates] == [("wood/oak", 0.8), ("leather/black", 0.1)]
@@ -221,3 +230,124 @@ def test_files_that_are_no_json_are_refused_in_words(addon, scene, tmp_path):
             bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / "x.json"))
     with pytest.raises(RuntimeError, match="No such file"):
         bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / "absent.json"))
+
+
+@pytest.fixture
+def photo_sequence(photographed, tmp_path):
+    """The photo is one of three files, 0007 to 0009, opened as an image sequence; the World is the user's own."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number in (7, 8, 9):
+        bpy.data.images.load(str(tmp_path / "photo.png")).save(filepath=str(folder / f"shot_{number:04}.png"))
+    image = bpy.data.images.load(str(folder / "shot_0008.png"))
+    image.source = "SEQUENCE"
+    photographed.btfsep.image = image
+    photographed.world = bpy.data.worlds.new("Mine")
+    return photographed
+
+
+def light_of(number):
+    return LIGHTING | {"coefficients": [[number, 2, 3], [0.5, -0.5, 0], [0.25, 0, number], [0, 0, -1]]}
+
+
+ANSWER = {f"shot_{number:04}.png": light_of(number) for number in (7, 8, 9)}
+
+
+def first_coefficient(scene, frame):
+    scene.frame_set(frame)
+    return coefficients(scene.world.evaluated_get(bpy.context.evaluated_depsgraph_get()))[0]
+
+
+def test_a_sequence_becomes_keyframes_and_one_undo_takes_them_back(photo_sequence, fake_engine, tmp_path):
+    log = tmp_path / "arguments"
+    fake_engine(log=str(log), sequence=ANSWER | {"shot_x_0001.png": light_of(1)}, result=FOUND)
+    photo_sequence.btfsep.auto_order, photo_sequence.btfsep.appearance = True, "mean"
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.estimate_sequence() == {"FINISHED"}
+    scene = bpy.context.scene
+    assert [first_coefficient(scene, n) for n in (7, 8, 9)] == [(n, 2, 3) for n in (7, 8, 9)]
+    assert "3 lights, frames 7 to 9" in bpy.context.window_manager.btfsep.summary
+
+    arguments = json.loads(log.read_text())
+    option = dict(zip(arguments[2:-1:2], arguments[3:-1:2], strict=True))
+    assert arguments[0] == "sequence" and (option["--order"], option["--appearance"]) == ("4", "mean")
+    assert option["--images"] == str(tmp_path / "frames" / "shot_[0-9][0-9][0-9][0-9].png")
+    assert "Cube" in [o["name"] for o in json.loads(open(f"{arguments[1]}/job.json").read())["objects"]]
+
+    bpy.ops.ed.undo_push(message="sequence")
+    bpy.ops.ed.undo()
+    assert bpy.context.scene.world.name == "Mine" and not bpy.data.actions and not bpy.data.node_groups
+
+
+def test_frames_of_a_sequence_follow_the_background_image(photo_sequence, fake_engine):
+    fake_engine(sequence=ANSWER)
+    background = photo_sequence.camera.data.background_images.new()
+    background.image = photo_sequence.btfsep.image
+    background.image_user.frame_start, background.image_user.frame_offset = 101, 6  # photo 7 stands at frame 101
+    bpy.ops.btfsep.estimate_sequence()
+    assert [first_coefficient(photo_sequence, n)[0] for n in (101, 103)] == [7, 9]
+    bpy.ops.btfsep.estimate_sequence(frame_start=-5)
+    assert [first_coefficient(photo_sequence, n)[0] for n in (-5, -3)] == [7, 9]
+
+
+def test_a_photo_of_the_sequence_can_be_estimated_alone(photo_sequence, fake_engine, tmp_path):
+    log = tmp_path / "arguments"
+    fake_engine(log=str(log), lighting=LIGHTING)
+    (tmp_path / "frames" / "shot_0007.png").unlink()
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+    job = json.loads(log.read_text())[1]
+    assert open(f"{job}/photo.png", "rb").read() == (tmp_path / "frames" / "shot_0008.png").read_bytes()
+
+
+def test_a_sequence_that_fails_leaves_the_world(photo_sequence, fake_engine, tmp_path):
+    sentence = "shot_0008.png; the image is truncated or damaged; export it again"
+    answers = {
+        "truncated or damaged": {"lines": [{"type": "failed", "message": sentence, "exit_code": 2}], "exit": 2},
+        "order 3 needs 16": {"sequence": ANSWER | {"shot_0009.png": LIGHTING | {"order": 3}}},
+    }
+    for words, behaviour in answers.items():
+        fake_engine(**behaviour)
+        with pytest.raises(RuntimeError, match=words):
+            bpy.ops.btfsep.estimate_sequence()
+        assert photo_sequence.world.name == "Mine" and len(bpy.data.worlds) == 1 and not bpy.data.actions
+        assert words in bpy.context.window_manager.btfsep.error
+    photo_sequence.btfsep.image.colorspace_settings.name = "Non-Color"
+    with pytest.raises(RuntimeError, match="colour space Non-Color"):
+        bpy.ops.btfsep.estimate_sequence()
+    photo_sequence.btfsep.image = bpy.data.images.new("painted", 48, 32)
+    with pytest.raises(RuntimeError, match="its source is GENERATED"):
+        bpy.ops.btfsep.estimate_sequence()
+    with pytest.raises(RuntimeError, match="no image matches"):
+        bpy.ops.btfsep.estimate_sequence(images=str(tmp_path / "nothing" / "*.exr"))
+    assert photo_sequence.world.name == "Mine"
+
+
+def test_a_sequence_by_pattern_that_is_not_applied(photo_sequence, fake_engine, tmp_path):
+    fake_engine(sequence=ANSWER)
+    photo_sequence.btfsep.world_mode = "NONE"
+    assert bpy.ops.btfsep.estimate_sequence(images=str(tmp_path / "frames" / "*.png")) == {"FINISHED"}
+    assert photo_sequence.world.name == "Mine"
+
+
+def test_automatic_order_and_texture(photographed, fake_engine, tmp_path):
+    log = tmp_path / "arguments"
+    fake_engine(log=str(log), lighting=LIGHTING)
+    photographed.btfsep.auto_order, photographed.btfsep.appearance = True, "textured"
+    bpy.ops.btfsep.estimate()
+    arguments = json.loads(log.read_text())
+    assert arguments[arguments.index("--order") + 1] == "auto"
+    assert arguments[arguments.index("--appearance") + 1] == "textured"
+
+
+def test_pictures_are_opened_for_the_object_and_the_depth(photographed, fake_engine, tmp_path):
+    picture = str(tmp_path / "photo.png")
+    assert bpy.ops.btfsep.open_picture(filepath=picture, target="mask") == {"FINISHED"}
+    assert photographed.btfsep.objects[0].mask == photographed.btfsep.image
+    assert bpy.ops.btfsep.open_picture(filepath=picture, target="depth") == {"FINISHED"}
+    assert photographed.btfsep.depth == photographed.btfsep.image
+    with pytest.raises(RuntimeError, match="absent"):
+        bpy.ops.btfsep.open_picture(filepath=str(tmp_path / "absent.png"), target="depth")
+    photographed.btfsep.depth = None
+    photographed.btfsep.objects.clear()
+    with pytest.raises(RuntimeError, match="the list of objects is empty"):
+        bpy.ops.btfsep.open_picture(filepath=picture, target="mask")

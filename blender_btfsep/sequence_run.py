@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Estimate Sequence: the light of every photo of a standing camera, as keyframes of the World.
+
+The photos are an image sequence (an image with the source *Image Sequence*), or what a pattern matches.
+"""
+
+from pathlib import Path
+
+import bpy
+from bpy.props import IntProperty, StringProperty
+
+from . import animation, engine_process, frames, lighting_file, operators, photo, runs
+from .errors import InputError
+
+OUT = "sequence"  # the results' folder in that of the job
+
+
+def is_sequence(image) -> bool:
+    """Whether ``image`` stands for more than one photo."""
+    return image is not None and image.source == "SEQUENCE"
+
+
+def files_of(image) -> list[Path]:
+    """The files of an image sequence, in the order of their numbers.
+
+    Raises
+    ------
+    InputError
+        When it is no sequence of files, or the engine would take their colours for others than Blender does.
+    """
+    if image is None:
+        raise InputError("the photos", "none are chosen", "open an image sequence as the photo")
+    if image.source not in {"FILE", "SEQUENCE"}:
+        raise InputError(
+            f"the photo '{image.name}'", f"its source is {image.source}", "save the photos as an image sequence"
+        )
+    files = frames.family(photo.file_of(image))
+    if not photo.taken_as_is(image, files[0]):
+        raise InputError(
+            f"the photo '{image.name}'",
+            f"a sequence of {files[0].suffix} in the colour space {image.colorspace_settings.name} cannot be read",
+            "save the photos as linear EXR",
+        )
+    return files
+
+
+def start_of(image, camera, first: int) -> int:
+    """The frame at which photo number ``first`` stands: its number, or as the camera's background image shows it."""
+    for background in camera.data.background_images if camera is not None else ():
+        if background.source == "IMAGE" and background.image == image:
+            user = background.image_user
+            return first + user.frame_start - 1 - user.frame_offset
+    return first
+
+
+def photos(image, camera, pattern: str, start: int | None) -> tuple[list[Path], int | None]:
+    """The photos, and the frame of the first of them (None: its number), from what was asked for."""
+    if pattern:
+        return frames.matching(pattern), start
+    files = files_of(image)
+    return files, start_of(image, camera, frames.split(files[0].name)[1]) if start is None else start
+
+
+def engine_arguments(folder: Path, files, out: Path, *, pattern: str, order: int) -> list:
+    """The engine's command for the job in ``folder``."""
+    return ["sequence", folder, "--images", pattern or frames.pattern_of(files), "--out", out, "--order", order]
+
+
+def write_world(scene, result: dict, files, start, *, apply: bool, interpolation: str) -> str:
+    """Makes the engine's lights the World; gives a sentence about them.
+
+    Parameters
+    ----------
+    result : dict, the engine's answer
+    files : list of Path, the photos
+    start : the frame of the first, None: its number
+    apply : whether the World is changed
+    interpolation : of `animation.apply_sequence`
+
+    Raises
+    ------
+    InputError
+        When a lighting cannot be read. The World is then as it was.
+    """
+    folder = Path(result["out"])
+    at = dict(zip([p.name for p in files], frames.numbers([p.name for p in files], start=start), strict=True))
+    found = [f for f in result["frames"] if f["image"] in at]
+    lights = sorted(
+        ((at[f["image"]], lighting_file.read(folder / Path(f["lighting"]).name)) for f in found), key=lambda x: x[0]
+    )
+    if apply:
+        animation.apply_sequence(scene, lights, clamp=scene.btfsep.clamp, interpolation=interpolation)
+    worst = max(found, key=lambda f: f["residual"])
+    return (
+        f"{len(lights)} lights, frames {lights[0][0]} to {lights[-1][0]}; "
+        f"{worst['image']} fits worst, residual {worst['residual']:.3f}: {worst['determined']}"
+    )
+
+
+class BTFSEP_OT_estimate_sequence(runs.EngineOperator, bpy.types.Operator):
+    """Estimate the light of every photo of the image sequence and key it, as nodes of the World"""
+
+    bl_idname = "btfsep.estimate_sequence"
+    bl_label = "Estimate Sequence"
+    bl_options = {"REGISTER", "UNDO"}
+    task = "Estimating the sequence"
+    images: StringProperty(
+        name="Images",
+        description="Pattern of the photos, as //frames/*.exr. Empty: the image sequence in the panel",
+        options={"SKIP_SAVE"},
+    )
+    frame_start: IntProperty(
+        name="First Frame",
+        description="Frame of the first photo, where it is not the number in its name",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context):
+        reason = operators.missing(context)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def begin(self, context):
+        settings = context.scene.btfsep
+        pattern = bpy.path.abspath(self.images)
+        start = self.frame_start if self.properties.is_property_set("frame_start") else None
+        camera = settings.camera or context.scene.camera
+        self._files, self._start = photos(settings.image, camera, pattern, start)
+        folder = operators.write_job(context, context.scene, image_path=self._files[0])
+        arguments = engine_arguments(folder, self._files, folder / OUT, pattern=pattern, order=settings.order)
+        return [*arguments, *operators.engine_options(context)]
+
+    def _heard(self, message):
+        # Reading, solving and writing begin and end with every photo; how many are done is in those with a name.
+        if isinstance(message, engine_process.Progress) and not message.message:
+            if message.stage in {"reading", "fit", "writing"}:
+                return
+        super()._heard(message)
+
+    def finish(self, context, result):
+        scene = self.scene()
+        words = operators.take_materials(scene, result.get("objects") or [])
+        apply, interpolation = scene.btfsep.world_mode != "NONE", scene.btfsep.interpolation
+        words.append(write_world(scene, result, self._files, self._start, apply=apply, interpolation=interpolation))
+        return "; ".join(words)
+
+
+def add_command(commands, parents, *, scene_of, write_job, settings_of, run_engine, say) -> None:
+    """Adds ``sequence`` to the commands that Blender runs without a window."""
+    parser = commands.add_parser("sequence", parents=parents, help="the light of every photo, as keyframes")
+    parser.add_argument("--images", metavar="PATTERN", help="the photos, as 'frames/*.exr' (default: the panel's)")
+    parser.add_argument("--order", type=int, help="order of the spherical harmonics (default: the panel's)")
+    parser.add_argument("--frame-start", type=int, help="frame of the first photo (default: its number)")
+    choices = [name.lower() for name, *_ in animation.INTERPOLATIONS]
+    parser.add_argument("--interpolation", choices=choices, help="between the photos (default: the panel's)")
+
+    def run(options):
+        scene = scene_of(options)
+        settings = scene.btfsep
+        if options.world == "texture":
+            raise InputError("--world", "a texture has no keyframes", "choose nodes or none")
+        pattern = str(Path(options.images).absolute()) if options.images else ""
+        camera = scene.objects.get(options.camera or "") or settings.camera or scene.camera
+        if options.image:
+            raise InputError("--image", "a sequence has more than one", "give --images 'frames/*.exr'")
+        files, start = photos(settings.image, camera, pattern, options.frame_start)
+        apply = (options.world or settings.world_mode).upper() != "NONE"
+        options.image = files[0]
+        folder = write_job(options, scene)
+        out = Path(options.out).absolute() if options.out else folder / OUT
+        order = settings.order if options.order is None else options.order
+        arguments = engine_arguments(folder, files, out, pattern=pattern, order=order)
+        result = run_engine(options, [*arguments, *settings_of(options, scene)])
+        for line in operators.take_materials(scene, result.get("objects") or []):
+            say(line)
+        interpolation = options.interpolation.upper() if options.interpolation else settings.interpolation
+        say(write_world(scene, result, files, start, apply=apply, interpolation=interpolation))
+        say(f"wrote {out}")
+
+    parser.set_defaults(run=run)
+
+
+def register():
+    bpy.utils.register_class(BTFSEP_OT_estimate_sequence)
+
+
+def unregister():
+    bpy.utils.unregister_class(BTFSEP_OT_estimate_sequence)
