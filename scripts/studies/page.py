@@ -133,8 +133,8 @@ def _short(answers) -> str:
         if total:
             said = "" if method in BLIND else f", {hidden} of them hidden"
             lines.append(
-                f"- {NAMES[method]}: {bad} failures in {total} answers ({100 * bad / total:.0f} %), {already} of them on "
-                f"photographs that fail undisturbed too{said}."
+                f"- {NAMES[method]}: {bad} failures in {total} answers ({100 * bad / total:.0f} %), {already} of them "
+                f"on photographs that fail undisturbed too{said}."
             )
     return "\n".join(lines)
 
