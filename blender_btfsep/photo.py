@@ -33,7 +33,7 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
         When there is no picture.
     """
     if isinstance(source, bpy.types.Image):
-        return _put_image(source, Path(folder))
+        return _put_one_of(source, Path(folder)) if source.source == "SEQUENCE" else _put_image(source, Path(folder))
     path = Path(bpy.path.abspath(str(source)))
     if not path.is_file():
         raise InputError(f"the photo {path.name}", "there is no such file", "choose the photo again")
@@ -64,8 +64,7 @@ def taken_as_is(image, path: Path) -> bool:
 def _put_image(image, folder: Path):
     space = image.colorspace_settings.name
     path = file_of(image)
-    from_file = image.source in {"FILE", "SEQUENCE"}  # of a sequence, the photo that was opened
-    as_is = from_file and not image.is_dirty and path is not None and path.suffix.lower() in READABLE
+    as_is = image.source == "FILE" and not image.is_dirty and path is not None and path.suffix.lower() in READABLE
     float_file = as_is and path.suffix.lower() in FLOAT
     as_is = as_is and (space in LINEAR or (space in CODED and not float_file))
     size = _size(image)
@@ -73,6 +72,19 @@ def _put_image(image, folder: Path):
         name = _copy(image.packed_file.data if image.packed_file else path, folder, suffix=path.suffix.lower())
         return name, "linear" if space in LINEAR else "auto", size
     return _save(image, folder), "linear", size
+
+
+def _put_one_of(sequence, folder: Path):
+    """The photo that was opened: a sequence has pixels only at the frames where the scene has them."""
+    path = file_of(sequence)
+    if path is None or not path.is_file():
+        raise InputError(f"the photo {sequence.name}", "there is no such file", "choose the photos again")
+    image = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        image.colorspace_settings.name = sequence.colorspace_settings.name
+        return _put_image(image, folder)
+    finally:
+        bpy.data.images.remove(image)
 
 
 def put_mask(image, folder, name: str, size) -> str:

@@ -8,6 +8,7 @@ from btfsep_engine.job.model import Camera, TriangleMesh
 STEEP = 2.0  # a step of more pixel footprints than this may be a discontinuity …
 JUMP = 4.0  # … if it is also this many times its neighbours' steps
 CLIFF = 25.0  # beyond it, it is one always (88 degrees)
+NOTHING = 1e10  # what Blender's Z pass holds where nothing is, and infinity
 REACH = 2  # pixels; normals come from windows of 5 x 5
 
 
@@ -16,7 +17,7 @@ def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
 
     Parameters
     ----------
-    depth : (h, w) float, z-depth along the view axis, world units; 0 or inf where nothing is
+    depth : (h, w) float, z-depth along the view axis, world units; 0, or `NOTHING` and more, where nothing is
     camera : of the same size
 
     Returns
@@ -27,7 +28,7 @@ def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
     """
     z = np.asarray(depth, np.float64)
     h, w = z.shape
-    valid = np.isfinite(z) & (z > 0)
+    valid = (z > 0) & (z < NOTHING)
     inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
     across = _connected(z, inverse, valid, 1, camera.fx)
     down = _connected(z, inverse, valid, 0, camera.fy)

@@ -2,6 +2,7 @@
 """The command line inside Blender, in processes of its own: exit status, words, the saved file."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -112,3 +113,65 @@ def test_apply_without_an_engine(blend, tmp_path):
     assert done.returncode == 0, done.stderr
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
     assert bpy.context.scene.world.node_tree.nodes["Environment Texture"].image.packed_file
+
+
+def test_sequence_saves_keyframes(blend, fake_engine, tmp_path):
+    names = ["dusk 3.png", "dusk 12.png"]
+    (tmp_path / "frames").mkdir()
+    for name in names:
+        shutil.copy(tmp_path / "photo.png", tmp_path / "frames" / name)
+    lights = {name: LIGHTING | {"coefficients": [[i, 2, 3]]} for i, name in enumerate(names)}
+    engine = fake_engine(sequence=lights, log=str(tmp_path / "log"))
+    given = ("sequence", "--engine", engine, "--images", tmp_path / "frames" / "*.png", "--order", 0)
+    done = blender(
+        blend, *given, "--interpolation", "constant", "--out", tmp_path / "out", "--save", tmp_path / "lit.blend"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "2 lights, frames 3 to 12" in done.stdout and f"wrote {tmp_path / 'out'}" in done.stdout
+    assert json.loads((tmp_path / "log").read_text())[0] == "sequence"
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
+    scene = bpy.context.scene
+    found = []
+    for frame in (3, 11, 12):
+        scene.frame_set(frame)
+        tree = scene.world.evaluated_get(bpy.context.evaluated_depsgraph_get()).node_tree
+        found.append(tuple(tree.nodes["BTFsep SH Lighting"].inputs["Y 0 0"].default_value))
+    assert found == [(0, 2, 3), (0, 2, 3), (1, 2, 3)]
+
+    cases = {
+        ("--world", "texture"): "a texture has no keyframes",
+        ("--image", tmp_path / "photo.png"): "a sequence has more than one",
+        ("--images", tmp_path / "none*.png"): "no image matches",
+    }
+    for arguments, words in cases.items():
+        done = blender(blend, *given, *arguments)
+        assert done.returncode == 2 and words in done.stderr and "Traceback" not in done.stderr
+
+
+def test_depth_exposure_and_options_of_the_estimate(blend, fake_engine, tmp_path):
+    (tmp_path / "z.exr").write_bytes(b"copied as it is")
+    engine = fake_engine(lighting=LIGHTING, log=str(tmp_path / "log"))
+    given = ("--depth", tmp_path / "z.exr", "--exposure", "-1.5", "--material", "wood/oak", "--job", tmp_path / "job")
+    done = blender(
+        blend,
+        "estimate",
+        "--engine",
+        engine,
+        *given,
+        "--appearance",
+        "mean",
+        "--order",
+        "auto",
+        "--job",
+        tmp_path / "job",
+    )
+    assert done.returncode == 0, done.stderr
+    job = json.loads((tmp_path / "job" / "job.json").read_text())
+    assert (job["depth"], job["exposure_ev"]) == ("depth.exr", -1.5)
+    assert [(o["name"], o["mesh"], o["material"]) for o in job["objects"]] == [("Surface", None, "wood/oak")]
+    assert (tmp_path / "job" / "depth.exr").read_bytes() == b"copied as it is"
+    arguments = json.loads((tmp_path / "log").read_text())
+    assert arguments[arguments.index("--order") + 1] == "auto"
+    assert arguments[arguments.index("--appearance") + 1] == "mean"
+    done = blender(blend, "export", "--depth", tmp_path / "z.exr", "--object", "Cube")
+    assert done.returncode == 2 and "objects are named, too" in done.stderr

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Masks and depths that the add-on puts into a job, as the engine reads them."""
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_btfsep.errors import InputError
+from blender_btfsep.export import SURFACE, export_job
+from btfsep_engine.job.load import load_job
+
+WIDTH, HEIGHT = 48, 32
+
+
+def make_image(name, rgba, *, save=None):
+    """An image with ``rgba : (h, w, 4)``, row 0 at the top; saved to the file ``save`` and opened again if given."""
+    height, width = rgba.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=True)
+    image.pixels.foreach_set(np.ascontiguousarray(rgba[::-1], np.float32).ravel())
+    if save is None:
+        return image
+    image.filepath_raw, image.file_format = str(save), "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+    return bpy.data.images.load(str(save))
+
+
+@pytest.fixture
+def ball(scene, add_camera, tmp_path):
+    """A scene with a ball of radius 1 in the origin, its camera at a slant, and a photo that is grey everywhere."""
+    scene.render.resolution_x, scene.render.resolution_y = WIDTH, HEIGHT
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32)
+    ball = bpy.context.object
+    ball.data.shade_smooth()
+    add_camera(scene, (3, -4, 2))
+    make_image("photo", np.full((HEIGHT, WIDTH, 4), [0.5, 0.5, 0.5, 1]), save=tmp_path / "photo.png")
+    return ball
+
+
+@pytest.mark.parametrize("kind", ["painted", "file", "alpha"])
+def test_the_engine_reads_the_mask_where_it_was_painted(scene, ball, tmp_path, kind):
+    inside = np.zeros((HEIGHT, WIDTH), bool)
+    inside[3:20, 5:31] = True
+    inside[10, 8] = False
+    rgba = np.zeros((HEIGHT, WIDTH, 4))
+    rgba[..., :3] = inside[..., None] * [0, 0.004, 0] if kind != "alpha" else 1  # one step of 255, one channel
+    rgba[..., 3] = inside if kind == "alpha" else 1
+    mask = make_image("mask", rgba, save=None if kind == "painted" else tmp_path / "mask.png")
+    before = list(bpy.data.images)
+    folder = export_job(
+        scene,
+        tmp_path / "job",
+        image_path=tmp_path / "photo.png",
+        objects=[ball],
+        occluders=[],
+        masks={ball.name: mask},
+        exposure_ev=1.25,
+    ).parent
+    job = load_job(folder)
+    assert np.array_equal(job.objects[0].mask, inside) and job.exposure_ev == 1.25
+    assert list(bpy.data.images) == before  # nothing of the export's stays
+
+
+def test_masks_that_make_no_sense_are_refused(scene, ball, tmp_path):
+    given = {"image_path": tmp_path / "photo.png", "objects": [ball], "occluders": []}
+    for size, words in (((HEIGHT, WIDTH), "black everywhere"), ((WIDTH, HEIGHT), "the photo 48 x 32")):
+        mask = make_image("mask", np.zeros((*size, 4)))
+        with pytest.raises(InputError, match=words):
+            export_job(scene, tmp_path / "job", masks={ball.name: mask}, **given)
+        assert not (tmp_path / "job" / "job.json").exists()
+
+
+def test_the_surface_of_a_depth_by_cycles_lies_where_the_ball_is(scene, ball, tmp_path):
+    """Cycles' Z pass, opened as an image, exported: the engine's surface is the ball's, in the world."""
+    scene.view_layers[0].use_pass_z = True
+    scene.cycles.samples, scene.cycles.filter_width = 1, 0.01
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):  # Blender 5
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    scene.render.filepath = str(tmp_path / "z.exr")
+    bpy.ops.render.render(write_still=True, scene=scene.name)
+    depth = bpy.data.images.load(str(tmp_path / "z.exr"))
+    given = {"image_path": tmp_path / "photo.png", "occluders": [], "materials": {SURFACE: "wood/oak"}}
+    job = load_job(export_job(scene, tmp_path / "job", objects=[], depth=depth, **given).parent)
+    assert [(o.name, o.material) for o in job.objects] == [(SURFACE, "wood/oak")]
+    radius = np.linalg.norm(job.objects[0].mesh.vertices, axis=1)
+    assert len(radius) > 150 and np.abs(radius - 1).max() < 0.01
+    with pytest.raises(InputError, match="there is a depth, too"):
+        export_job(scene, tmp_path / "job", objects=[ball], depth=depth, **given)
+
+
+def test_depths_that_are_no_exr_file_are_refused(scene, ball, tmp_path):
+    given = {"image_path": tmp_path / "photo.png", "objects": [], "occluders": []}
+    cases = {
+        "is no file": make_image("painted", np.ones((HEIGHT, WIDTH, 4))),
+        "it is a .png file": make_image("png", np.ones((HEIGHT, WIDTH, 4)), save=tmp_path / "z.png"),
+        "no such file": str(tmp_path / "absent.exr"),
+    }
+    for words, depth in cases.items():
+        with pytest.raises(InputError, match=words):
+            export_job(scene, tmp_path / "job", depth=depth, **given)
+    with pytest.raises(InputError, match="none is chosen"):
+        export_job(scene, tmp_path / "job", **given)
