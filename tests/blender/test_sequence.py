@@ -55,7 +55,7 @@ def evaluated(scene, frame):
     )
 
 
-def white_ball(scene, add_camera):
+def white_ball(scene, add_camera, colour=1.0):
     """A white matte ball that fills an orthographic picture of 2.2 units; gives its normals, (h, w, 3), and (h, w)."""
     bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
     ball = bpy.context.object
@@ -64,7 +64,7 @@ def white_ball(scene, add_camera):
     matte.use_nodes = True
     matte.node_tree.nodes.clear()
     diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
+    diffuse.inputs["Color"].default_value = (colour, colour, colour, 1)
     output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
     matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
     ball.data.materials.append(matte)
@@ -191,3 +191,38 @@ def test_files_and_their_frames(tmp_path):
         frames.family(tmp_path / "still.exr")
     with pytest.raises(InputError, match="no image matches"):
         frames.matching(tmp_path / "z*.exr")
+
+
+def test_from_photos_by_cycles_to_keyframes_by_the_engine(addon, scene, render, add_camera, tmp_path):
+    """The whole way with the engine itself: the World at the frame of a photo lights the ball as in that photo."""
+    white_ball(scene, add_camera, colour=0.8)
+    scene.camera.data.type, scene.camera.data.lens = "PERSP", 80
+    (tmp_path / "library").mkdir()
+    (tmp_path / "library" / "index.json").write_text('{"format": "btfsep-library", "version": 1, "materials": []}')
+    bpy.context.preferences.addons["blender_btfsep"].preferences.library = str(tmp_path / "library")
+    (tmp_path / "photos").mkdir()
+    y, x = np.mgrid[:40, :40] - 19.5
+    ball = np.hypot(x, y) < 12  # its radius is 14 pixels
+    photos = {}
+    for number in (12, 14):
+        world.apply_lighting(scene, lighting(positive_coefficients(2, seed=number)))
+        photos[number] = render(scene)
+        bpy.data.images.load(scene.render.filepath).save(filepath=str(tmp_path / "photos" / f"day_{number}.exr"))
+    world.restore_previous(scene)
+    settings = scene.btfsep
+    settings.image = bpy.data.images.load(str(tmp_path / "photos" / "day_14.exr"))
+    settings.image.source = "SEQUENCE"
+    entry = settings.objects.add()
+    entry.object, entry.material = bpy.data.objects["Sphere"], "reference/white-diffuse"
+    settings.preset, settings.order, settings.occluders = "draft", 2, "NONE"
+    assert bpy.ops.btfsep.estimate_sequence() == {"FINISHED"}
+    assert "2 lights, frames 12 to 14" in bpy.context.window_manager.btfsep.summary
+
+    errors = {}
+    for number in photos:
+        scene.frame_set(number)
+        picture = render(scene)
+        for other, photo in photos.items():
+            errors[number, other] = np.sqrt(((picture - photo)[ball] ** 2).mean() / (photo[ball] ** 2).mean())
+    assert errors[12, 12] < 0.03 and errors[14, 14] < 0.03
+    assert errors[12, 14] > 0.1 and errors[14, 12] > 0.1
