@@ -59,7 +59,7 @@ def doctor(*, library_folder, reporter):
 @click.option("--estimator", help="map (natural-light prior) or least-squares (the paper's).")
 @click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
-@click.option("--directions", type=int, help="Light directions per pixel.")
+@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")
 @click.option(
     "--bounces",
     type=NumberOrAuto(),
@@ -127,7 +127,7 @@ def train(*, job, library_folder, preset, reporter, **changes):
 @click.option("--lighting", required=True, type=click.Path(path_type=Path), help="lighting.json or an environment map.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Image to write, .exr or .png.")
 @click.option("--material", help="The material of all objects.")
-@click.option("--directions", type=int, help="Light directions per pixel.")
+@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")
 @click.option("--bounces", type=int, help="Reflections followed.")
 @estimate_options
 @command

@@ -4,6 +4,7 @@
 import numpy as np
 
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.render.quadrature import enough_directions
 from btfsep_engine.render.reference import Reference
 
 
@@ -24,12 +25,31 @@ def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[
     """
     if settings.transport == "reference":
         return _by_reference(scene, materials, chosen, lights, settings)
+    directions, error = shared_directions(scene, materials, chosen, settings)
     indirect = scene.indirect(materials, lights, bounces=settings.reflections)
     basis = []
     for i, (points, material) in enumerate(zip(chosen, materials, strict=True)):
-        basis.append(scene.radiance(points, material, lights, directions=settings.directions, indirect=indirect))
+        basis.append(scene.radiance(points, material, lights, directions=directions, indirect=indirect))
         scene.reporter.progress("transport", (i + 1) / len(chosen), material.name)
-    return basis, {"by": "kernel", "directions": settings.directions, "bounces": settings.reflections}
+    record = {"by": "kernel", "directions": directions, "bounces": settings.reflections}
+    return basis, record if error is None else {**record, "direction_error": error}
+
+
+def shared_directions(scene, materials, chosen, settings: Settings) -> tuple[int, float | None]:
+    """How many light directions, and their estimated error (None where the number was asked for)."""
+    if settings.directions != "auto":
+        return settings.directions, None
+    found = [
+        enough_directions(
+            lambda p, n: scene.transport(p, directions=n),
+            points,
+            material,
+            order=settings.fit_order,
+            tolerance=settings.tolerance,
+        )
+        for points, material in zip(chosen, materials, strict=True)
+    ]
+    return max(n for n, _ in found), max(e for _, e in found)
 
 
 def _by_reference(scene, materials, chosen, lights, settings):

@@ -57,7 +57,9 @@ def run_compare(a, b, *, order: int, job=None, library=None, material=None, repo
         names = [material or o.material for o in scene.job.objects]
         found = [m.material for m in object_materials(scene, library, settings, names=names)]
         images = [
-            render_objects(scene, found, SHLighting(x.coefficients), textured=True, directions=settings.directions)[0]
+            render_objects(
+                scene, found, SHLighting(x.coefficients), textured=True, directions=settings.many_directions
+            )[0]
             for x in (first, second)
         ]
         result["rendering_psnr_free_scale"] = psnr(images[0], images[1])

@@ -31,7 +31,7 @@ from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
-from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.sampling import choose_pixels
 from btfsep_engine.render.surface import SurfacePoints
 
 
@@ -104,7 +104,7 @@ def appearance(material: Material, settings: Settings) -> Material:
 
 
 def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settings) -> SurfacePoints:
-    """The points of an object that enter the fit: usable pixels, spread over the picture."""
+    """The points of an object that enter the fit: usable pixels, those that tell most of the light."""
     points = scene.points(index, textured=settings.appearance == "textured")
     usable = scene.usable(points)
     clipped = 1 - usable.mean()
@@ -114,7 +114,7 @@ def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settin
             "transparent and were left out: what they saw of the light is not in the estimate"
         )
     points = points.take(np.flatnonzero(usable))
-    return points.take(spread(points, share, seed=settings.seed)) if share else points
+    return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points
 
 
 def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None, others=()) -> Estimate:

@@ -21,7 +21,7 @@ from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.sampling import choose_pixels
 
 SHAPE_NOISE = 0.05  # misfit of an object without texture, over its photo: shape, noise, what the basis leaves out
 TEXTURE_SHARE = 0.6  # of a texture's contrast: so much stays a pixel's own misfit (white, leather, wood, denim alike)
@@ -60,7 +60,9 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
     with reporter.stage("transport"):
         points = [scene.points(i, textured=textured) for i in range(len(materials))]
         counts = shares(scene, settings.pixels)
-        chosen = [p.take(spread(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)]
+        chosen = [
+            p.take(choose_pixels(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)
+        ]
         problem = pose(scene, [appearance(m, settings) for m in materials], chosen, settings)
     if noise is None:
         noise = max(_expected_noise(m, p, scene, textured) for m, p in zip(materials, chosen, strict=True))

@@ -63,7 +63,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
         materials = [m.material for m in found]
         indirect = scene.indirect(materials, light, bounces=settings.reflections, seed=settings.seed)
         image = render_objects(
-            scene, materials, light, textured=True, directions=settings.directions, indirect=indirect
+            scene, materials, light, textured=True, directions=settings.many_directions, indirect=indirect
         )[0]
     shown = np.isfinite(image).all(-1)
     image = np.where(shown[..., None], image, 0).astype(np.float32)

@@ -22,7 +22,7 @@ from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.sampling import choose_pixels
 
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 
@@ -117,7 +117,9 @@ def run_sequence(
     with reporter.stage("transport"):
         points = [scene.points(i, textured=settings.appearance == "textured") for i in range(len(found))]
         counts = shares(scene, settings.pixels)
-        points = [p.take(spread(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)]
+        points = [
+            p.take(choose_pixels(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)
+        ]
         problem = pose(scene, [appearance(m.material, settings) for m in found], points, settings)
     with reporter.stage("factorising"):
         solver = FrameSolver(problem.all_basis, problem.blocks, problem.pixels, settings)

@@ -8,6 +8,7 @@ from btfsep_engine.errors import InputError
 LARGEST_ORDER = 9
 ESTIMATORS = ("map", "least-squares")
 TRANSPORTS = ("kernel", "reference")
+IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 4  # where interreflections are modelled and no number was asked for
 
 
@@ -25,7 +26,8 @@ class Settings:
     appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
         (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
-    directions : light directions per pixel
+    directions : light directions per pixel, or "auto": as many as ``tolerance`` asks for
+    tolerance : relative error that the number of directions may make in the basis images
     bounces : reflections followed; 1 is light that comes straight from outside; "auto": more than that only where it
         changes the estimate by more than its stated uncertainty (pipeline/interreflection.py)
     transport : what makes the basis images: "kernel", or "reference" (the paper's path-traced image for each light)
@@ -42,7 +44,8 @@ class Settings:
     estimator: str = "map"
     appearance: str = "auto"
     pixels: int = 4000
-    directions: int = 512
+    directions: int | str = "auto"
+    tolerance: float = 0.02
     bounces: int | str = "auto"
     transport: str = "kernel"
     samples: int = 256
@@ -58,16 +61,21 @@ class Settings:
         return LARGEST_ORDER if self.estimator == "map" or self.order == "auto" else self.order
 
     @property
+    def many_directions(self) -> int:
+        """The number of light directions for images that are looked at."""
+        return IMAGE_DIRECTIONS if self.directions == "auto" else self.directions
+
+    @property
     def reflections(self) -> int:
         """The number of reflections to follow where none is chosen by an estimate."""
         return MODELLED_BOUNCES if self.bounces == "auto" else self.bounces
 
 
 PRESETS = {
-    "draft": Settings("draft", pixels=1000, directions=256, training_pixels=8000, training_directions=128),
+    "draft": Settings("draft", pixels=1000, tolerance=0.05, training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
-        "accurate", pixels=16000, directions=1024, training_directions=512, training_pixels=24000, training_turns=4
+        "accurate", pixels=16000, tolerance=0.007, training_directions=512, training_pixels=24000, training_turns=4
     ),
     "paper": Settings("paper", estimator="least-squares", appearance="mean", pixels=0, directions=1024, bounces=1),
 }
@@ -98,10 +106,10 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--classifier", f"'{settings.classifier}'", "choose 'svm' or 'nearest'")
     if not (settings.bounces == "auto" or (isinstance(settings.bounces, int) and 1 <= settings.bounces <= 64)):
         raise InputError("--bounces", str(settings.bounces), "choose 1 to 64, or auto")
-    if settings.pixels < 0 or not 16 <= settings.directions <= 65536:
-        raise InputError(
-            "the settings",
-            f"{settings.pixels} pixels, {settings.directions} directions",
-            "choose pixels >= 0, directions 16 to 65536",
-        )
+    if not (
+        settings.directions == "auto" or (isinstance(settings.directions, int) and 16 <= settings.directions <= 65536)
+    ):
+        raise InputError("--directions", str(settings.directions), "choose 16 to 65536, or auto")
+    if settings.pixels < 0:
+        raise InputError("--pixels", str(settings.pixels), "choose a number of pixels, or 0 for all")
     return settings

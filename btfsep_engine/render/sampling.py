@@ -1,35 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which pixels enter the fit, chosen before a ray is traced.
 
-The rule (docs/sampling.md has the figures behind it):
+The rule (docs/sampling.md has the figures behind it), inside the object's region, whose edge is left out already:
 
-1. Away from silhouettes: a pixel near the edge of the object's region, or near a jump of depth inside it, mixes two
-   surfaces, and the true (displaced) outline is not the mesh's. Such pixels are left out while enough others remain.
-2. Stratified over position and normal: a balanced k-d tree cuts the visible surface into as many equal parts as pixels
-   are wanted, by halves along the widest of six coordinates (place in the scene, normal); each part gives one pixel,
-   at a random place in it.
-3. By expected information: parts are equal in a sum of weights, half of which is even and half the pixel's leverage
-   (its share in what all pixels together tell, the D-optimal design's sensitivity; Kiefer and Wolfowitz 1960) on
-   coefficients of low order. Leverage comes from the closed form of unshadowed transport: a diffuse part about the
-   normal and a lobe about the mirror direction (Ramamoorthi and Hanrahan 2001). Nothing is traced for it.
+1. Stratified over position and normal: along a space-filling (Morton) curve through six coordinates, place in the
+   scene and normal; every stretch of it gives one pixel, at a random place in it.
+2. By expected information: stretches are equal in a sum of weights, half of which is even and half the pixel's
+   leverage, its share in what all pixels together tell (the sensitivity of a Bayesian D-optimal design; Kiefer and
+   Wolfowitz 1960, Chaloner and Verdinelli 1995). Leverage comes from the closed form of unshadowed transport: a
+   diffuse part about the normal and a lobe about the mirror direction (Ramamoorthi and Hanrahan 2001). Nothing is
+   traced for it.
+
+Where few pixels have the normals that tell most (a ball on a table) this gives them ten times their share; where an
+object shows all normals, it hardly matters which pixels are taken. The fit needs no weights against the choice: it
+conditions on where the pixels are.
 """
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from btfsep_engine import sh
 from btfsep_engine.light.natural import natural_prior
 
-MARGIN = 2.0  # pixels kept away from silhouettes; 1 is what a photo's own filter reaches
-LEAST_LEFT = 0.5  # of the region: so much is left, or the margin shrinks
-JUMP = 3.0  # pixels: how far a surface may be off the plane through its neighbours
 NORMAL_WEIGHT = 0.5  # of a normal's difference against a distance in scene radii
-CANDIDATES = 8  # per pixel wanted: more cannot be told apart, and a large photo has millions
+CANDIDATES = 1 << 16  # more pixels than these are thinned evenly first
 LEVERAGE_SHARE = 0.5
-LEVERAGE_ORDER = 5
-LOBE_SHARE = 0.3  # of the reflected light; what the lobe's width is matters little
-LOBE_WIDTH = 0.35  # radians
-MISFIT = 0.1  # of the photo, as good fits have it: what leverage is measured against
+LEVERAGE_ORDER = 4
+NORMAL_CELLS = 24  # along an edge of the cube of normals, in whose cells leverage is taken to be one number
+LOBE_SHARE, LOBE_WIDTH = 0.3, 0.35  # of the reflected light; radians. A mean material: the choice hardly feels them
+MISFIT = 0.1  # of the photo, as in a good fit: what leverage is measured against
+EVIDENCE = 100  # pixels' worth of independent evidence in a photo, misfit being structured
 
 
 def spread(points, count: int, *, seed: int = 0) -> np.ndarray:
@@ -41,7 +40,7 @@ def spread(points, count: int, *, seed: int = 0) -> np.ndarray:
     n = len(points)
     if count >= n:
         return np.arange(n)
-    order = np.argsort(_morton(points.pixels[:, 0], points.pixels[:, 1]), kind="stable")
+    order = np.argsort(morton(points.pixels, bits=16), kind="stable")
     return systematic(order, np.ones(n), count, seed=seed)
 
 
@@ -58,16 +57,21 @@ def choose_pixels(points, count: int, *, seed: int = 0, leverage_share: float = 
     -------
     (min(n, count),) int, ascending, without repetition
     """
-    candidates = spread(points, CANDIDATES * count, seed=seed)
+    candidates = spread(points, max(CANDIDATES, 2 * count), seed=seed)
     if count >= len(candidates):
         return candidates
-    some = points.take(candidates)
-    size = np.linalg.norm(some.position - some.position.mean(0), axis=1).max()
-    coordinates = np.concatenate([some.position / max(size, 1e-300), some.normal * NORMAL_WEIGHT], 1)
+    some = points if len(candidates) == len(points) else points.take(candidates)
     weight = np.ones(len(some))
     if leverage_share > 0:
         weight = (1 - leverage_share) + leverage_share * leverage(some.normal, some.to_eye)
-    return candidates[systematic(tree_order(coordinates, count), weight, count, seed=seed)]
+    return candidates[systematic(surface_order(some.position, some.normal), weight, count, seed=seed)]
+
+
+def surface_order(position, normal) -> np.ndarray:
+    """An order (n,) in which neighbours are near in place and normal, both (n, 3)."""
+    size = max(float(np.ptp(position, axis=0).max()), 1e-300) / 2
+    place = np.concatenate([(position - position.min(0)) / size, (normal + 1) * NORMAL_WEIGHT], 1)
+    return np.argsort(morton(np.minimum(place * 128, 255).astype(np.int64), bits=8), kind="stable")
 
 
 def systematic(order, weight, count: int, *, seed: int = 0) -> np.ndarray:
@@ -110,37 +114,32 @@ def capped_chances(weight, count: int) -> np.ndarray:
     return chance
 
 
-def tree_order(coordinates, leaves: int) -> np.ndarray:
-    """An order (n,) in which neighbours are near in all coordinates (n, d): the leaves of a balanced k-d tree.
-
-    Every part is halved at the median of its widest coordinate, all parts of a level at once.
-    """
-    n = len(coordinates)
-    order, bounds = np.arange(n), np.array([0, n])
-    while len(bounds) - 1 < leaves:
-        inside = coordinates[order]
-        low, high = (f.reduceat(inside, bounds[:-1], axis=0) for f in (np.minimum, np.maximum))
-        widest = (high - low).argmax(1)
-        part = np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
-        order = order[np.lexsort((inside[np.arange(n), widest[part]], part))]
-        bounds = np.unique(np.concatenate([bounds, (bounds[:-1] + bounds[1:]) // 2]))
-    return order
-
-
 def leverage(normal, to_eye) -> np.ndarray:
     """What each pixel adds to what all together tell of the light, (n,), mean 1.
 
-    a^T (A^T A / s^2 + P^-1)^-1 a for its row a of cheap basis images, with natural light as the prior P.
+    a^T (A^T A / s^2 + P^-1)^-1 a for its row a of cheap basis images, with natural light as the prior P. Found for
+    the mean pixel of each cell of normals.
 
     Parameters
     ----------
     normal, to_eye : (n, 3) float, unit
     """
-    rows = cheap_basis(normal, to_eye) * natural_prior(LEVERAGE_ORDER).deviation
-    noise = MISFIT * np.sqrt((rows[:, 0] ** 2).mean()) / natural_prior(LEVERAGE_ORDER).deviation[0]
-    gram = rows.T @ rows / max(noise, 1e-300) ** 2 / len(rows) * 100 + np.eye(rows.shape[1])
+    cell = np.minimum(((normal + 1) * (NORMAL_CELLS / 2)).astype(np.int64), NORMAL_CELLS - 1)
+    _, cell, share = np.unique(
+        (cell[:, 0] * NORMAL_CELLS + cell[:, 1]) * NORMAL_CELLS + cell[:, 2], return_inverse=True, return_counts=True
+    )
+    cell, share = cell.reshape(-1), share / len(normal)
+
+    def mean(vectors):
+        sums = np.stack([np.bincount(cell, vectors[:, i]) for i in range(3)], 1)
+        return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
+
+    prior = natural_prior(LEVERAGE_ORDER)
+    rows = cheap_basis(mean(normal), mean(to_eye)) * np.sqrt(prior.deviation**2 + prior.mean**2)
+    rows *= np.sqrt(EVIDENCE) / MISFIT / np.linalg.norm(rows[:, 0] * np.sqrt(share))
+    gram = (rows * share[:, None]).T @ rows + np.eye(rows.shape[1])
     found = np.square(np.linalg.solve(np.linalg.cholesky(gram), rows.T)).sum(0)
-    return found / max(found.mean(), 1e-300)
+    return found[cell] / (found @ share)
 
 
 def cheap_basis(normal, to_eye) -> np.ndarray:
@@ -157,45 +156,11 @@ def cheap_basis(normal, to_eye) -> np.ndarray:
     )
 
 
-def away_from_edges(region, depth, focal: float, *, margin: float = MARGIN) -> np.ndarray:
-    """The pixels (h, w) bool of ``region`` that are ``margin`` pixels or more from its edge and from depth's jumps.
-
-    Parameters
-    ----------
-    region : (h, w) bool
-    depth : (h, w) float, along the camera's axis; only read inside the region
-    focal : the camera's focal length in pixels
-    margin : pixels; it is halved as long as less than `LEAST_LEFT` of the region would be left
-    """
-    smooth = region & ~depth_jumps(region, depth, focal)
-    far = distance_transform_edt(np.pad(smooth, 1))[1:-1, 1:-1]
-    while margin >= 1:
-        inner = far > margin
-        if inner.sum() >= LEAST_LEFT * region.sum():
-            return inner
-        margin /= 2
-    return region
-
-
-def depth_jumps(region, depth, focal: float) -> np.ndarray:
-    """Pixels (h, w) bool where the surface is not smooth.
-
-    1 / depth is an affine function of the pixel on any plane, however slanted: its second difference, in pixels' own
-    size at that depth, says how far the surface is off the plane through the two neighbours.
-    """
-    inverse = np.where(region, 1 / np.maximum(np.where(region, depth, 1), 1e-300), np.nan)
-    out = np.zeros(region.shape, bool)
-    for axis in (0, 1):
-        x, jump = np.moveaxis(inverse, axis, 0), np.moveaxis(out, axis, 0)
-        bend = np.abs(x[:-2] - 2 * x[1:-1] + x[2:]) / x[1:-1] * focal
-        jump[1:-1] |= np.nan_to_num(bend, nan=0.0) > JUMP  # beside the region: its edge is seen to already
-    return out
-
-
-def _morton(row, column):
-    """Interleaved bits of two 16-bit coordinates."""
-    code = np.zeros(len(row), np.int64)
-    for bit in range(16):
-        code |= ((column.astype(np.int64) >> bit) & 1) << (2 * bit)
-        code |= ((row.astype(np.int64) >> bit) & 1) << (2 * bit + 1)
+def morton(coordinates, *, bits: int) -> np.ndarray:
+    """Interleaved bits of whole coordinates (n, d), each of ``bits`` bits: (n,) int64; d * bits <= 63."""
+    columns = np.ascontiguousarray(coordinates.T, np.int64)
+    code, d = np.zeros(columns.shape[1], np.int64), len(columns)
+    for bit in range(bits):
+        for i, column in enumerate(columns):
+            code |= ((column >> bit) & 1) << (d * bit + d - 1 - i)
     return code
