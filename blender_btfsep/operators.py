@@ -113,7 +113,7 @@ def told(result: dict) -> list:
     expected = (result.get("expected_error") or {}).get("order_2")
     if expected:
         median, low, high = (f"{100 * expected[key]:.0f}" for key in ("median", "low", "high"))
-        words.append(f"Error to expect up to order 2: {median} % ({low} to {high} %)")
+        words.append(f"Error to expect up to order 2: {median}% ({low}% to {high}%)")
     words += [str(why) for why in (result.get("choice") or {}).values()]
     return [word[:1].upper() + word[1:] for word in words]
 
@@ -173,7 +173,7 @@ class BTFSEP_OT_estimate(runs.EngineOperator, bpy.types.Operator):
         words += told(result)
         if scene.btfsep.world_mode != "NONE":
             world.apply_lighting(scene, lighting, mode=scene.btfsep.world_mode, clamp=scene.btfsep.clamp)
-        return "; ".join(words)
+        return "\n".join(words)
 
 
 class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):

@@ -154,7 +154,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
                 _wrapped(context, box, part, icon="BLANK1" if number else "ERROR")
         elif run.summary:
             box = layout.box()
-            for number, part in enumerate(run.summary.split("; ")):
+            for number, part in enumerate(run.summary.splitlines()):
                 _wrapped(context, box, part, icon="BLANK1" if number else "CHECKMARK")
         if run.warnings:
             box = layout.box()

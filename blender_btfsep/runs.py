@@ -77,7 +77,7 @@ class EngineOperator:
         raise NotImplementedError
 
     def finish(self, context, result: dict) -> str:
-        """Puts the engine's result into the scene; gives a sentence for the user. Raises InputError."""
+        """Puts the engine's result into the scene; gives lines for the user. Raises InputError."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ the two drivers
@@ -180,7 +180,7 @@ class EngineOperator:
         except InputError as error:
             self._fail(str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, state.summary)
+        self.report({"INFO"}, state.summary.replace("\n", "; "))
         return {"FINISHED"}
 
     def _fail(self, message: str) -> None:

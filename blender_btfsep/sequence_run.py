@@ -92,7 +92,7 @@ def write_world(scene, result: dict, files, start, *, apply: bool, interpolation
         animation.apply_sequence(scene, lights, clamp=scene.btfsep.clamp, interpolation=interpolation)
     worst = max(found, key=lambda f: f["residual"])
     return (
-        f"{len(lights)} lights, frames {lights[0][0]} to {lights[-1][0]}; "
+        f"{len(lights)} lights, frames {lights[0][0]} to {lights[-1][0]}\n"
         f"{worst['image']} fits worst, residual {worst['residual']:.3f}: {worst['determined']}"
     )
 
@@ -144,7 +144,7 @@ class BTFSEP_OT_estimate_sequence(runs.EngineOperator, bpy.types.Operator):
         words = operators.take_materials(scene, result.get("objects") or [])
         apply, interpolation = scene.btfsep.world_mode != "NONE", scene.btfsep.interpolation
         words.append(write_world(scene, result, self._files, self._start, apply=apply, interpolation=interpolation))
-        return "; ".join(words)
+        return "\n".join(words)
 
 
 def add_command(commands, parents, *, scene_of, write_job, settings_of, run_engine, say) -> None:

@@ -93,8 +93,10 @@ def test_estimate_writes_the_world(photographed, fake_engine, tmp_path):
     assert not state.running and not state.error
     assert [w.name for w in state.warnings] == ["half of it is saturated"]
     assert state.summary == (
-        "Cube: wood/oak (unsure); The photo determines 3 of 4 coefficients; of order 2 and above: none; "
-        "Error to expect up to order 2: 12 % (8 to 20 %); The texture does not line up"
+        "Cube: wood/oak (unsure)\n"
+        "The photo determines 3 of 4 coefficients; of order 2 and above: none\n"
+        "Error to expect up to order 2: 12% (8% to 20%)\n"
+        "The texture does not line up"
     )
     entry = photographed.btfsep.objects[0]
     assert (entry.recognised, entry.unknown) == ("wood/oak", True)
