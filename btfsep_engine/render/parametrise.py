@@ -12,10 +12,13 @@ from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 
-# xatlas charts 5,000 to 20,000 faces a second; finer meshes are projected onto the axes' planes instead, at once
+# xatlas charts 5,000 to 20,000 faces a second; patches of finer meshes are projected onto planes instead, at once
 XATLAS_FACES = 40_000
 # a chart whose field around z averages to less than this (1: a wall) has no direction around z
 HORIZONTAL = 0.1
+# faces, edges and corners of a cube: no normal is further than 28 degrees from one of them
+DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 
 def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float, reporter=None) -> np.ndarray:
@@ -46,10 +49,10 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
     elif len(mesh.faces) > XATLAS_FACES:
         if reporter is not None:
             reporter.warn(
-                f"a mesh of {len(mesh.faces)} faces is mapped by projection along the axes, not by charts "
-                f"(charts are computed up to {XATLAS_FACES} faces)"
+                f"a mesh of {len(mesh.faces)} faces is mapped by projecting patches onto planes, not by xatlas "
+                f"(it is used up to {XATLAS_FACES} faces)"
             )
-        return (_axis_projection(mesh) * millimetres_per_unit).astype(np.float32)
+        return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32)
     else:
         uv = _xatlas_uv(mesh)
     surface = _areas(mesh.vertices[mesh.faces])
@@ -69,19 +72,49 @@ def _uv_areas(uv):
     return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
 
 
-def _axis_projection(mesh):
-    """Each face onto the plane that it is nearest to; u runs around the world's z axis and v up it, seen from outside.
+def _projected_charts(mesh):
+    """Connected faces of similar normal, each cluster onto its own mean plane, to the size of its surface.
 
-    Lengths along the slope of a face shrink, at most to 1 / sqrt(3).
+    u runs around the world's z axis and v up it, seen from outside (u along x where the plane is horizontal). Normals
+    of a cluster lie within 28 degrees of one of `DIRECTIONS`, so that lengths are right to a few percent.
+
+    Returns
+    -------
+    (f, 3, 2) float64, world units
     """
-    corners = mesh.vertices[mesh.faces]
+    corners = mesh.vertices[mesh.faces] - mesh.vertices[mesh.faces[0, 0]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    axis = np.abs(normal).argmax(1)
-    side = np.where(np.take_along_axis(normal, axis[:, None], 1) < 0, -1.0, 1.0)
-    u, v = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
-    turn = np.array([1.0, -1.0, 1.0])[axis][:, None] * side
-    flat = [np.take_along_axis(corners, k[:, None, None].repeat(3, 1), axis=2)[..., 0] for k in (u, v)]
-    return np.stack([flat[0] * turn, flat[1]], -1)
+    chart = _clusters(_welded(mesh.vertices)[mesh.faces], (normal @ DIRECTIONS.T).argmax(1))
+    count = int(chart.max()) + 1
+    mean = np.stack([np.bincount(chart, normal[:, k], count) for k in range(3)], -1)
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-300)
+    horizontal = np.hypot(mean[:, 0], mean[:, 1])[:, None] < HORIZONTAL
+    u = np.where(horizontal, np.cross(np.cross(mean, [1.0, 0.0, 0.0]), mean), np.cross([0.0, 0.0, 1.0], mean))
+    u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-300)
+    surface = np.bincount(chart, np.linalg.norm(normal, axis=1), count)
+    flat = np.bincount(chart, (normal * mean[chart]).sum(1), count)
+    scale = np.sqrt(np.where(flat > 0, surface / np.maximum(flat, 1e-300), 1.0))[:, None]
+    axes = np.stack([u * scale, np.cross(mean, u) * scale], -1)
+    return corners @ axes[chart]
+
+
+def _welded(vertices):
+    """(v,) int: the same number for vertices at the same place, which a file splits at seams; by a hash of 64 bits."""
+    bits = np.ascontiguousarray(vertices + 0.0, np.float64).view(np.uint64)  # + 0.0: of -0.0 and 0.0 one
+    key = np.zeros(len(bits), np.uint64)
+    for column in bits.T:
+        key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)
+        key ^= key >> np.uint64(29)
+    return np.unique(key, return_inverse=True)[1].reshape(-1)
+
+
+def _clusters(faces, label):
+    """(f,) int from 0: faces of one label that hang together by their vertices."""
+    nodes = np.unique(faces * len(DIRECTIONS) + label[:, None], return_inverse=True)[1].reshape(-1, 3)
+    links = coo_matrix(
+        (np.ones(2 * len(nodes), bool), (nodes[:, :2].ravel(), nodes[:, 1:].ravel())), shape=(int(nodes.max()) + 1,) * 2
+    )
+    return connected_components(links, directed=False)[1][nodes[:, 0]]
 
 
 def _physical_charts(mesh, uv, chart):

@@ -184,6 +184,8 @@ def divided(mi, dr, lane, divisor: int):
 
     Processors have no fast division of whole numbers: the high half of a product, at most one too large.
     """
+    if divisor == 1:  # 2^32 is no UInt32
+        return lane
     quotient = dr.mul_hi(lane, dr.opaque(mi.UInt32, -(-(2**32) // divisor)))
     over = quotient * dr.opaque(mi.UInt32, divisor) > lane
     return quotient - dr.select(over, mi.UInt32(1), mi.UInt32(0))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Charts: each to scale, none mirrored, frames that agree across their borders; views traced in bands."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
@@ -30,7 +32,7 @@ def two_charts():
     mesh = as_mesh(shape, flat=True)
     chart = np.unique(np.round(shape.face_normals), axis=0, return_inverse=True)[1].ravel()
     random = np.random.default_rng(3)
-    uv = parametrise._axis_projection(mesh)
+    uv = parametrise._projected_charts(mesh)
     size, angle = random.uniform(0.2, 4, 6)[chart], random.uniform(0, 6, 6)[chart]
     uv = np.where((chart % 2 == 0)[:, None, None], uv[..., ::-1], uv)
     turned = (uv[..., 0] + 1j * uv[..., 1]) * (size * np.exp(1j * angle))[:, None]
@@ -52,13 +54,43 @@ def test_u_runs_around_z_on_walls_and_along_x_on_floors():
     assert tangent == pytest.approx(expected, abs=1e-6)
 
 
-def test_projection_along_the_axes_has_the_same_frames():
+def test_projected_charts_have_the_same_frames():
     shape, mesh, _, _ = two_charts()
-    uv = parametrise._axis_projection(mesh)
+    uv = parametrise._projected_charts(mesh)
     normal = shape.face_normals
     assert signed_areas(uv) == pytest.approx(shape.area_faces)  # of faces along the axes: exact, none mirrored
     walls = np.abs(normal[:, 2]) < 0.5
     assert frames(mesh, uv)[walls] == pytest.approx(np.cross([0, 0, 1.0], normal[walls]), abs=1e-6)
+
+
+@pytest.mark.parametrize("shape", [trimesh.creation.icosphere(4), trimesh.creation.torus(1.0, 0.4, 96, 48)])
+def test_meshes_too_fine_for_xatlas_keep_their_physical_size(shape, monkeypatch):
+    monkeypatch.setattr(parametrise, "XATLAS_FACES", 100)
+    mesh = as_mesh(shape)
+    uv = parametrise.physical_uv(mesh, "xatlas", millimetres_per_unit=1000.0).astype(np.float64)
+    corners = 1000.0 * mesh.vertices[mesh.faces]
+    ratio = np.linalg.norm(uv - np.roll(uv, 1, 1), axis=2) / np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2)
+    assert np.median(ratio) == pytest.approx(1, abs=0.02)
+    assert np.percentile(ratio, 5) > 0.9 and np.percentile(ratio, 95) < 1.06
+    assert signed_areas(uv).min() > 0
+    assert signed_areas(uv).sum() == pytest.approx(1e6 * shape.area, rel=1e-3)
+
+
+def test_projected_charts_do_not_break_where_a_file_splits_its_vertices():
+    mesh = as_mesh(trimesh.creation.icosphere(3))
+    split = dataclasses.replace(
+        mesh, vertices=mesh.vertices[mesh.faces].reshape(-1, 3), faces=np.arange(mesh.faces.size).reshape(-1, 3)
+    )
+    assert parametrise._projected_charts(split) == pytest.approx(parametrise._projected_charts(mesh), abs=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_visibility_in_few_directions(sphere, count):
+    directions = np.array([[0, 0, 1.0], [0, 0, -1.0], [0, 0.6, 0.8]])[:count]
+    up = np.array([[0, 0, 1.0]])
+    top = sphere.vertices[[sphere.vertices[:, 2].argmax()]]
+    seen = Tracer([sphere]).visible(np.repeat(top, 2, 0), np.repeat(up, 2, 0), directions)
+    assert seen.tolist() == [[True, False, True][:count]] * 2
 
 
 @pytest.mark.parametrize("shape", [trimesh.creation.icosphere(4), trimesh.creation.torus(1.0, 0.4)])
