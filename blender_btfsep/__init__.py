@@ -20,5 +20,7 @@ def register():
 
 def unregister():
     atexit.unregister(unregister)
+    if not hasattr(bpy.types.Scene, "btfsep"):
+        return  # done already: where a process ends, Blender and atexit both ask for it
     for module in reversed(MODULES):
         module.unregister()

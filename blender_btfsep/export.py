@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 from . import camera as pinhole
-from . import meshes, photo, ply
+from . import meshes, photo, ply, unwrap
 from .errors import InputError
 
 JOB_FILE = "job.json"
@@ -27,6 +27,7 @@ def export_job(
     masks=None,
     depth=None,
     exposure_ev=0.0,
+    mapping="CHARTS",
 ) -> Path:
     """Writes a job.
 
@@ -42,6 +43,8 @@ def export_job(
     masks : dict, object name -> bpy.types.Image of the photo's size, not black where the object may be used
     depth : path of an EXR of z-depth, or its bpy.types.Image, instead of objects; its surface is named `SURFACE`
     exposure_ev : the photo's exposure in stops
+    mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
+        unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
 
     Returns
     -------
@@ -81,6 +84,8 @@ def export_job(
 
     names = _FileNames()
     parts = {thing.name: gathered.get(thing.name_full) for thing in objects}
+    if depth is None:
+        parts = {name: part and _mapped(part, mapping, name) for name, part in parts.items()}
     fitted = []
     for name in parts if depth is None else [SURFACE]:
         if depth is None and parts[name] is None:
@@ -96,7 +101,7 @@ def export_job(
                 "to_world": None,
                 "mask": None if mask is None else photo.put_mask(mask, folder, f"mask_{Path(file).stem}.png", size),
                 "material": (materials or {}).get(name) or None,
-                "uv": "xatlas",
+                "uv": "xatlas" if mapping == "CHARTS" or depth is not None else "mesh",
             }
         )
     casting = [
@@ -132,6 +137,15 @@ def _prepare(folder) -> Path:
             f"the folder {folder}", error.strerror or str(error), "choose a folder that can be written"
         ) from error
     return folder
+
+
+def _mapped(part: dict, mapping: str, name: str) -> dict:
+    """The triangles with the texture coordinates that ``mapping`` names."""
+    if mapping == "UNWRAP":
+        return {**part, "uv": unwrap.angle_based(part["positions"], part["vertex"], name)}
+    if mapping == "OWN" and part["uv"] is None:
+        raise InputError(f"object '{name}'", "it has no UV map", "unwrap it, or take another material mapping")
+    return part
 
 
 class _FileNames:

@@ -115,7 +115,8 @@ def told(result: dict) -> list:
         median, low, high = (f"{100 * expected[key]:.0f}" for key in ("median", "low", "high"))
         words.append(f"Error to expect up to order 2: {median}% ({low}% to {high}%)")
     words += [str(why) for why in (result.get("choice") or {}).values()]
-    return [word[:1].upper() + word[1:] for word in words]
+    # A sentence that begins with a material's name keeps that name as it is.
+    return [word[:1].upper() + word[1:] if word.split()[0].isalpha() else word for word in words if word.strip()]
 
 
 class BTFSEP_OT_recognise(runs.EngineOperator, bpy.types.Operator):

@@ -178,6 +178,7 @@ class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
         row.prop(settings, "depth")
         row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"
         column.prop(settings, "appearance")
+        column.prop(settings, "mapping")
         if settings.world_mode != "NONE":
             column.prop(settings, "clamp")
         if sequence_run.is_sequence(settings.image):

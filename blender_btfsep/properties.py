@@ -36,6 +36,12 @@ APPEARANCES = (
     ("textured", "Textured", "The material with its texture"),
 )
 
+MAPPINGS = (
+    ("CHARTS", "Charts (computed)", "The engine cuts the surface into charts, each to scale"),
+    ("UNWRAP", "Blender Unwrap", "Blender's angle-based unwrap with the seams of its smart projection, of a copy"),
+    ("OWN", "The Object's UV Map", "The UV map that is active for rendering, to its mean scale"),
+)
+
 
 class BTFSEP_PG_candidate(bpy.types.PropertyGroup):
     """A material that was considered; ``name`` is its name in the library."""
@@ -83,6 +89,7 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         description="The highest order of which the photo determines something. A sequence takes the number beside",
     )
     appearance: EnumProperty(name="Texture", description="How a material is compared with the photo", items=APPEARANCES)
+    mapping: EnumProperty(name="Material Mapping", description="How materials lie on the objects", items=MAPPINGS)
     exposure_ev: FloatProperty(
         name="Exposure",
         description="Stops that had been applied to the photo; it is kept with the light and changes no colour",

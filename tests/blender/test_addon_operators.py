@@ -30,7 +30,7 @@ FOUND = {
 SAID = {
     "determined": "the photo determines 3 of 4 coefficients; of order 2 and above: none",
     "expected_error": {"order_1": None, "order_2": {"median": 0.124, "low": 0.08, "high": 0.2}},
-    "choice": {"appearance": "the texture does not line up"},
+    "choice": {"appearance": "wood/oak has no texture", "order": "the order is 4"},
 }
 
 
@@ -96,7 +96,8 @@ def test_estimate_writes_the_world(photographed, fake_engine, tmp_path):
         "Cube: wood/oak (unsure)\n"
         "The photo determines 3 of 4 coefficients; of order 2 and above: none\n"
         "Error to expect up to order 2: 12% (8% to 20%)\n"
-        "The texture does not line up"
+        "wood/oak has no texture\n"
+        "The order is 4"
     )
     entry = photographed.btfsep.objects[0]
     assert (entry.recognised, entry.unknown) == ("wood/oak", True)
