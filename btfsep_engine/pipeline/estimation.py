@@ -31,8 +31,12 @@ from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
+from btfsep_engine.render.quadrature import MOST
 from btfsep_engine.render.sampling import choose_pixels
 from btfsep_engine.render.surface import SurfacePoints
+
+COARSE = 0.7  # of the misfit: error by few directions that is not one of many any more
+TOLERATED = 0.3  # of the misfit: what is asked for then
 
 
 @dataclass(frozen=True)
@@ -133,10 +137,17 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         # path tracing has interreflections for nothing; the kernel looks first whether they are needed
         decides = settings.bounces == "auto" and settings.transport == "kernel"
         settings = replace(settings, bounces=1 if decides else settings.reflections)
-        problems, rich = posed(scenes, materials, settings, both=tried)
+        chosen = all_chosen_points(scenes, replace(settings, appearance="textured") if tried else settings)
+        problems, rich = posed(scenes, materials, chosen, settings, both=tried)
     asked = settings
     with reporter.stage("fit"):
         settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
+    if too_coarse(problems, fit):
+        asked = replace(asked, tolerance=TOLERATED * fit.residual)
+        with reporter.stage("transport"):
+            problems, rich = posed(scenes, materials, chosen, asked, both=tried)
+        with reporter.stage("fit"):
+            settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
     if decides:
         with reporter.stage("transport"):
             straight = rich if rich is not None and settings.appearance == "textured" else problems
@@ -200,14 +211,22 @@ def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
     return any(a for a, _ in answers), "; ".join(dict.fromkeys(reason for _, reason in answers))
 
 
-def posed(scenes, materials, settings: Settings, *, both: bool):
+def all_chosen_points(scenes, settings: Settings) -> list:
+    """For every photograph the points of each object."""
+    return [
+        [chosen_points(scene, i, n, settings) for i, n in enumerate(shares(scene, settings.pixels))] for scene in scenes
+    ]
+
+
+def too_coarse(problems, fit: Fit) -> bool:
+    """Whether a clean photo asks for more directions than were taken to be enough before its misfit was known."""
+    errors = [(p.transport.get("direction_error") or 0.0, p.transport.get("directions", MOST)) for p in problems]
+    return any(error > COARSE * fit.residual and count < MOST for error, count in errors)
+
+
+def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
     """The fit's problems with mean ABRDFs (or as the settings say), and with textures where ``both`` is asked for."""
-    chosen = []
     textured = replace(settings, appearance="textured")
-    for scene in scenes:
-        counts = shares(scene, settings.pixels)
-        how = textured if both else settings
-        chosen.append([chosen_points(scene, i, n, how) for i, n in enumerate(counts)])
 
     def all_with(how):
         return [

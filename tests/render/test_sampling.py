@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The choice of pixels and of the number of directions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from btfsep_engine.btf.model import Lambertian, Mirror
 from btfsep_engine.errors import InputError
-from btfsep_engine.job.model import TriangleMesh
-from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.job.model import Photo, TriangleMesh
+from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.basis import basis_images
+from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -19,7 +22,7 @@ from btfsep_engine.render.quadrature import FEWEST, MOST, enough_directions
 from btfsep_engine.render.surface import camera_view
 from tests.render.btf_materials import glossy
 from tests.render.prepared import ball, bowl
-from tests.render.scenes import as_mesh, job_of, looking_down
+from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
 
 GREY = Lambertian("test/grey", np.full(3, 0.5))
 
@@ -169,3 +172,22 @@ def test_no_chosen_pixel_touches_the_outline():
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             assert seen[chosen[:, 0] + dy, chosen[:, 1] + dx].all()
+
+
+@pytest.mark.parametrize(("noise", "finer"), [(0.0, True), (0.2, False)])
+def test_a_clean_photo_gets_more_directions_than_a_poor_one(noise, finer):
+    scene, points = prepared(bowl())
+    image = np.zeros((96, 96, 3), np.float32)
+    values = scene.radiance(points, GREY, SHLighting(positive_light(2)), directions=4096)[:, 0]
+    values = values * np.random.default_rng(0).normal(1, noise, values.shape)
+    image[points.pixels[:, 0], points.pixels[:, 1]] = values
+    scene.job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
+    settings = choose("draft", pixels=500, bounces=1, tolerance=0.1)
+    before = enough(scene, points, GREY, 0.1)[0]
+
+    class Library:
+        def load(self, name):
+            return GREY
+
+    used = estimate(scene, Library(), settings, material="grey").transport["directions"]
+    assert used > before if finer else used == before
