@@ -152,6 +152,7 @@ def estimate(method: str, folder, case, library) -> Given:
     """One method on one job; a refusal in words is an answer."""
     if case.blend:
         library = Blended(library, *case.blend)
+    library.load(case.material)  # a library that is broken, or being built anew, is no answer of a method
     start = time.perf_counter()
     try:
         found = METHODS[method](folder, case.material, library)
