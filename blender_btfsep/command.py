@@ -176,6 +176,7 @@ def _write_job(options, scene) -> Path:
         masks={name: entry.mask for name, entry in entries.items()},
         depth=depth,
         exposure_ev=settings.exposure_ev if options.exposure is None else options.exposure,
+        mapping=settings.mapping,
     ).parent
 
 

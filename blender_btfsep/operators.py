@@ -67,6 +67,7 @@ def write_job(context, scene, *, folder=None, image_path=None):
         masks={name: entry.mask for name, entry in entries.items()},
         depth=settings.depth,
         exposure_ev=settings.exposure_ev,
+        mapping=settings.mapping,
     )
     return path.parent
 

@@ -387,6 +387,69 @@ def test_photos_that_are_no_plain_file_are_saved_linear(scene, tmp_path, add_cam
     assert (path.parent / "photo.png").read_bytes() == (tmp_path / "photo.png").read_bytes()
 
 
+def surface_and_texture(path):
+    """Triangles and texture triangles of a job's only object: (f, 3, 3) and (f, 3, 2), or None without UVs."""
+    mesh = trimesh.load(path.parent / json.loads(path.read_text())["objects"][0]["mesh"], process=False)
+    uv = getattr(mesh.visual, "uv", None)
+    return mesh.triangles, None if uv is None else np.asarray(uv)[mesh.faces]
+
+
+def angles(triangles):
+    """(f, 3) corner angles, radians."""
+    a, b = np.roll(triangles, -1, 1) - triangles, np.roll(triangles, 1, 1) - triangles
+    return np.arccos(np.clip((a * b).sum(2) / np.linalg.norm(a, axis=2) / np.linalg.norm(b, axis=2), -1, 1))
+
+
+@pytest.mark.parametrize("editing", [False, True])
+def test_blenders_unwrap_is_of_a_copy_and_keeps_angles_and_sizes(scene, tmp_path, add_camera, editing):
+    camera = add_camera(scene, (0, -9, 0))
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    bpy.ops.mesh.primitive_monkey_add(location=(1000, 0, 0))
+    monkey = bpy.context.object
+    kept = [tuple(corner.vector) for corner in monkey.data.uv_layers[0].uv]
+    scenes, meshes_before, objects = len(bpy.data.scenes), len(bpy.data.meshes), len(bpy.data.objects)
+    if editing:
+        bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        path = export.export_job(
+            scene, tmp_path / "job", image_path=make_photo(tmp_path), camera=camera, objects=[monkey], mapping="UNWRAP"
+        )
+        assert monkey.mode == ("EDIT" if editing else "OBJECT")
+    finally:
+        if editing:
+            bpy.ops.object.mode_set(mode="OBJECT")
+    assert json.loads(path.read_text())["objects"][0]["uv"] == "mesh"
+    assert (len(bpy.data.scenes), len(bpy.data.meshes), len(bpy.data.objects)) == (scenes, meshes_before, objects)
+    assert bpy.context.scene == scene and bpy.context.object == monkey
+    assert [tuple(corner.vector) for corner in monkey.data.uv_layers[0].uv] == kept
+    triangles, uv = surface_and_texture(path)
+    wrong = np.degrees(np.abs(angles(triangles) - angles(uv.astype(np.float64)))).mean()
+    assert wrong < 5  # the monkey's own UVs: 12; without seams 30
+    a, b = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    ratio = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )
+    assert np.percentile(ratio, 95) < 2 * np.percentile(ratio, 5)
+
+
+def test_the_objects_own_map_is_used_or_missed_in_words(scene, tmp_path, add_camera):
+    camera = add_camera(scene, (0, -9, 0))
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    cube, photo = add_cube(), make_photo(tmp_path)
+    given = {"image_path": photo, "camera": camera, "objects": [cube]}
+    path = export.export_job(scene, tmp_path / "own", **given, mapping="OWN")
+    assert json.loads(path.read_text())["objects"][0]["uv"] == "mesh"
+    own = sorted({tuple(np.round(corner.vector, 5)) for corner in cube.data.uv_layers[0].uv})
+    assert sorted(set(map(tuple, np.round(surface_and_texture(path)[1].reshape(-1, 2), 5).tolist()))) == own
+    path = export.export_job(scene, tmp_path / "charts", **given)
+    assert json.loads(path.read_text())["objects"][0]["uv"] == "xatlas"
+    cube.data.uv_layers.remove(cube.data.uv_layers[0])
+    cube.data.update_tag()
+    bpy.context.view_layer.update()
+    with pytest.raises(InputError, match="it has no UV map"):
+        export.export_job(scene, tmp_path / "none", **given, mapping="OWN")
+
+
 def test_wrong_scenes_are_refused_in_words(scene, tmp_path, add_camera):
     photo = make_photo(tmp_path)
     cube = add_cube()
