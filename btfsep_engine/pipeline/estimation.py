@@ -8,35 +8,31 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import report, sh
-from btfsep_engine.btf.model import Material, Tabulated
+from btfsep_engine.btf.model import Material
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.least_squares import Fit, determined
-from btfsep_engine.fit.map_estimate import reported_up_to
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, light_is_negative, structure_doubts
-from btfsep_engine.pipeline.interreflection import open_share, own_light, with_own_light
-from btfsep_engine.pipeline.model_choice import (
-    appearance_choice,
-    cross_validated_order,
-    determined_order,
-    texture_may_help,
+from btfsep_engine.pipeline.interreflection import open_share, own_light
+from btfsep_engine.pipeline.modelling import (
+    TOLERATED,
+    all_chosen_points,
+    all_with_own_light,
+    appearance,
+    chosen_fit,
+    posed,
+    textures_to_try,
+    too_coarse,
 )
-from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import LARGEST_ORDER, MODELLED_BOUNCES, Settings
-from btfsep_engine.pipeline.together import fit_together, stacked
-from btfsep_engine.render.quadrature import MOST
-from btfsep_engine.render.sampling import choose_pixels
-from btfsep_engine.render.surface import SurfacePoints
-
-COARSE = 0.7  # of the misfit: error by few directions that is not one of many any more
-TOLERATED = 0.3  # of the misfit: what is asked for then
+from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
+from btfsep_engine.pipeline.together import stacked
 
 
 @dataclass(frozen=True)
@@ -100,27 +96,6 @@ def object_materials(scene: PreparedScene, library, settings: Settings, *, names
     return found
 
 
-def appearance(material: Material, settings: Settings) -> Material:
-    """What stands for the material in the fit: the BTF itself, or its mean ABRDF."""
-    if settings.appearance != "textured" and isinstance(material, Tabulated):
-        return material.mean_material()
-    return material
-
-
-def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settings) -> SurfacePoints:
-    """The points of an object that enter the fit: usable pixels, those that tell most of the light."""
-    points = scene.points(index, textured=settings.appearance == "textured")
-    usable = scene.usable(points)
-    clipped = 1 - usable.mean()
-    if clipped > THRESHOLDS.clipped:
-        scene.reporter.warn(
-            f"{100 * clipped:.0f} % of the pixels of object '{scene.job.objects[index].name}' are saturated or "
-            "transparent and were left out: what they saw of the light is not in the estimate"
-        )
-    points = points.take(np.flatnonzero(usable))
-    return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points
-
-
 def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None, others=()) -> Estimate:
     """Recognises what is not given and solves for the light that all objects share.
 
@@ -143,9 +118,9 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     with reporter.stage("fit"):
         settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
     if too_coarse(problems, fit):
-        asked = replace(asked, tolerance=TOLERATED * fit.residual)
+        finer = replace(asked, tolerance=TOLERATED * fit.residual)
         with reporter.stage("transport"):
-            problems, rich = posed(scenes, materials, chosen, asked, both=tried)
+            problems, rich = posed(scenes, materials, chosen, finer, both=tried)
         with reporter.stage("fit"):
             settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
     if decides:
@@ -196,98 +171,6 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         choice,
         photos,
     )
-
-
-def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
-    """Whether the textured BTFs are tried beside their mean ABRDFs, and why, in words."""
-    if settings.appearance != "auto":
-        return False, "as asked for"
-    answers = []
-    for scene, found in zip(scenes, materials, strict=True):
-        for i, m in enumerate(found):
-            points = scene.points(i, textured=False)
-            footprint = float(np.median(points.footprint)) * scene.millimetres_per_unit
-            answers.append(texture_may_help(scene.job.objects[i], m.material, footprint))
-    return any(a for a, _ in answers), "; ".join(dict.fromkeys(reason for _, reason in answers))
-
-
-def all_chosen_points(scenes, settings: Settings) -> list:
-    """For every photograph the points of each object."""
-    return [
-        [chosen_points(scene, i, n, settings) for i, n in enumerate(shares(scene, settings.pixels))] for scene in scenes
-    ]
-
-
-def too_coarse(problems, fit: Fit) -> bool:
-    """Whether a clean photo asks for more directions than were taken to be enough before its misfit was known."""
-    errors = [(p.transport.get("direction_error") or 0.0, p.transport.get("directions", MOST)) for p in problems]
-    return any(error > COARSE * fit.residual and count < MOST for error, count in errors)
-
-
-def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
-    """The fit's problems with mean ABRDFs (or as the settings say), and with textures where ``both`` is asked for."""
-    textured = replace(settings, appearance="textured")
-
-    def all_with(how):
-        return [
-            pose(scene, [appearance(m.material, how) for m in found], points, how)
-            for scene, found, points in zip(scenes, materials, chosen, strict=True)
-        ]
-
-    if not both:
-        return all_with(settings), None
-    return all_with(replace(settings, appearance="mean")), all_with(textured)
-
-
-def all_with_own_light(problems, materials, settings: Settings) -> list:
-    """The problems with the light between surfaces added to their basis images."""
-    return [
-        with_own_light(problem, [appearance(m.material, settings) for m in found], settings)
-        for problem, found in zip(problems, materials, strict=True)
-    ]
-
-
-def chosen_fit(problems, rich, settings: Settings):
-    """The fit with the appearance and the order that the settings name or the photo asks for.
-
-    Returns
-    -------
-    settings as chosen, Fit, LightSolver or None, exposures, {what: why}
-    """
-    choice = {}
-    automatic = settings.order == "auto"
-    if automatic:
-        settings = replace(settings, order=LARGEST_ORDER)
-        if settings.estimator == "least-squares":
-            basis, blocks = stacked(problems)
-            b = np.concatenate([p.radiance() for p in problems]).astype(np.float64)
-            order, choice["order"] = cross_validated_order(basis, b, blocks, LARGEST_ORDER, seed=settings.seed)
-            settings = replace(settings, order=order)
-            problems = [p.up_to(order) for p in problems]
-            rich = rich and [p.up_to(order) for p in rich]
-    fit, solver, exposures = fit_together(problems, settings)
-    appearance_name = "mean" if settings.appearance == "auto" else settings.appearance
-    if rich is not None:
-        other = fit_together(rich, settings)
-        left = [
-            np.concatenate(
-                [
-                    p.radiance() / e - p.predicted(f.coefficients if f.all_coefficients is None else f.all_coefficients)
-                    for p, e in zip(posed_problems, es, strict=True)
-                ]
-            )
-            for posed_problems, (f, _, es) in ((problems, (fit, solver, exposures)), (rich, other))
-        ]
-        appearance_name, choice["appearance"] = appearance_choice(*left, stacked(problems)[1])
-        if appearance_name == "textured":
-            fit, solver, exposures = other
-    settings = replace(settings, appearance=appearance_name)
-    if automatic and settings.estimator == "map":
-        order = determined_order(fit.determined)
-        fit = reported_up_to(fit, order, solver)
-        settings = replace(settings, order=order)
-        choice["order"] = f"the highest order of which the photo determines something is {order}"
-    return settings, fit, solver, exposures, choice
 
 
 def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting: Lighting, settings) -> list[str]:

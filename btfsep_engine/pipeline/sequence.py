@@ -17,7 +17,8 @@ from btfsep_engine.fit.map_estimate import LightSolver
 from btfsep_engine.job.load import load_job, read_photo
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.natural import natural_prior
-from btfsep_engine.pipeline.estimation import appearance, determined_words, material_record, object_materials
+from btfsep_engine.pipeline.estimation import determined_words, material_record, object_materials
+from btfsep_engine.pipeline.modelling import appearance
 from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
