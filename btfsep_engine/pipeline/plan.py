@@ -16,8 +16,8 @@ from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import determined_words
-from btfsep_engine.pipeline.modelling import appearance
 from btfsep_engine.pipeline.model_choice import texture_contrast
+from btfsep_engine.pipeline.modelling import appearance
 from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
