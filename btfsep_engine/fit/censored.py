@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clipped pixels as inequalities: a channel that stands at the largest code was at least as bright as that.
+
+A clipped value b >= limit says nothing where the light already explains more than the limit, and where it explains
+less it speaks like a measurement of the limit. So, by turns with the fit:
+
+- a clipped channel whose prediction is below the limit enters as measured at the limit,
+- one whose prediction is above it enters as predicted, which leaves it free (the M step of Tobin's model with hard
+  assignments; Tobin 1958, "Estimation of relationships for limited dependent variables"),
+- a pixel of which every channel is free is left out, so that it does not count as evidence.
+
+With nothing clipped this is the plain fit; with every clipped pixel left out at the end it is exclusion.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.errors import InputError
+from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.map_estimate import LightSolver
+
+ROUNDS = 8
+SETTLED = 2e-3  # relative change of the coefficients
+
+
+@dataclass(frozen=True)
+class CensoredFit:
+    """A fit with inequalities.
+
+    Attributes
+    ----------
+    fit : Fit, of the pixels that were used; ``solver`` : the LightSolver that made it
+    used : (p,) bool
+    radiance : (p, 3), the photograph with the clipped channels as they entered
+    active : (p, 3) bool, clipped channels that enter as measured at the limit
+    rounds : fits that were made
+    """
+
+    fit: Fit
+    solver: LightSolver
+    used: np.ndarray
+    radiance: np.ndarray
+    active: np.ndarray
+    rounds: int
+
+
+def solve_censored(
+    basis, radiance, clipped, *, blocks, prior, order: int, partly: bool = True, rounds: int = ROUNDS
+) -> CensoredFit:
+    """The most probable light where some channels of some pixels are lower bounds.
+
+    Parameters
+    ----------
+    basis : (p, terms, 3) float, A; radiance : (p, 3) float, b, at the limit where clipped, linear
+    clipped : (p, 3) bool
+    blocks, prior, order : of `LightSolver`
+    partly : whether a pixel's own channels that are not clipped are used from the start
+    rounds : the largest number of fits after the first
+
+    Returns
+    -------
+    CensoredFit
+
+    Raises
+    ------
+    InputError
+        Where every pixel is clipped.
+    """
+    basis, clipped = np.asarray(basis), np.asarray(clipped, bool)
+    measured = np.array(radiance, np.float64)
+    whole, some = ~clipped.any(1), ~clipped.all(1)
+    if not whole.any():
+        raise InputError("the fit", "every pixel is clipped", "give a photo with a shorter exposure")
+    active = np.zeros_like(clipped)
+    used, b = whole, measured
+    solver, fit = _solved(basis, b, used, blocks, prior, order)
+    count = 1
+    if whole.all():
+        return CensoredFit(fit, solver, used, b, active, count)
+    x = fit.all_coefficients
+    for _ in range(rounds):
+        predicted = _predicted(basis, x)
+        now = clipped & (predicted < measured)
+        b = np.where(clipped & ~now, predicted, measured)
+        wanted = whole | now.any(1) | (some if partly else False)
+        if not np.array_equal(wanted, used):
+            used = wanted
+            solver, fit = _solved(basis, b, used, blocks, prior, order)
+        else:
+            fit = solver.solve(b[used])
+        count += 1
+        before, x = x, fit.all_coefficients
+        settled = np.linalg.norm(x - before) <= SETTLED * np.linalg.norm(x)
+        if settled and np.array_equal(now, active):
+            break
+        active = now
+    return CensoredFit(fit, solver, used, b, active, count)
+
+
+def _solved(basis, b, used, blocks, prior, order: int):
+    solver = LightSolver(basis[used], blocks=blocks[used], prior=prior, order=order)
+    return solver, solver.solve(b[used])
+
+
+def _predicted(basis, x) -> np.ndarray:
+    """A x: (p, 3)."""
+    return np.stack([basis[:, :, c] @ x[:, c].astype(basis.dtype) for c in range(3)], 1).astype(np.float64)
