@@ -144,7 +144,7 @@ def test_large_meshes_are_projected_and_say_so(sphere, monkeypatch):
 
     reporter = Reporter()
     uv = parametrise.physical_uv(sphere, "xatlas", millimetres_per_unit=50.0, reporter=reporter)
-    assert "mapped by projection" in reporter.warnings[0]
+    assert "projecting patches" in reporter.warnings[0]
     edges = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1)
     corners = sphere.vertices[sphere.faces] * 50
     true = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
