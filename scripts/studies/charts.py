@@ -131,15 +131,20 @@ def warnings_chart(path, answers) -> None:
     for axis, ax in zip(answers.names, axes, strict=False):
         for method in (m for m in STATES_SPREAD if m in answers.methods):
             counts = [answers.warned(axis, i, method) if i else _zero(answers, axis, method) for i in x]
-            ax.plot(x, [100 * n / max(t, 1) for n, t in counts], label=NAMES[method], clip_on=False, **LOOKS[method])
+            ax.plot(x, [_percent(*pair) for pair in counts], label=NAMES[method], clip_on=False, **LOOKS[method])
         if "ours" in answers.methods:
             anew = [answers.warned(axis, i, "ours", anew=True) for i in x[1:]]
-            shares = [0, *(100 * n / max(t, 1) for n, t in anew)]
+            shares = [0, *(_percent(*pair) for pair in anew)]
             look = {"color": LOOKS["ours"]["color"], "linewidth": 1.3, "linestyle": (0, (3, 2))}
             ax.plot(x, shares, label="ours: what it had not said undisturbed", zorder=4, **look)
         ax.set_ylim(0, 100)
     _legend(place, axes[0])
     figure.savefig(path, dpi=110)
+
+
+def _percent(count: int, total: int) -> float:
+    """NaN of none: it leaves a gap."""
+    return 100 * count / total if total else np.nan
 
 
 def _zero(answers, axis, method):
