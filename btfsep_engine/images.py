@@ -40,11 +40,13 @@ class Image:
     pixels : (h, w, 3) float32, linear Rec.709; floats may be NaN, infinite or negative, as in the file
     saturated : (h, w) bool, a channel stands at the largest code (integer formats only)
     usable : (h, w) bool, not saturated, opaque, and within the data of the file
+    clipped : (h, w, 3) bool, the channels of opaque pixels that stand at the largest code: lower bounds, no values
     """
 
     pixels: np.ndarray
     saturated: np.ndarray
     usable: np.ndarray
+    clipped: np.ndarray
 
 
 def srgb_to_linear(values) -> np.ndarray:
@@ -93,9 +95,8 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
             _check_size(path, *size, max_pixels)
         stored, alpha, peak = _decode(path, data)
         inside = np.ones(stored.shape[:2], bool)
-    saturated = np.zeros(stored.shape[:2], bool)
-    if peak is not None:
-        saturated = (stored >= SATURATED * peak).any(-1)
+    clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
+    saturated = clipped.any(-1)
     coded = peak is not None if colorspace == "auto" else colorspace == "srgb"
     if peak is not None:
         codes = np.arange(peak + 1) / peak
@@ -106,10 +107,9 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
             pixels = srgb_to_linear(pixels).astype(np.float32)
     if pixels.shape[-1] == 1:
         pixels = np.repeat(pixels, 3, -1)
-    usable = inside & ~saturated
-    if alpha is not None:
-        usable &= alpha >= OPAQUE
-    return Image(np.ascontiguousarray(pixels), saturated, usable)
+    opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
+    clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
+    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped)
 
 
 def read_mask(path) -> np.ndarray:

@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clipped pixels as inequalities: a channel that stands at the largest code was at least as bright as that.
 
-A clipped value b >= limit says nothing where the light already explains more than the limit, and where it explains
-less it speaks like a measurement of the limit. So, by turns with the fit:
+A clipped value b >= limit says little where the light already explains more than the limit, and where it explains less
+it speaks like a measurement above the limit. That is Tobin's model (1958, "Estimation of relationships for limited
+dependent variables"), fitted by turns (EM): with the light found so far, predicted value p and misfit s, a clipped
+channel enters as what is to be expected of it,
 
-- a clipped channel whose prediction is below the limit enters as measured at the limit,
-- one whose prediction is above it enters as predicted, which leaves it free (the M step of Tobin's model with hard
-  assignments; Tobin 1958, "Estimation of relationships for limited dependent variables"),
-- a pixel of which every channel is free is left out, so that it does not count as evidence.
+    E[b | b >= limit] = p + s h((limit - p) / s),    h(z) = phi(z) / (1 - Phi(z)).
 
-With nothing clipped this is the plain fit; with every clipped pixel left out at the end it is exclusion.
+Far above the limit this is p, which leaves the channel free. Pixels of which every channel is explained are left out,
+so that they do not count as evidence; pixels with a channel that is not clipped are used from the start.
+
+With nothing clipped this is the plain fit.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.least_squares import Fit
@@ -22,6 +25,7 @@ from btfsep_engine.fit.map_estimate import LightSolver
 
 ROUNDS = 8
 SETTLED = 2e-3  # relative change of the coefficients
+FARTHEST = 6.0  # misfits below the limit: a pixel that is farther below is wrong in another way
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,7 @@ class CensoredFit:
     fit : Fit, of the pixels that were used; ``solver`` : the LightSolver that made it
     used : (p,) bool
     radiance : (p, 3), the photograph with the clipped channels as they entered
-    active : (p, 3) bool, clipped channels that enter as measured at the limit
+    active : (p, 3) bool, clipped channels of which the light explains less than the limit
     rounds : fits that were made
     """
 
@@ -82,7 +86,9 @@ def solve_censored(
     for _ in range(rounds):
         predicted = _predicted(basis, x)
         now = clipped & (predicted < measured)
-        b = np.where(clipped & ~now, predicted, measured)
+        spread = np.sqrt(np.square(measured - predicted)[whole].mean(0))
+        z = np.minimum((measured - predicted) / np.maximum(spread, 1e-300), FARTHEST)
+        b = np.where(clipped, predicted + spread * np.exp(norm.logpdf(z) - norm.logsf(z)), measured)
         wanted = whole | now.any(1) | (some if partly else False)
         if not np.array_equal(wanted, used):
             used = wanted

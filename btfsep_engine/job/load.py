@@ -170,11 +170,11 @@ def _checked(image, name: str, camera: Camera, notes: list) -> Photo:
         raise InputError(name, "every pixel is saturated or transparent", "give a photo with a shorter exposure")
     saturated = int(image.saturated.sum())
     if saturated:
-        notes.append(f"{name}: {saturated} of {width * height} pixels are saturated and left out")
+        notes.append(f"{name}: {saturated} of {width * height} pixels are saturated")
     hidden = int((~image.usable & ~image.saturated).sum())
     if hidden:
         notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
-    return Photo(image.pixels, image.usable, saturated)
+    return Photo(image.pixels, image.usable, saturated, image.clipped if saturated else None)
 
 
 def _to_world(matrix, what: str):

@@ -83,11 +83,13 @@ class Photo:
     radiance : (h, w, 3) float32, linear Rec.709, finite, in the image's own scale (``exposure_ev`` is not applied)
     usable : (h, w) bool, false where a channel is saturated or the pixel is not opaque
     saturated : number of saturated pixels
+    clipped : (h, w, 3) bool, channels of opaque pixels that were at least as bright as stored; None: none were
     """
 
     radiance: np.ndarray
     usable: np.ndarray
     saturated: int
+    clipped: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

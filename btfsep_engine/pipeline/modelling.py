@@ -8,7 +8,6 @@ import numpy as np
 from btfsep_engine.btf.model import Material, Tabulated
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.fit.map_estimate import reported_up_to
-from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.interreflection import with_own_light
 from btfsep_engine.pipeline.model_choice import (
     appearance_choice,
@@ -17,6 +16,7 @@ from btfsep_engine.pipeline.model_choice import (
     texture_may_help,
 )
 from btfsep_engine.pipeline.problem import pose, shares
+from btfsep_engine.pipeline.real_photo import as_real_photos, clipped_channels, scale_words, warn_of_clipping
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
@@ -36,15 +36,15 @@ def appearance(material: Material, settings: Settings) -> Material:
 
 
 def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settings) -> SurfacePoints:
-    """The points of an object that enter the fit: usable pixels, those that tell most of the light."""
+    """The points of an object that enter the fit, those that tell most of the light.
+
+    Usable pixels, and with a prior saturated ones, too, as inequalities.
+    """
+    warn_of_clipping(scene, index, settings)
     points = scene.points(index, textured=settings.appearance == "textured")
     usable = scene.usable(points)
-    clipped = 1 - usable.mean()
-    if clipped > THRESHOLDS.clipped:
-        scene.reporter.warn(
-            f"{100 * clipped:.0f} % of the pixels of object '{scene.job.objects[index].name}' are saturated or "
-            "transparent and were left out: what they saw of the light is not in the estimate"
-        )
+    if settings.estimator == "map":
+        usable |= clipped_channels(scene, points).any(1)
     points = points.take(np.flatnonzero(usable))
     return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points
 
@@ -70,7 +70,10 @@ def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
 
 
 def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
-    """The fit's problems with mean ABRDFs (or as the settings say), and with textures where ``both`` is asked for."""
+    """The fit's problems with mean ABRDFs (or as the settings say), and with textures where ``both`` is asked for.
+
+    With a prior, clipped channels and the scales of recognised objects are settled here (`pipeline.real_photo`).
+    """
     textured = replace(settings, appearance="textured")
 
     def all_with(how):
@@ -79,9 +82,9 @@ def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
             for scene, found, points in zip(scenes, materials, chosen, strict=True)
         ]
 
-    if not both:
-        return all_with(settings), None
-    return all_with(replace(settings, appearance="mean")), all_with(textured)
+    problems = all_with(replace(settings, appearance="mean") if both else settings)
+    rich = all_with(textured) if both else None
+    return as_real_photos(problems, rich, materials, settings) if settings.estimator == "map" else (problems, rich)
 
 
 def too_coarse(problems, fit: Fit) -> bool:
@@ -105,7 +108,7 @@ def chosen_fit(problems, rich, settings: Settings):
     -------
     settings as chosen, Fit, LightSolver or None, exposures, {what: why}
     """
-    choice = {}
+    choice = {"scale": scale_words(problems)}
     automatic = settings.order == "auto"
     if automatic:
         settings = replace(settings, order=LARGEST_ORDER)

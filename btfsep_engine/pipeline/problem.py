@@ -22,12 +22,16 @@ class Problem:
     points : list of SurfacePoints, one for each object
     basis : list of (p, terms, 3) float32, their basis images
     transport : how the basis images were made, for ``result.json``
+    measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
+    scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     """
 
     scene: object
     points: list
     basis: list
     transport: dict
+    measured: np.ndarray | None = None
+    scales: np.ndarray | None = None
 
     @property
     def all_basis(self) -> np.ndarray:
@@ -45,7 +49,9 @@ class Problem:
         return np.concatenate([p.pixels for p in self.points])
 
     def radiance(self, photo=None) -> np.ndarray:
-        """(p, 3) of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
+        """(p, 3) to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
+        if photo is None and self.measured is not None:
+            return self.measured
         image = self.scene.job.photo.radiance if photo is None else photo
         pixels = self.pixels
         return image[pixels[:, 0], pixels[:, 1]]
@@ -53,6 +59,16 @@ class Problem:
     def by_object(self, values) -> list:
         """Rows of all points, (p, …), cut by object."""
         return np.split(values, np.cumsum([len(p) for p in self.points])[:-1])
+
+    def kept(self, used) -> "Problem":
+        """The same with some of its points: ``used`` (p,) bool."""
+        parts = self.by_object(used)
+        return replace(
+            self,
+            points=[p.take(np.flatnonzero(u)) for p, u in zip(self.points, parts, strict=True)],
+            basis=[a[u] for a, u in zip(self.basis, parts, strict=True)],
+            measured=None if self.measured is None else self.measured[used],
+        )
 
     def up_to(self, order: int) -> "Problem":
         """The same with fewer basis lights."""

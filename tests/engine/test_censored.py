@@ -32,7 +32,6 @@ def test_inequalities_recover_what_exclusion_loses(photographed):
     taken_at_the_limit = solve_map(basis, cut, blocks=blocks, **how)
     assert off(found.fit, x) < 0.8 * off(excluded, x)
     assert off(found.fit, x) < 0.7 * off(taken_at_the_limit, x)
-    # a clipped channel that the light explains is left free; one that it does not is held at the limit
     assert (found.radiance[clipped] >= limit - 1e-12).all()
     assert np.array_equal(found.radiance[~clipped], cut[~clipped])
     assert not found.active[~clipped].any()
@@ -66,3 +65,16 @@ def test_a_photo_that_is_clipped_everywhere_is_refused(photographed):
     basis, b, blocks, prior, _ = photographed
     with pytest.raises(InputError, match="clipped"):
         solve_censored(basis, b, np.ones(b.shape, bool), blocks=blocks, prior=prior, order=ORDER)
+
+
+def test_a_clipped_channel_enters_as_what_is_expected_of_it(photographed):
+    """The fixed point against drawn normal numbers: their mean above the limit."""
+    basis, b, blocks, prior, _ = photographed
+    limit = np.quantile(b.max(1), 0.7)
+    clipped, cut = b >= limit, np.minimum(b, limit)
+    found = solve_censored(basis, cut, clipped, blocks=blocks, prior=prior, order=ORDER, rounds=60)
+    predicted = np.einsum("pmc,mc->pc", basis, found.fit.all_coefficients)
+    spread = np.sqrt(np.square(cut - predicted)[~clipped.any(1)].mean(0))
+    p, c = np.argwhere(clipped & (np.abs(predicted - limit) < spread))[0]
+    draws = np.random.default_rng(1).normal(predicted[p, c], spread[c], 400_000)
+    assert found.radiance[p, c] == pytest.approx(draws[draws >= limit].mean(), rel=0.01)

@@ -91,7 +91,7 @@ def test_exposure_is_carried_and_not_applied(job):
     np.testing.assert_array_equal(result.photo.radiance, job.pixels)
 
 
-def test_saturated_pixels_are_left_out_and_counted(job):
+def test_saturated_pixels_are_marked_by_channel_and_counted(job):
     a = np.full((8, 12, 3), 90, np.uint8)
     a[2, 3, 1] = 255
     a[5, 5] = 255
@@ -99,7 +99,9 @@ def test_saturated_pixels_are_left_out_and_counted(job):
     result = load_job(job.write(changed(job.copy(), "image", "photo.png")))
     assert result.photo.saturated == 2
     assert np.argwhere(~result.photo.usable).tolist() == [[2, 3], [5, 5]]
-    assert result.warnings == ("photo.png: 2 of 96 pixels are saturated and left out",)
+    # the file's channels are blue, green, red
+    assert np.argwhere(result.photo.clipped).tolist() == [[2, 3, 1], [5, 5, 0], [5, 5, 1], [5, 5, 2]]
+    assert result.warnings == ("photo.png: 2 of 96 pixels are saturated",)
 
 
 def test_a_mask(job):

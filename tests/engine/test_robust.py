@@ -42,3 +42,17 @@ def test_weights_are_those_of_the_published_functions():
     np.testing.assert_allclose(tukey, np.where(u < 4.685, (1 - (u / 4.685) ** 2) ** 2, 0))
     assert tukey[-1] == 0 < huber[-1] and set(TUNING) == {"huber", "tukey"}
     assert (weights_of(np.zeros(5), kind="tukey") == 1).all()
+
+
+def test_a_pixel_of_small_weight_counts_as_a_measurement_of_large_noise(rng):
+    """The fixed point: the fit is that of rows scaled by the roots of the weights of its own residuals."""
+    prior = natural_prior(ORDER)
+    basis, blocks = half_sphere(rng, pixels=800)
+    b = np.einsum("pmc,mc->pc", basis, side_light()) * (1 + 0.03 * rng.standard_t(2, size=(800, 3)))
+    found = solve_robust(basis, b, blocks=blocks, prior=prior, order=ORDER, kind="huber")
+    root = np.sqrt(found.weights)
+    assert np.ptp(found.weights) > 0.5
+    again = solve_map(basis * root[:, None, None], b * root[:, None], blocks=blocks, prior=prior, order=ORDER)
+    plain = solve_map(basis, b, blocks=blocks, prior=prior, order=ORDER)
+    gap = np.linalg.norm(found.fit.coefficients - again.coefficients)
+    assert gap < 0.05 * np.linalg.norm(found.fit.coefficients - plain.coefficients)

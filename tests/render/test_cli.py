@@ -124,7 +124,7 @@ def test_a_known_light_survives_relight_and_estimate(sphere_job_folder, capsys, 
     assert json_lines(capsys.readouterr().out)[-1]["result"]["rendering_psnr_free_scale"] > 100
 
 
-def test_saturated_pixels_are_left_out_and_told(sphere_job_folder, capsys):
+def test_saturated_pixels_do_not_darken_the_light_and_are_told(sphere_job_folder, capsys):
     folder, truth = sphere_job_folder
     photo = images.read_linear(folder / "photo.exr").pixels
     scale = 1 / np.percentile(photo, 90)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a real photograph needs before its light is fitted: clipped channels and reflectances that are not known.
+
+Both are settled once, with a fit of their own (`fit.censored`, `fit.white_balance`), and leave ordinary problems: the
+points that are used, and for each the values to be fitted. What follows knows nothing of them.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine.fit.censored import solve_censored
+from btfsep_engine.fit.white_balance import free_scales
+from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.pipeline.doubts import THRESHOLDS
+from btfsep_engine.pipeline.problem import Problem
+
+PHOTOS_OWN = "the photo's own: its exposure and white balance cannot be told from the light's"
+
+
+def clipped_channels(scene, points) -> np.ndarray:
+    """Which channels of the points' pixels are lower bounds: (p, 3) bool."""
+    clipped = scene.job.photo.clipped
+    if clipped is None:
+        return np.zeros((len(points), 3), bool)
+    return clipped[points.pixels[:, 0], points.pixels[:, 1]]
+
+
+def warn_of_clipping(scene, index: int, settings) -> None:
+    """Says where much of an object is saturated or transparent, and what becomes of it."""
+    region = scene.regions[index]
+    unusable = region & ~scene.job.photo.usable
+    share = unusable.sum() / max(region.sum(), 1)
+    if share <= THRESHOLDS.clipped:
+        return
+    clipped = scene.job.photo.clipped
+    bounds = settings.estimator == "map" and clipped is not None and (unusable & clipped.any(-1)).any()
+    enter = (
+        "the saturated ones count as at least as bright as they are"
+        if bounds
+        else "were left out: what they saw of the light is not in the estimate"
+    )
+    scene.reporter.warn(
+        f"{100 * share:.0f} % of the pixels of object '{scene.job.objects[index].name}' are saturated or transparent"
+        f"{'; ' if bounds else ' and '}{enter}"
+    )
+
+
+def as_real_photos(problems, rich, materials, settings):
+    """The problems with clipped channels and free scales settled.
+
+    Parameters
+    ----------
+    problems : list of Problem, one for each photograph; rich : the same points with textures, or None
+    materials : for each photograph the estimation.ObjectMaterial of each object
+    settings : Settings, with a prior
+
+    Returns
+    -------
+    problems, rich
+    """
+    out = []
+    for i, (problem, found) in enumerate(zip(problems, materials, strict=True)):
+        clipped = np.concatenate([clipped_channels(problem.scene, p) for p in problem.points])
+        used, measured = np.ones(len(clipped), bool), None
+        if clipped.any():
+            bounded = solve_censored(
+                problem.all_basis,
+                problem.radiance(),
+                clipped,
+                blocks=problem.blocks,
+                prior=natural_prior(settings.fit_order),
+                order=settings.fit_order,
+            )
+            used, measured = bounded.used, bounded.radiance
+            for part in problem.by_object(used):  # views into it: no object may vanish from the fit
+                if not part.any():
+                    part[:] = True
+        one = replace(problem, measured=measured).kept(used)
+        scales = scales_of(one, [not m.given for m in found], settings)
+        both = [one] if rich is None else [one, replace(rich[i], measured=measured).kept(used)]
+        out.append([_divided(p, scales) for p in both])
+    return [each[0] for each in out], None if rich is None else [each[1] for each in out]
+
+
+def scales_of(problem: Problem, recognised, settings) -> np.ndarray | None:
+    """(objects, 3) of a problem, or None where no object's material is better known than another's."""
+    if all(recognised) or not any(recognised):
+        return None
+    return free_scales(
+        problem.basis,
+        problem.by_object(problem.radiance()),
+        blocks=problem.by_object(problem.blocks),
+        prior=natural_prior(settings.fit_order),
+        order=settings.fit_order,
+        free=recognised,
+    )
+
+
+def _divided(problem: Problem, scales) -> Problem:
+    if scales is None:
+        return problem
+    parts = [b / s for b, s in zip(problem.by_object(problem.radiance()), scales, strict=True)]
+    return replace(problem, measured=np.concatenate(parts), scales=scales)
+
+
+def scale_words(problems) -> str:
+    """Whose scale the light is in, for ``result.json``."""
+    said = []
+    for problem in problems:
+        if problem.scales is None:
+            continue
+        names = [o.name for o in problem.scene.job.objects]
+        free = [i for i, s in enumerate(problem.scales) if (s != 1).any()]
+        held = " and ".join(f"'{n}'" for i, n in enumerate(names) if i not in free)
+        each = [f"'{names[i]}' reflects {', '.join(f'{v:.2f}' for v in problem.scales[i])}" for i in free]
+        said.append(f"held by {held}, whose material is given; {'; '.join(each)} times (red, green, blue) its material")
+    return " | ".join(said) or PHOTOS_OWN

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is done to a photograph, at five severities each, and the estimators that are tried on it."""
+
+import cv2
+import numpy as np
+
+from btfsep_engine.fit.censored import solve_censored
+from btfsep_engine.fit.compare import relative_l2
+from btfsep_engine.fit.map_estimate import solve_map
+from btfsep_engine.fit.robust import solve_robust
+from btfsep_engine.fit.white_balance import free_scales
+from btfsep_engine.images import linear_to_srgb, srgb_to_linear
+from btfsep_engine.light.natural import natural_prior
+
+ORDER = 4
+CLIPPED = (0.01, 0.05, 0.1, 0.2, 0.4)  # share of the object's pixels
+CODED = ("8-bit", "JPEG 95", "JPEG 75", "JPEG 50", "8-bit, 4 stops dark")
+EDGES = (1, 2, 3, 4, 6)  # pixels in from the silhouette, from which on they are used
+SPECKS = (0.01, 0.02, 0.05, 0.1, 0.2)  # share of the object that something else covers
+SHADES = (1.1, 1.25, 1.5, 2.0, 3.0)  # red of a piece over the library's, and blue of the library's over the piece's
+BRIGHT = 0.8  # of the 99.5th percentile of the object in a well exposed 8-bit photo
+INNER = 2  # pixels nearer to the silhouette are left out, as the engine does
+
+
+def error(fit, truth) -> float:
+    """Relative error of the coefficients up to order 2, with one free scale."""
+    return relative_l2(fit.coefficients[:9], truth[:9])["relative_l2_free_scale"]
+
+
+def error_of_colour(fit, truth) -> float:
+    """The same without a free scale."""
+    return relative_l2(fit.coefficients[:9], truth[:9])["relative_l2"]
+
+
+def plain(view, b, chosen, key="mean"):
+    """The fit of the chosen pixels (p,) bool."""
+    blocks = view.blocks[chosen]
+    return solve_map(view.basis[key][chosen], b[chosen], blocks=blocks, prior=natural_prior(9), order=ORDER)
+
+
+def inner(view) -> np.ndarray:
+    """(p,) bool: the pixels that the engine uses."""
+    return view.depth >= INNER
+
+
+def clipping(view, light, rng) -> dict:
+    """{estimator: (error at none and at each severity)} of photographs clipped per channel at one limit."""
+    image, truth, keep = view.photos[light], view.truths[light], inner(view)
+    b = view.at(image).astype(np.float64)
+    rows = {"left out": [], "inequality": [], "inequality, pixels with a channel left": []}
+    first = error(plain(view, b, keep), truth)
+    for share in (0, *CLIPPED):
+        if share == 0:
+            for row in rows.values():
+                row.append(first)
+            continue
+        limit = float(np.quantile(b[keep].max(1), 1 - share))
+        clipped, cut = b >= limit, np.minimum(b, limit)
+        rows["left out"].append(error(plain(view, cut, keep & ~clipped.any(1)), truth))
+        for name, partly in (("inequality", False), ("inequality, pixels with a channel left", True)):
+            found = solve_censored(
+                view.basis["mean"][keep],
+                cut[keep],
+                clipped[keep],
+                blocks=view.blocks[keep],
+                prior=natural_prior(9),
+                order=ORDER,
+                partly=partly,
+            )
+            rows[name].append(error(found.fit, truth))
+    return rows
+
+
+def coded_photo(image, region, how: str) -> np.ndarray:
+    """The codes (h, w, 3) uint8 of the photograph in an 8-bit file, exposed by the object's bright pixels."""
+    peak = float(np.quantile(image[region].max(1), 0.995))
+    exposure = BRIGHT / peak * (2**-4 if "dark" in how else 1)
+    codes = np.round(np.clip(linear_to_srgb(image.astype(np.float64) * exposure), 0, 1) * 255).astype(np.uint8)
+    if how.startswith("JPEG"):
+        quality = int(how.split()[1])
+        _, data = cv2.imencode(".jpg", codes[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+        codes = cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1]
+    return codes
+
+
+def coding(view, light, rng) -> dict:
+    """Errors of 8-bit photographs of unknown exposure: codes decoded alone, and with a noise floor for the codes."""
+    image, truth, keep = view.photos[light], view.truths[light], inner(view)
+    rows = {"as decoded": [], "floor for the codes": []}
+    first = error(plain(view, view.at(image).astype(np.float64), keep), truth)
+    for row in rows.values():
+        row.append(first)
+    for how in CODED:
+        codes = view.at(coded_photo(image, view.region, how))
+        b = srgb_to_linear(codes / 255)
+        chosen = keep & (codes < 255).all(1)
+        rows["as decoded"].append(error(plain(view, b, chosen), truth))
+        step = srgb_to_linear((codes + 0.5) / 255) - srgb_to_linear((codes - 0.5) / 255)
+        noise = np.square(0.05 * b).mean() + np.square(step).mean(1) / 12
+        weight = np.sqrt(noise.min() / noise)
+        basis = view.basis["mean"][chosen] * weight[chosen, None, None].astype(np.float32)
+        fit = solve_map(
+            basis, (b * weight[:, None])[chosen], blocks=view.blocks[chosen], prior=natural_prior(9), order=ORDER
+        )
+        rows["floor for the codes"].append(error(fit, truth))
+    return rows
+
+
+def edges(view, light, rng) -> dict:
+    """Errors by how far inside the silhouette pixels are used (1: all), the same number in each, and all."""
+    b, truth = view.at(view.photos[light]).astype(np.float64), view.truths[light]
+    count = int((view.depth >= EDGES[-1]).sum())
+    order = rng.permutation(len(b))
+    out = {"as many pixels": [], "all that are left": []}
+    for width in EDGES:
+        chosen = np.zeros(len(b), bool)
+        chosen[order[view.depth[order] >= width][:count]] = True
+        out["as many pixels"].append(error(plain(view, b, chosen), truth))
+        out["all that are left"].append(error(plain(view, b, view.depth >= width), truth))
+    return out
+
+
+def robust_fits(view, b, keep, key="mean"):
+    """(name, Fit) of every weighting."""
+    yield "none", plain(view, b, keep, key)
+    basis, blocks = view.basis[key][keep], view.blocks[keep]
+    for kind in ("huber", "tukey"):
+        for by in ("pixel", "block"):
+            found = solve_robust(basis, b[keep], blocks=blocks, prior=natural_prior(9), order=ORDER, kind=kind, by=by)
+            yield f"{kind} by {by}", found.fit
+
+
+def specks(view, light, rng) -> dict:
+    """Errors where something of another colour and brightness covers parts of the object, by weighting."""
+    image, truth, keep = view.photos[light], view.truths[light], inner(view)
+    rows: dict = {}
+    rows_at, columns_at = np.nonzero(view.region)
+    level = float(image[view.region].mean())
+    covered, image = np.zeros_like(view.region), image.copy()
+    for share in (0, *SPECKS):
+        while covered[view.region].mean() < share:
+            i = rng.integers(len(rows_at))
+            radius = rng.uniform(2, 7)
+            y, x = np.ogrid[: image.shape[0], : image.shape[1]]
+            disc = (y - rows_at[i]) ** 2 + (x - columns_at[i]) ** 2 <= radius**2
+            image[disc] = level * 2 ** rng.uniform(-3, 2, 3)
+            covered |= disc
+        for name, fit in robust_fits(view, view.at(image).astype(np.float64), keep):
+            rows.setdefault(name, []).append(error(fit, truth))
+    return rows
+
+
+def textures(view, light, rng) -> dict | None:
+    """Errors with the mean ABRDF and with the texture, where it lines up and where not; None without a texture."""
+    if "aligned" not in view.basis:
+        return None
+    b, keep, truth = view.at(view.photos[light]).astype(np.float64), inner(view), view.truths[light]
+    rows: dict = {}
+    for key in ("mean", "aligned", "not aligned"):
+        for name, fit in robust_fits(view, b, keep, key):
+            rows.setdefault(name, []).append(error(fit, truth))
+    return rows
+
+
+def shades(view, other, light, rng) -> dict:
+    """Errors with no free scale, where a second object's dye is not the library's: alone held, both held, one free.
+
+    ``other`` is under the same light in a photograph of its own; both together are a scene without reflections
+    between them.
+    """
+    truth, keep = view.truths[light], (inner(view), inner(other))
+    basis = [v.basis["mean"][k] for v, k in zip((view, other), keep, strict=True)]
+    photos = [v.at(v.photos[light]).astype(np.float64)[k] for v, k in zip((view, other), keep, strict=True)]
+    blocks = [view.blocks[keep[0]], other.blocks[keep[1]] + (1 << 20)]
+    how = {"prior": natural_prior(9), "order": ORDER}
+    rows = {"the known object alone": [], "both as in the library": [], "the second one's scale free": []}
+    alone = error_of_colour(solve_map(basis[0], photos[0], blocks=blocks[0], **how), truth)
+    for ratio in (1, *SHADES):
+        seen = [photos[0], photos[1] * np.array([ratio, 1, 1 / ratio])]
+        scales = free_scales(basis, seen, blocks=blocks, free=[False, True], **how)
+        rows["the known object alone"].append(alone)
+        for name, factor in (("both as in the library", 1.0), ("the second one's scale free", scales[1])):
+            a = np.concatenate([basis[0], basis[1] * np.asarray(factor, np.float32)])
+            fit = solve_map(a, np.concatenate(seen), blocks=np.concatenate(blocks), **how)
+            rows[name].append(error_of_colour(fit, truth))
+    return rows
+
+
+AXES = {
+    "clipping": clipping,
+    "coding": coding,
+    "edges": edges,
+    "specks": specks,
+    "textures": textures,
+    "shades": shades,
+}
+PAIRS = ("shades",)  # of two objects
+SEVERITIES = {
+    "clipping": ("none", *(f"{100 * v:.0f} %" for v in CLIPPED)),
+    "coding": ("linear", *CODED),
+    "edges": tuple(f"{v}" for v in EDGES),
+    "specks": ("none", *(f"{100 * v:.0f} %" for v in SPECKS)),
+    "textures": ("mean ABRDF", "texture lines up", "texture does not"),
+    "shades": ("1", *(f"{v:g}" for v in SHADES)),
+}
+TITLES = {
+    "clipping": "Clipped: share of the object's pixels",
+    "coding": "How the photo is stored",
+    "edges": "Pixels used from so many pixels inside the outline",
+    "specks": "Covered by other things: share of the object",
+    "textures": "Texture, by weighting",
+    "shades": "Another dye: ratio in red and blue (no free scale)",
+}

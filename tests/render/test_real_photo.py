@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clipped photos and recognised objects of another dye, through the pipeline, against the light they were made of."""
+
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import ObjectMaterial
+from btfsep_engine.pipeline.modelling import all_chosen_points, chosen_fit, posed
+from btfsep_engine.pipeline.real_photo import PHOTOS_OWN
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+
+GREY = Lambertian("test/grey", np.full(3, 0.5))
+SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2)
+DYE = np.array([1.5, 1.0, 0.7])
+
+
+class Listening(Reporter):
+    """Keeps the warnings."""
+
+    def __init__(self):
+        super().__init__()
+        self.said = []
+
+    def warn(self, message):
+        self.said.append(message)
+
+
+def scene_of_balls(places, *, dyes=None, limit=None):
+    """Grey balls, photographed under `positive_light` with 2 % noise, clipped at a quantile of their brightness."""
+    balls = [as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.45)) for _ in places]
+    balls = [replace(m, vertices=m.vertices + place) for m, place in zip(balls, places, strict=True)]
+    scene = PreparedScene(job_of(balls, looking_down()), Listening())
+    image = np.zeros((96, 96, 3), np.float32)
+    rng = np.random.default_rng(3)
+    for i in range(len(places)):
+        points = scene.points(i, textured=False)
+        values = scene.radiance(points, GREY, SHLighting(positive_light(2)), directions=512)[:, 0]
+        dye = 1 if dyes is None else dyes[i]
+        image[points.pixels[:, 0], points.pixels[:, 1]] = values * dye * rng.normal(1, 0.02, values.shape)
+    clipped = np.zeros(image.shape, bool)
+    if limit is not None:
+        top = np.quantile(image[image[..., 1] > 0].max(1), limit)
+        clipped = image >= top
+        image = np.minimum(image, top)
+    whole = ~clipped.any(-1)
+    scene.job = replace(scene.job, photo=Photo(image, whole, int((~whole).sum()), clipped))
+    return scene
+
+
+def light_of(scene, materials, settings=SETTINGS):
+    """The fit, the problem, and the choice."""
+    chosen = all_chosen_points([scene], settings)
+    problems, rich = posed([scene], [materials], chosen, settings, both=False)
+    _, fit, _, _, choice = chosen_fit(problems, rich, settings)
+    return fit, problems[0], choice
+
+
+def off(fit) -> float:
+    """Relative error, no free scale."""
+    truth = positive_light(2)
+    return float(np.linalg.norm(fit.coefficients - truth) / np.linalg.norm(truth))
+
+
+def test_a_clipped_photo_gives_the_light_of_the_whole_one_as_nearly_as_can_be():
+    given = [ObjectMaterial("test/grey", GREY, True)]
+    scene = scene_of_balls([(0, 0, 0)], limit=0.5)
+    fit, problem, choice = light_of(scene, given)
+    assert choice["scale"] == PHOTOS_OWN
+    assert any("at least as bright" in text for text in scene.reporter.said)
+    blind = replace(scene.job.photo, clipped=None)
+    scene.job = replace(scene.job, photo=blind)
+    without, fewer, _ = light_of(scene, given)
+    assert any("left out" in text for text in scene.reporter.said)
+    assert len(problem.pixels) > len(fewer.pixels)
+    assert len(problem.pixels) == len(problem.radiance()) == len(problem.all_basis)
+    scene.job = replace(scene.job, photo=replace(blind, usable=np.ones_like(blind.usable)))
+    as_if_measured, _, _ = light_of(scene, given)
+    assert off(fit) < off(without) and off(fit) < 0.95 * off(as_if_measured)
+    assert problem.radiance().max() > blind.radiance.max()
+
+
+def test_a_recognised_object_of_another_dye_does_not_colour_the_light():
+    scene = scene_of_balls([(-0.5, 0, 0), (0.5, 0, 0)], dyes=[1, DYE])
+    known, guessed = (ObjectMaterial("test/grey", GREY, given) for given in (True, False))
+    free, problem, choice = light_of(scene, [known, guessed])
+    held, other, words = light_of(scene, [known, known])
+    np.testing.assert_allclose(problem.scales, [np.ones(3), DYE], rtol=0.05)
+    assert "held by 'object 0'" in choice["scale"] and "'object 1' reflects 1." in choice["scale"]
+    assert other.scales is None and words["scale"] == PHOTOS_OWN
+    assert off(free) < 0.06 < off(held)
+
+
+def test_least_squares_leaves_clipped_pixels_out():
+    scene = scene_of_balls([(0, 0, 0)], limit=0.8)
+    settings = choose("paper", directions=128, order=2, bounces=1)
+    _, problem, _ = light_of(scene, [ObjectMaterial("test/grey", GREY, True)], settings)
+    rows, columns = problem.pixels.T
+    assert scene.job.photo.usable[rows, columns].all() and problem.measured is None
