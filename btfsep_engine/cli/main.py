@@ -57,6 +57,7 @@ def doctor(*, library_folder, reporter):
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]")
 @click.option("--order", type=NumberOrAuto(), help="Order of the spherical harmonics, 0 to 9, or auto.")
 @click.option("--estimator", help="map (natural-light prior) or least-squares (the paper's).")
+@click.option("--light", help="positive (nowhere too dark) or free.")
 @click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")

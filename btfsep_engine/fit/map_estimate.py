@@ -42,6 +42,7 @@ from scipy.optimize import minimize_scalar
 from btfsep_engine import sh
 from btfsep_engine.fit.factorised import Factorised, Measured
 from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.positive import positive_light
 from btfsep_engine.fit.tridiagonal import PRECISE, Tridiagonal
 
 COARSENING = 5.0
@@ -78,6 +79,7 @@ class LightSolver:
     blocks : (p,) int, block number of each pixel (`least_squares.block_labels`)
     prior : light.natural.NaturalPrior
     order : the order that is reported, at most the prior's; it does not change the numbers
+    positive : whether the light is the most probable of those that are nowhere too dark (`fit.positive`)
     coarsening : 1 where the noise model is exactly true
 
     Raises
@@ -86,9 +88,9 @@ class LightSolver:
         Without pixels, or where the material reflects nothing.
     """
 
-    def __init__(self, basis, *, blocks, prior, order: int, coarsening: float = COARSENING):
+    def __init__(self, basis, *, blocks, prior, order: int, positive: bool = False, coarsening: float = COARSENING):
         self.factorised = Factorised(basis, blocks, prior)
-        self.prior, self.order, self.coarsening = prior, order, coarsening
+        self.prior, self.order, self.positive, self.coarsening = prior, order, positive, coarsening
         self._first = None
         self._singular = self.factorised.singular_values(sh.term_count(order))
 
@@ -209,8 +211,12 @@ class LightSolver:
         variance = scale2 * f.variances(white)
         few = min(f.terms, sh.term_count(EXPECTED_ORDER))
         covariance = scale2 * f.covariance(white, few)
-        left = np.diag(f.misfit(measured, x)) * f.response**2
         energy = np.diag(measured.energies) * f.response**2
+        left, free, free_residual = np.diag(f.misfit(measured, x)) * f.response**2, None, None
+        if self.positive:
+            free, free_residual = x[:terms], float(np.sqrt(max(left.sum(), 0) / energy.sum()))
+            x = positive_light(x, self.posterior_factor(found))
+            left = np.diag(f.misfit(measured, x)) * f.response**2
         residual = float(np.sqrt(max(left.sum(), 0) / energy.sum()))
         model = model_variance(x, residual)
         stddev = np.sqrt(variance + model + (REFLECTANCE_SPREAD * x) ** 2)
@@ -239,6 +245,8 @@ class LightSolver:
             all_determined=share < DETERMINED,
             covariance=covariance,
             found=found,
+            free_residual=free_residual,
+            free_coefficients=free,
         )
 
     def left_over(self, found: Found, values) -> np.ndarray:
@@ -277,6 +285,7 @@ def reported_up_to(fit: Fit, order: int, solver: LightSolver) -> Fit:
         coefficients=fit.coefficients[:terms],
         stddev=fit.stddev[:terms],
         determined=fit.determined[:terms],
+        free_coefficients=None if fit.free_coefficients is None else fit.free_coefficients[:terms],
         singular_values=singular,
         condition=float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
     )

@@ -195,7 +195,7 @@ def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting
             open_share=np.concatenate([open_share(q.scene, p) for q in problems for p in q.points]),
         )
         names = [m.name for found in materials for m in found]
-        negative = light_is_negative(fit.coefficients)
+        negative = light_is_negative(fit.coefficients if fit.free_coefficients is None else fit.free_coefficients)
         out += structure_doubts(effects, contrast=fit.prior_scale, negative=negative, names=names)
     for photo, found in zip(photos, materials, strict=True):
         for obj, m, residual in zip(photo.scene.job.objects, found, photo.residuals, strict=True):
@@ -286,6 +286,7 @@ def result_record(found: Estimate, settings: Settings) -> dict:
             )
         ],
         "residual": fit.residual,
+        "residual_free_light": fit.free_residual,
         "residual_per_channel": fit.residual_per_channel,
         "order": settings.order,
         "estimator": settings.estimator,

@@ -76,7 +76,11 @@ class FrameSolver:
 
     def _solver(self, chosen) -> LightSolver:
         return LightSolver(
-            self.basis[chosen], blocks=self.blocks[chosen], prior=self.prior, order=int(self.settings.order)
+            self.basis[chosen],
+            blocks=self.blocks[chosen],
+            prior=self.prior,
+            order=int(self.settings.order),
+            positive=self.settings.positive,
         )
 
     def solve(self, photo):

@@ -8,6 +8,7 @@ from btfsep_engine.errors import InputError
 LARGEST_ORDER = 9
 ESTIMATORS = ("map", "least-squares")
 TRANSPORTS = ("kernel", "reference")
+LIGHTS = ("positive", "free")
 IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 4  # where interreflections are modelled and no number was asked for
 
@@ -23,6 +24,7 @@ class Settings:
         something, with "least-squares" the lowest that cross-validation cannot tell from the best
     estimator : "map" (all orders up to 9 under a prior of natural light, ``order`` of them reported) or
         "least-squares" (the paper's: the orders up to ``order`` and no others)
+    light : "positive" (with "map": the most probable light that is nowhere too dark, `fit.positive`) or "free"
     appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
         (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
@@ -42,6 +44,7 @@ class Settings:
     preset: str = "balanced"
     order: int | str = 4
     estimator: str = "map"
+    light: str = "positive"
     appearance: str = "auto"
     pixels: int = 4000
     directions: int | str = "auto"
@@ -59,6 +62,11 @@ class Settings:
     def fit_order(self) -> int:
         """The order up to which basis images are made and fitted."""
         return LARGEST_ORDER if self.estimator == "map" or self.order == "auto" else self.order
+
+    @property
+    def positive(self) -> bool:
+        """Whether the light is kept from being too dark anywhere."""
+        return self.estimator == "map" and self.light == "positive"
 
     @property
     def many_directions(self) -> int:
@@ -96,6 +104,8 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}, or auto")
     if settings.estimator not in ESTIMATORS:
         raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
+    if settings.light not in LIGHTS:
+        raise InputError("--light", f"'{settings.light}'", f"choose one of {', '.join(LIGHTS)}")
     if settings.transport not in TRANSPORTS:
         raise InputError("--transport", f"'{settings.transport}'", f"choose one of {', '.join(TRANSPORTS)}")
     if not 2 <= settings.samples <= 1 << 16:

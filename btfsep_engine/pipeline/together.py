@@ -22,7 +22,11 @@ def light_solver(problems: list[Problem], settings) -> LightSolver:
     """The factorised basis images of all photos together, for the estimator with a prior."""
     basis, blocks = stacked(problems)
     return LightSolver(
-        basis, blocks=blocks, prior=natural_prior(settings.fit_order), order=min(settings.order, settings.fit_order)
+        basis,
+        blocks=blocks,
+        prior=natural_prior(settings.fit_order),
+        order=min(settings.order, settings.fit_order),
+        positive=settings.positive,
     )
 
 

@@ -7,7 +7,9 @@ from scipy.optimize import minimize
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.map_estimate import LightSolver
 from btfsep_engine.fit.positive import positive_light
+from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.light.positivity import blurred_basis, darkest_share, positive_window
 
 
@@ -90,3 +92,34 @@ def test_the_training_lights_keep_the_floor_and_touch_it():
     dense = sh.evaluate(9, fibonacci_sphere(3000)) * np.repeat(positive_window(9), 2 * np.arange(10) + 1)
     shares = [(dense @ m).min() / (0.5 / np.sqrt(np.pi) * m[0].mean()) for m in x]
     assert min(shares) == pytest.approx(floor, abs=0.01)
+
+
+def test_the_solver_gives_the_constrained_light_with_its_own_residual():
+    """A lamp from one side on a sphere: the free estimate is negative opposite to it, the positive one keeps the floor
+    and explains the photo almost as well; both residuals are those of the light that they name."""
+    rng = np.random.default_rng(3)
+    normals = rng.normal(size=(600, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals[:, 1] = -np.abs(normals[:, 1])
+    lobe = np.repeat(sh.cosine_lobe(9), 2 * np.arange(10) + 1) / np.pi
+    basis = (sh.evaluate(9, normals) * lobe)[..., None] * np.array([0.8, 0.6, 0.4])
+    lamp = sh.evaluate(9, np.array([[0.8, -0.6, 0.0]]))[0][:, None] * np.array([3.0, 2.5, 2.0])
+    lamp[0] += 0.2
+    photo = np.einsum("pmc,mc->pc", basis, lamp) + rng.normal(size=(600, 3)) * 0.02
+    blocks = np.arange(600) // 10
+    free, positive = (
+        LightSolver(basis, blocks=blocks, prior=natural_prior(9), order=4, positive=p).solve(photo)
+        for p in (False, True)
+    )
+    blurred = blurred_basis(9)
+    least = darkest_share(9) * 0.5 / np.sqrt(np.pi) * free.all_coefficients[0].mean()
+    assert (blurred @ free.all_coefficients).min() < least - 0.01
+    assert (blurred @ positive.all_coefficients).min() > least - 1e-6
+    for fit, x in ((free, free.all_coefficients), (positive, positive.all_coefficients)):
+        left = photo - np.einsum("pmc,mc->pc", basis, x)
+        assert fit.residual == pytest.approx(np.linalg.norm(left) / np.linalg.norm(photo), rel=1e-3)
+    assert positive.free_residual == pytest.approx(free.residual, rel=1e-6) and free.free_residual is None
+    assert np.allclose(positive.free_coefficients, free.coefficients)
+    assert free.residual < positive.residual < 1.5 * free.residual
+    wrong = [np.linalg.norm(f.coefficients[:9] - lamp[:9]) for f in (free, positive)]
+    assert wrong[1] < wrong[0]
