@@ -34,9 +34,7 @@ def run_chart(
     """
     light = None if truth is None else read_any_lighting(truth, ORDER).coefficients
     if light is not None and sh.order_of(len(light)) < ORDER:
-        raise InputError(
-            f"--truth {truth}", f"order {sh.order_of(len(light))}", f"give order {ORDER} or more"
-        )
+        raise InputError(f"--truth {truth}", f"order {sh.order_of(len(light))}", f"give order {ORDER} or more")
     with reporter.stage("reading"):
         job = load_job(folder)
         for note in job.warnings:
