@@ -98,7 +98,11 @@ def own_light(problems, materials, fit: Fit, solver, exposures, *, bounces: int)
     added = np.concatenate(added).astype(np.float64)
     measured = np.concatenate([p.radiance() / e for p, e in zip(problems, exposures, strict=True)]).astype(np.float64)
     basis, blocks = (None, None) if solver else stacked(problems)
-    again = solver.solve(measured - added) if solver else solve(basis, measured - added, blocks=blocks)
+    rest = measured - added
+    if solver:  # under the same prior and noise: one solution instead of a search for both
+        again = solver.fit(solver.factorised.measure(rest), fit.found)
+    else:
+        again = solve(basis, rest, blocks=blocks)
     terms = len(fit.coefficients)  # a solver may state more than are reported
     moved = np.abs(again.coefficients[:terms] - fit.coefficients) / np.maximum(fit.stddev, 1e-300)
     change = float(moved.max())
