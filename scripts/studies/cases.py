@@ -89,7 +89,7 @@ def true_light(work, light) -> np.ndarray:
     return np.array(json.loads(path.read_text()), np.float64)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def _geometry(folder: str):
     from btfsep_engine.pipeline.scene import PreparedScene
     from btfsep_engine.progress import Reporter

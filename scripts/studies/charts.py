@@ -23,7 +23,7 @@ LOOKS = {
 }
 MEASURES = {  # name of the picture: (measure, title, scale, limits)
     "stability": ("order2", "Error of the coefficients up to order 2 (relative, one free scale)", "log", (0.03, 3.0)),
-    "stability-direction": ("direction", "Angle between the main directions of the light, degrees", "linear", (0, 90)),
+    "stability-direction": ("direction", "Angle between the main directions of the light, degrees", "linear", (0, 180)),
     "stability-spheres": ("spheres", "Three spheres: mean si-RMSE of diffuse, silver, mirror", "log", (0.01, 0.5)),
     "stability-psnr": ("psnr", "The photograph rendered again under the estimated light: PSNR, dB", "linear", (8, 40)),
 }
@@ -74,7 +74,7 @@ def measure_chart(path, answers, name: str) -> None:
             ax.plot(x, shown, label=NAMES[method], clip_on=False, **LOOKS[method])
             for i in x[_beyond(y, limits)]:
                 ax.annotate(
-                    f"{y[i]:.2g}",
+                    f"{y[i]:.3g}",
                     (i, shown[i]),
                     textcoords="offset points",
                     xytext=(0, -9),

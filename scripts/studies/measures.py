@@ -63,7 +63,7 @@ def psnr(image, truth) -> float:
     return of_images(image[None], truth[None])
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=64)
 def _basis(folder: str, material: str):
     from btfsep_engine.btf.library import open_library
     from btfsep_engine.job.load import load_job

@@ -157,6 +157,8 @@ def estimate(method: str, folder, case, library) -> Given:
     try:
         found = METHODS[method](folder, case.material, library)
     except InputError as error:
+        if not (folder / "job.json").exists():
+            raise  # somebody cleaned up: no answer either
         return Given(None, None, (f"refused: {error}",), "", time.perf_counter() - start)
     seconds = time.perf_counter() - start
     return Given(found.coefficients, found.stddev, found.warnings, found.determined, seconds)
