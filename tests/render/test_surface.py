@@ -148,7 +148,9 @@ def test_large_meshes_are_projected_and_say_so(sphere, monkeypatch):
     edges = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1)
     corners = sphere.vertices[sphere.faces] * 50
     true = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-    assert (edges <= true * 1.001).all() and (edges / true).min() > 0.4
+    # each patch is brought to its surface's area: to size in the mean, a little longer and shorter at its ends
+    low, middle, high = np.percentile(edges / true, [5, 50, 95])
+    assert 0.85 < low and abs(middle - 1) < 0.02 and high < 1.1
 
 
 def test_chosen_pixels_cover_the_object_evenly(sphere):
