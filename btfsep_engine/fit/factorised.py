@@ -91,6 +91,10 @@ class Factorised:
         """Rows of the scaled A, term by term: (pixels of the part, 3 terms) float64."""
         return self._rows[part] if self._rows is not None else self.flat[part] * self.scale
 
+    def all_rows(self) -> np.ndarray:
+        """All rows of the scaled A, term by term: (p, 3 terms) float64."""
+        return np.concatenate([self.rows(part) for part in self._parts()])
+
     def _set_prior(self):
         prior = self.prior
         channels = np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3)

@@ -9,6 +9,7 @@ is least-distance programming; by Lawson and Hanson (1974, ch. 23) it is one non
 """
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from btfsep_engine import sh
@@ -22,7 +23,8 @@ def positive_light(mean, factor, *, floor: float | None = None) -> np.ndarray:
 
     Parameters
     ----------
-    mean : (terms, 3) float, the posterior's mean
+    mean : (terms, 3) float, the posterior's mean; rows beyond the last full order (a beam's irradiance) are kept from
+        being negative as they are
     factor : (3 terms, r) float, R, channel by channel: the posterior's covariance is R R^T
     floor : least blurred radiance over the light's mean radiance; None: the darkest of the training lights
 
@@ -32,9 +34,12 @@ def positive_light(mean, factor, *, floor: float | None = None) -> np.ndarray:
     """
     mean, factor = np.asarray(mean, np.float64), np.asarray(factor, np.float64)
     terms = len(mean)
-    basis = blurred_basis(sh.order_of(terms))
-    floor = darkest_share(sh.order_of(terms)) if floor is None else floor
-    least = floor * sh.evaluate(0, np.array([[0.0, 0.0, 1.0]]))[0, 0] * mean[0].mean()
+    order = int(np.sqrt(terms)) - 1
+    blurred = blurred_basis(order)
+    floor = darkest_share(order) if floor is None else floor
+    basis = block_diag(blurred, np.eye(terms - sh.term_count(order)))
+    least = np.zeros((len(basis), 1))
+    least[: len(blurred)] = floor * sh.evaluate(0, np.array([[0.0, 0.0, 1.0]]))[0, 0] * mean[0].mean()
     missing = (least - basis @ mean).T.ravel()
     if missing.max() <= 0:
         return mean

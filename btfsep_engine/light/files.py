@@ -13,6 +13,7 @@ from btfsep_engine import atomic, images, sh
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.schema import Strict, parse
 from btfsep_engine.light.maps import read_map
+from btfsep_engine.light.sun import Sun
 
 MAX_ORDER = 64
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -29,6 +30,7 @@ class Lighting:
     stddev : the same shape, standard deviations, >= 0
     determined : ((L + 1)^2,) bool, whether the photo determines the row
     exposure_ev : the exposure that had been applied to the photo, in stops; carried along, not applied
+    sun : the key light that is part of the coefficients, or None where none stands out
     """
 
     order: int
@@ -36,6 +38,7 @@ class Lighting:
     stddev: np.ndarray
     determined: np.ndarray
     exposure_ev: float = 0.0
+    sun: Sun | None = None
 
     def __post_init__(self):
         terms = sh.term_count(self.order)
@@ -50,10 +53,29 @@ class Lighting:
             object.__setattr__(self, name, value)
 
 
+    @property
+    def sky(self) -> np.ndarray:
+        """(terms, 3), the coefficients without the sun."""
+        return self.coefficients if self.sun is None else self.coefficients - self.sun.coefficients(self.order)
+
+
 def exactly(coefficients, *, exposure_ev: float = 0.0) -> Lighting:
     """A Lighting of known ``coefficients : ((L + 1)^2, 3)``: no uncertainty, all determined."""
     x = np.asarray(coefficients, np.float64)
     return Lighting(sh.order_of(len(x)), x, np.zeros_like(x), np.ones(len(x), bool), exposure_ev)
+
+
+NotNegative = Annotated[float, Field(ge=0)]
+Degrees = Annotated[float, Field(ge=0, le=180)]
+
+
+class SunSchema(Strict):
+    direction: Annotated[list[float], Field(min_length=3, max_length=3)]
+    irradiance: Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
+    stddev: Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
+    size_degrees: Degrees = 0.0
+    angle_degrees: Degrees = 0.0
+    evidence: float = 0.0
 
 
 class LightingSchema(Strict):
@@ -66,6 +88,7 @@ class LightingSchema(Strict):
     determined: list[bool] | None = None
     frame: Literal["blender-z-up"]
     exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    sun: SunSchema | None = None
 
 
 def read_lighting(path) -> Lighting:
@@ -86,12 +109,16 @@ def read_lighting(path) -> Lighting:
             raise InputError(f"{path.name}: {key}", got, "write (order + 1)^2 rows")
     if schema.stddev is not None and min(min(row) for row in schema.stddev) < 0:
         raise InputError(f"{path.name}: stddev", "a standard deviation is negative", "write the positive root")
+    sun = schema.sun
+    if sun is not None and not 0.5 < np.linalg.norm(sun.direction) < 2:
+        raise InputError(f"{path.name}: sun.direction", f"its length is not 1: {sun.direction}", "write a unit vector")
     return Lighting(
         schema.order,
         np.array(schema.coefficients),
         np.zeros((terms, 3)) if schema.stddev is None else np.array(schema.stddev),
         np.ones(terms, bool) if schema.determined is None else np.array(schema.determined),
         schema.exposure_ev,
+        None if sun is None else Sun(**sun.model_dump()),
     )
 
 
@@ -116,6 +143,10 @@ def write_lighting(path, lighting: Lighting) -> None:
         "frame": "blender-z-up",
         "exposure_ev": float(lighting.exposure_ev),
     }
+    if lighting.sun is not None:
+        if not np.isfinite(lighting.sun.irradiance).all():
+            raise ValueError("a sun that is not finite")
+        fields["sun"] = sun_record(lighting.sun)
     lines = []
     for key, value in fields.items():
         text = json.dumps(value, allow_nan=False)
@@ -125,9 +156,30 @@ def write_lighting(path, lighting: Lighting) -> None:
     atomic.write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
+def sun_record(sun: Sun) -> dict:
+    """The sun for JSON."""
+    return {
+        "direction": sun.direction.tolist(),
+        "irradiance": sun.irradiance.tolist(),
+        "stddev": sun.stddev.tolist(),
+        "size_degrees": float(sun.size_degrees),
+        "angle_degrees": float(sun.angle_degrees),
+        "evidence": float(sun.evidence),
+    }
+
+
+def lighting_map(lighting: Lighting, height: int, width: int) -> np.ndarray:
+    """The lighting as an equirectangular map (height, width, 3); spherical harmonics may dip below zero.
+
+    A sun is a disc of its irradiance, so that its shadows are sharp when the map lights a scene.
+    """
+    image = sh.to_map(lighting.sky, height, width)
+    return image if lighting.sun is None else image + lighting.sun.to_map(height, width)
+
+
 def write_lighting_exr(path, lighting: Lighting, *, height: int = 256, width: int = 512) -> None:
-    """Writes the lighting as an equirectangular map, 32-bit float EXR. Spherical harmonics may dip below zero."""
-    images.write_exr(path, sh.to_map(lighting.coefficients, height, width))
+    """Writes `lighting_map`, 32-bit float EXR."""
+    images.write_exr(path, lighting_map(lighting, height, width))
 
 
 def read_any_lighting(path, order: int = 9) -> Lighting:

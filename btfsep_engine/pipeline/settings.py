@@ -25,6 +25,7 @@ class Settings:
     estimator : "map" (all orders up to 9 under a prior of natural light, ``order`` of them reported) or
         "least-squares" (the paper's: the orders up to ``order`` and no others)
     light : "positive" (with "map": the most probable light that is nowhere too dark, `fit.positive`) or "free"
+    key_light : "auto" (a sun or lamp is split off where the photo asks for it, pipeline/key_light.py) or "never"
     appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
         (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
@@ -45,6 +46,7 @@ class Settings:
     order: int | str = 4
     estimator: str = "map"
     light: str = "positive"
+    key_light: str = "auto"
     appearance: str = "auto"
     pixels: int = 4000
     directions: int | str = "auto"
@@ -106,6 +108,8 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
     if settings.light not in LIGHTS:
         raise InputError("--light", f"'{settings.light}'", f"choose one of {', '.join(LIGHTS)}")
+    if settings.key_light not in ("auto", "never"):
+        raise InputError("--key-light", f"'{settings.key_light}'", "choose 'auto' or 'never'")
     if settings.transport not in TRANSPORTS:
         raise InputError("--transport", f"'{settings.transport}'", f"choose one of {', '.join(TRANSPORTS)}")
     if not 2 <= settings.samples <= 1 << 16:

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A key light: the part of a light that comes from one direction, from a disc so small that a series cannot hold it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine import sh
+from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
+from btfsep_engine.light.lightings import cap_factors
+
+NARROWEST = 3.0  # pixels of a map: a sun is no narrower in it
+
+
+@dataclass(frozen=True)
+class Sun:
+    """A key light.
+
+    Attributes
+    ----------
+    direction : (3,) float64, unit, world, to the light
+    irradiance : (3,) float64, linear Rec.709, >= 0, on a surface that faces it, in the photo's own scale
+    stddev : (3,) of the irradiance
+    size_degrees : its most probable width; 0: a point will do
+    angle_degrees : the largest width that the photo allows
+    evidence : logarithm of how much better the photo is explained with it
+    """
+
+    direction: np.ndarray
+    irradiance: np.ndarray
+    stddev: np.ndarray
+    size_degrees: float = 0.0
+    angle_degrees: float = 0.0
+    evidence: float = 0.0
+
+    def __post_init__(self):
+        for name in ("direction", "irradiance", "stddev"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64).reshape(3))
+        object.__setattr__(self, "direction", self.direction / np.linalg.norm(self.direction))
+
+    def coefficients(self, order: int) -> np.ndarray:
+        """The sun in spherical harmonics: ((order + 1)^2, 3)."""
+        return beam_shape(self.direction, order, size_degrees=self.size_degrees)[:, None] * self.irradiance
+
+    def to_map(self, height: int, width: int) -> np.ndarray:
+        """Radiance (height, width, 3): a disc of the sun's irradiance, at least `NARROWEST` pixels wide."""
+        half = max(np.radians(self.size_degrees), NARROWEST * np.pi / height) / 2
+        cosine = pixel_directions(height, width) @ self.direction
+        # the edge is a pixel soft, so that the middle of a small disc stays where it is
+        disc = np.clip((half - np.arccos(np.clip(cosine, -1, 1))) / (np.pi / height) + 0.5, 0, 1)
+        received = (disc * np.clip(cosine, 0, 1) * pixel_solid_angles(height, width)[:, None]).sum()
+        return disc[..., None] * (self.irradiance / received)
+
+
+def beam_shape(direction, order: int, *, size_degrees: float = 0.0) -> np.ndarray:
+    """The spherical harmonics ((order + 1)^2,) of a disc of unit irradiance about a direction."""
+    cap = cap_factors(order, 2 * np.pi * (1 - np.cos(np.radians(size_degrees) / 2)))
+    return sh.evaluate(order, np.asarray(direction, np.float64)) * np.repeat(cap, 2 * np.arange(order + 1) + 1)

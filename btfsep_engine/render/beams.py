@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Radiance of surface points under beams of parallel light, many directions at once, each with its own shadows."""
+
+import numpy as np
+
+from btfsep_engine.btf.model import Material, Mirror
+from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.render.transport import LANES
+from btfsep_engine.render.weights import Weights
+
+
+def beam_radiance(
+    tracer: Tracer, points: SurfacePoints, material: Material, directions, *, millimetres_per_unit: float
+) -> np.ndarray:
+    """BTF(x, omega_d, omega_o) V(x, omega_d) cos(theta_d): radiance per unit irradiance of the beam.
+
+    `point_transport.point_radiance` gives the same for a few directions; this is for hundreds.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    points : SurfacePoints, with tangents
+    material : Material; a mirror shows nothing of light without extent
+    directions : (n, 3) float, unit, world, to the light
+    millimetres_per_unit : millimetres in a world unit
+
+    Returns
+    -------
+    (p, n, 3) float32
+    """
+    directions = np.asarray(directions, np.float64)
+    count = len(directions)
+    out = np.zeros((3, len(points), count), np.float32)
+    if isinstance(material, Mirror) or count == 0:
+        return out.transpose(1, 2, 0)
+    weights = Weights(tracer, material, directions, millimetres_per_unit=millimetres_per_unit)
+    scale = weights.colour * np.float32(count / (4 * np.pi))  # Weights are of light from all over the sky
+    step = max(1, LANES // count)
+    for start in range(0, len(points), step):
+        part = points.take(slice(start, start + step))
+        seen = tracer.visible_lanes(part.position, part.flat_normal, directions)
+        channels = weights.of_all(part, seen)
+        for c in range(3):
+            np.multiply(channels[min(c, len(channels) - 1)], scale[c], out=out[c, start : start + len(part)])
+    return out.transpose(1, 2, 0)
