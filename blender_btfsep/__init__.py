@@ -5,9 +5,31 @@ import atexit
 
 import bpy
 
-from . import command, importer, measure, operators, panels, preferences, properties, sequence_run
+from . import (
+    command,
+    importer,
+    light_operators,
+    measure,
+    object_list,
+    operators,
+    panels,
+    preferences,
+    properties,
+    sequence_run,
+)
 
-MODULES = (properties, preferences, operators, importer, measure, sequence_run, panels, command)
+MODULES = (
+    properties,
+    preferences,
+    operators,
+    object_list,
+    light_operators,
+    importer,
+    measure,
+    sequence_run,
+    panels,
+    command,
+)
 
 
 def register():

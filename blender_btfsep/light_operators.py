@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons for the light that was found: apply it, put the earlier World back, show the report."""
+
+import os
+
+import bpy
+from bpy.props import EnumProperty
+
+from . import lighting_file, runs, world
+from .errors import InputError
+from .properties import WORLD_MODES
+
+
+class BTFSEP_OT_apply(bpy.types.Operator):
+    """Make the last estimate the World again, as the settings below say"""
+
+    bl_idname = "btfsep.apply"
+    bl_label = "Apply to World"
+    bl_options = {"REGISTER", "UNDO"}
+    mode: EnumProperty(name="World", items=WORLD_MODES[:2], options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context):
+        if not os.path.isfile(last_lighting()):
+            cls.poll_message_set("Estimate the light first, or import a lighting (File > Import)")
+            return False
+        return True
+
+    def execute(self, context):
+        settings = context.scene.btfsep
+        mode = self.mode
+        if not self.properties.is_property_set("mode") and settings.world_mode != "NONE":
+            mode = settings.world_mode
+        try:
+            world.apply_lighting(context.scene, lighting_file.read(last_lighting()), mode=mode, clamp=settings.clamp)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def last_lighting() -> str:
+    """Where the last estimate of this session left its lighting; it may not be there."""
+    folder = runs.run_state().folder
+    return os.path.join(folder, "result", "lighting.json") if folder else ""
+
+
+class BTFSEP_OT_restore_world(bpy.types.Operator):
+    """Put the World back that the scene had before BTFsep"""
+
+    bl_idname = "btfsep.restore_world"
+    bl_label = "Restore Previous World"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        if not world.is_ours(context.scene.world):
+            cls.poll_message_set("The World was not made by BTFsep")
+            return False
+        return True
+
+    def execute(self, context):
+        world.restore_previous(context.scene)
+        return {"FINISHED"}
+
+
+class BTFSEP_OT_show_report(bpy.types.Operator):
+    """Open the report: photo, material, estimated light, re-rendering, difference"""
+
+    bl_idname = "btfsep.show_report"
+    bl_label = "Show Report"
+
+    @classmethod
+    def poll(cls, context):
+        if not os.path.isfile(runs.run_state().report):
+            cls.poll_message_set("Estimate the light first")
+            return False
+        return True
+
+    def execute(self, context):
+        bpy.ops.wm.path_open(filepath=runs.run_state().report)
+        return {"FINISHED"}
+
+
+CLASSES = (
+    BTFSEP_OT_apply,
+    BTFSEP_OT_restore_world,
+    BTFSEP_OT_show_report,
+)
+
+
+def register():
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister():
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
