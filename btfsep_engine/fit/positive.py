@@ -5,17 +5,24 @@ With the Gaussian posterior N(m, R R^T), x = m + R z, and B the blurred light of
 
     min |z|^2   subject to   B (m + R z) >= floor     in every direction and channel,
 
-is least-distance programming; by Lawson and Hanson (1974, ch. 23) it is one non-negative least-squares problem.
+is least-distance programming; by Lawson and Hanson (1974, ch. 23) it is one non-negative least-squares problem. Few of
+the 1,200 inequalities bind, so the problem is solved with those that are broken most in their surroundings, and again
+with those that its solution breaks, until there are none: the same light, as the solution is the only one.
 """
+
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from btfsep_engine import sh
-from btfsep_engine.light.positivity import blurred_basis, darkest_share
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.light.positivity import DIRECTIONS, blurred_basis, darkest_share
 
 ITERATIONS = 100  # for each unknown of the non-negative problem; a few for each active direction are enough
+NEIGHBOURS = 13  # directions nearest to one, itself among them: about two rings
+EXACT = 1e-9  # of the largest shortfall: an inequality broken by less is kept
 
 
 def positive_light(mean, factor, *, floor: float | None = None) -> np.ndarray:
@@ -37,23 +44,50 @@ def positive_light(mean, factor, *, floor: float | None = None) -> np.ndarray:
     order = int(np.sqrt(terms)) - 1
     blurred = blurred_basis(order)
     floor = darkest_share(order) if floor is None else floor
-    basis = block_diag(blurred, np.eye(terms - sh.term_count(order)))
+    basis, beams = blurred, terms - sh.term_count(order)
+    if beams:
+        basis = block_diag(blurred, np.eye(beams))
     least = np.zeros((len(basis), 1))
     least[: len(blurred)] = floor * sh.evaluate(0, np.array([[0.0, 0.0, 1.0]]))[0, 0] * mean[0].mean()
-    missing = (least - basis @ mean).T.ravel()
-    if missing.max() <= 0:
+    short = least - basis @ mean
+    scale = short.max()
+    if scale <= 0:
         return mean
-    reach = np.concatenate([basis @ factor[c * terms : (c + 1) * terms] for c in range(3)])
-    scale = missing.max()
-    system = np.concatenate([reach.T, missing[None] / scale])
-    target = np.zeros(len(system))
-    target[-1] = 1
-    try:
-        dual, _ = nnls(system, target, maxiter=ITERATIONS * system.shape[1])
-    except RuntimeError:  # no convergence
-        return mean
-    residual = system @ dual - target
-    if residual[-1] > -1e-12:  # no light keeps the floor
-        return mean
-    moved = factor @ (-residual[:-1] / residual[-1] * scale)
-    return mean + moved.reshape(3, terms).T
+    by_channel = factor.reshape(3, terms, -1)
+    bound = np.zeros((3, len(basis)), bool)
+    columns, now, x = np.empty((factor.shape[1] + 1, 0)), short, mean
+    while True:
+        new = _worst(now, EXACT * scale).T & ~bound
+        if not new.any():
+            return x
+        bound |= new
+        # a column for each inequality: what z does to it, and what is missing
+        added = [(basis[which] @ by_channel[c]).T for c, which in enumerate(new)]
+        missing = np.concatenate([short[which, c] for c, which in enumerate(new)]) / scale
+        columns = np.hstack([columns, np.vstack([np.hstack(added), missing])])
+        target = np.zeros(len(columns))
+        target[-1] = 1
+        try:
+            dual, _ = nnls(columns, target, maxiter=ITERATIONS * len(columns))
+        except RuntimeError:  # no convergence
+            return mean
+        residual = columns @ dual - target
+        if residual[-1] > -1e-12:  # no light keeps the floor
+            return mean
+        x = mean + (factor @ (-residual[:-1] / residual[-1] * scale)).reshape(3, terms).T
+        now = least - basis @ x
+
+
+@lru_cache(maxsize=1)
+def _neighbours() -> np.ndarray:
+    """The `NEIGHBOURS` nearest of every direction of `light.positivity`: (directions, neighbours) int."""
+    direction = fibonacci_sphere(DIRECTIONS)
+    return np.argsort(-direction @ direction.T, axis=1)[:, :NEIGHBOURS]
+
+
+def _worst(short, least: float) -> np.ndarray:
+    """Where a shortfall (n, 3) over ``least`` is the largest of its surroundings: (n, 3) bool."""
+    out = short > least
+    around = _neighbours()
+    out[: len(around)] &= short[: len(around)] >= short[around].max(1)
+    return out
