@@ -16,8 +16,10 @@ class InputError(Exception):
         What was found there ("3 NaN pixels", "no such file").
     do : str
         What to do about it ("export the image again").
+    result : dict or None
+        What was found out all the same, for programs.
     """
 
-    def __init__(self, what: str, got: str, do: str):
-        self.what, self.got, self.do = what, got, do
+    def __init__(self, what: str, got: str, do: str, *, result: dict | None = None):
+        self.what, self.got, self.do, self.result = what, got, do, result
         super().__init__("; ".join(part.strip().replace("\n", " ") for part in (what, got, do) if part))

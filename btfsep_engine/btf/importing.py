@@ -1,23 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bringing a material of a database into a library folder, and taking one out of it."""
+"""Reading a material of a database, whatever its format, into a library folder."""
 
-import contextlib
-import os
 import re
 import stat
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import atomic
 from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.image_set import import_images
 from btfsep_engine.btf.formats.ubo2014 import open_btf
-from btfsep_engine.btf.formats.writing import write
-from btfsep_engine.btf.library import NAME, Entry, changing, entries_of, file_sha256, open_library
+from btfsep_engine.btf.library import NAME
 from btfsep_engine.btf.model import REFERENCE, Tabulated
+from btfsep_engine.btf.storing import add, name_is_free
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
 
@@ -165,117 +161,6 @@ def full_name(name: str, material_class: str) -> str:
     return full
 
 
-def add(
-    folder,
-    material: Tabulated,
-    *,
-    height_mm=None,
-    setup: str = "",
-    layout: str = "fmf",
-    source: str = "",
-    relative_error: float | None = None,
-    made_by: str = "",
-    overwrite: bool = False,
-) -> Entry:
-    """Adds a material to a library folder (made if it is not there): file first, then index, under a lock.
-
-    Parameters
-    ----------
-    material : Tabulated; its name is "class/name"
-    height_mm, setup, layout : as in :func:`write`
-    source, relative_error, made_by : for the index
-    overwrite : whether a material of this name is replaced
-
-    Raises
-    ------
-    InputError
-        A name that is taken; values that a file cannot hold; a folder that cannot be written.
-    """
-    folder = Path(folder)
-    _name_is_free(folder, material.name, overwrite)  # before the work; again under the lock
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for pattern in (".adding-*.btf", ".writing-*"):
-            atomic.sweep(folder, pattern)
-        handle, scratch = tempfile.mkstemp(prefix=".adding-", suffix=".btf", dir=folder)
-        os.close(handle)
-    except OSError as error:
-        raise InputError(
-            f"cannot write to {folder}", error.strerror or str(error), "choose a folder that can be written"
-        ) from error
-    scratch = Path(scratch)
-    try:
-        try:
-            write(scratch, material, height_mm=height_mm, setup=setup, layout=layout)
-        except InputError as error:  # the scratch file's name tells nobody anything
-            what = f"cannot write to {folder}" if scratch.name in error.what else error.what
-            raise InputError(what, error.got, error.do) from error
-        digest, size = file_sha256(scratch), scratch.stat().st_size
-        with changing(folder) as entries:
-            old = entries.get(material.name)
-            if old is not None and not overwrite:
-                raise _taken(material.name)
-            file = material.name.replace("/", "_") + ".btf"
-            if file.lower() in {e.file.lower() for e in entries.values()}:  # readers of the old index still find it
-                file = material.name.replace("/", "_") + f"-{digest[:8]}.btf"
-            entries[material.name] = entry = Entry(
-                name=material.name,
-                **{"class": material.material_class},
-                file=file,
-                texel_mm=material.texel_mm,
-                texels=material.texels.shape[:2],
-                components=material.texels.shape[2],
-                sha256=digest,
-                size=size,
-                relative_error=None if relative_error is None else round(float(relative_error), 4),
-                source=source.encode(errors="replace").decode()[:300],  # names of files are not always text
-                made_by=made_by,
-            )
-            os.replace(scratch, folder / file)
-        if old is not None and old.file != file:
-            with contextlib.suppress(OSError):
-                (folder / old.file).unlink()
-    finally:
-        with contextlib.suppress(OSError):
-            scratch.unlink()
-    return entry
-
-
-def remove(folder, name: str) -> None:
-    """Takes a material out of a library folder: index first, then file.
-
-    Raises
-    ------
-    InputError
-        No such material in the folder; a folder that cannot be written.
-    """
-    folder = Path(folder)
-    _entry(open_library(folder).entries, name, folder)  # before the lock, which makes the folder
-    with changing(folder) as entries:
-        entry = _entry(entries, name, folder)
-        del entries[name]
-    with contextlib.suppress(OSError):
-        (folder / entry.file).unlink()
-
-
-def _entry(entries: dict, name: str, folder: Path) -> Entry:
-    if name in entries:
-        return entries[name]
-    if not entries:
-        raise InputError(f"material '{name}'", f"it is not in {folder}, which is empty", "give another library")
-    some = ", ".join(list(entries)[:5])
-    raise InputError(f"material '{name}'", f"it is not in {folder}", f"give one of its names ({some} …)")
-
-
-def _name_is_free(folder: Path, name: str, overwrite: bool) -> None:
-    if not overwrite and name in entries_of(folder):
-        raise _taken(name)
-
-
-def _taken(name: str) -> InputError:
-    return InputError(f"material '{name}'", "the library has one of this name", "use another name, or --replace")
-
-
 def import_material(folder, source, *, name: str, material_class: str, replace_old: bool = False, **options) -> dict:
     """Reads a source and adds it to a library folder; ``options`` as in :func:`read_source`.
 
@@ -290,7 +175,7 @@ def import_material(folder, source, *, name: str, material_class: str, replace_o
         As :func:`read_source` and :func:`add`.
     """
     full = full_name(name, material_class)
-    _name_is_free(Path(folder), full, replace_old)
+    name_is_free(Path(folder), full, replace_old)
     read = read_source(source, name=full, material_class=material_class, **options)
     reporter = options.get("reporter") or Reporter()
     material = read.material

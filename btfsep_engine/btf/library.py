@@ -19,19 +19,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from btfsep_engine import atomic
 from btfsep_engine.btf import fmf, procedural
-from btfsep_engine.btf.directions import cosine_weights, ubo2014_directions
+from btfsep_engine.btf.directions import cosine_weights
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.lock import locked
 from btfsep_engine.btf.model import REFERENCE, Lambertian, Material, Mirror, Tabulated
 from btfsep_engine.errors import InputError
-from btfsep_engine.progress import Reporter
 
 INDEX = "index.json"
 MAX_INDEX_BYTES = 16 << 20
 NAME = r"^[a-z0-9]+/[A-Za-z0-9_][A-Za-z0-9._-]*$"  # not "..", nothing that a command takes for an option
-# What the default library is measured with; the time and size that follow are in docs/library.md.
-VERSION = 2  # of the measurement; another one when the same maps would give another material
-DEFAULT_SETTINGS = {"mesh": 512, "texels": 80, "samples": 1, "components": 8, "seed": 0}
 Side = Annotated[int, Field(gt=0, le=1 << 24)]
 
 
@@ -96,7 +92,7 @@ class Library:
             return self._load_file(self.entries[name])
         if name in REFERENCE:
             return REFERENCE[name]
-        raise _unknown(name, self.names())
+        raise unknown_material(name, self.names())
 
     def _load_file(self, entry: Entry) -> Tabulated:
         path = self.folder / entry.file
@@ -181,78 +177,6 @@ def open_library(path=None) -> Library:
     return Library(folder, entries)
 
 
-def build(
-    folder,
-    *,
-    names=None,
-    reporter: Reporter | None = None,
-    told=None,
-    **settings,
-) -> Library:
-    """Measures the procedural materials into ``folder``. What was built with the same settings is kept.
-
-    Parameters
-    ----------
-    folder : made if it is not there
-    names : some of :data:`btfsep_engine.btf.procedural.NAMES`; None: all 42. Other entries of the folder stay
-    reporter : told the progress of each material
-    told : called with a dict of each material that was measured: name, seconds, rays, rays_per_second
-    settings : mesh, texels, samples, components, seed in place of :data:`DEFAULT_SETTINGS`
-
-    Raises
-    ------
-    InputError
-        An unknown name; a folder that cannot be written; no working renderer.
-    """
-    from btfsep_engine.render.patch import measure
-
-    unknown = set(settings) - set(DEFAULT_SETTINGS)
-    if unknown:
-        raise ValueError(f"no such settings: {sorted(unknown)}")
-    settings = DEFAULT_SETTINGS | settings
-    names = list(procedural.NAMES if names is None else names)
-    for name in names:
-        if name not in procedural.NAMES:
-            raise _unknown(name, procedural.NAMES)
-    folder, reporter = Path(folder), reporter or Reporter()
-    entries = entries_of(folder)
-    for number, name in enumerate(names):
-        reporter.progress("library", number / len(names), name)
-        maps = procedural.maps(name, settings["mesh"])
-        made_by = _digest(maps, settings)
-        if name in entries and entries[name].made_by == made_by and _is_whole(folder, entries[name]):
-            continue
-        rest = {key: value for key, value in settings.items() if key != "mesh"}
-        measured = measure(maps, reporter=reporter, **rest)
-        if told:
-            told({"name": name, **measured.speed()})
-        entry = _store(folder, measured.material, maps, measured.relative_error, made_by)
-        with changing(folder) as entries:
-            entries[name] = entry
-    reporter.progress("library", 1.0)
-    return open_library(folder)
-
-
-def _store(folder: Path, material: Tabulated, maps, relative_error: float, made_by: str) -> Entry:
-    file = material.name.replace("/", "_") + ".btf"
-    # the file keeps the height at the texels' own resolution
-    step = max(1, len(maps.height_mm) // len(material.texels))
-    setup = "virtual gonioreflectometer, displaced patch"
-    fmf.write(folder / file, material, height_mm=maps.height_mm[::step, ::step], setup=setup)
-    return Entry(
-        name=material.name,
-        **{"class": material.material_class},
-        file=file,
-        texel_mm=material.texel_mm,
-        texels=material.texels.shape[:2],
-        components=material.texels.shape[2],
-        sha256=file_sha256(folder / file),
-        size=(folder / file).stat().st_size,
-        relative_error=round(relative_error, 4),
-        made_by=made_by,
-    )
-
-
 def entries_of(folder) -> dict:
     """The entries of a library's index, name -> :class:`Entry`; empty where there is no index yet."""
     return dict(open_library(folder).entries) if (Path(folder) / INDEX).exists() else {}
@@ -276,29 +200,8 @@ def _write_index(folder: Path, entries: dict) -> None:
     atomic.write_text(folder / INDEX, json.dumps(index, indent=1) + "\n")
 
 
-def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -> procedural.Maps:
-    """Writes ``basecolor.exr`` (linear RGB), ``height.exr`` (mm, mean 0), ``roughness.exr`` of a procedural material.
-
-    The top row of a file is the largest v, as image textures are read (the maps in memory begin with the smallest).
-
-    Returns
-    -------
-    Maps : what was written, with size_mm and f0
-
-    Raises
-    ------
-    InputError
-        An unknown name; a folder that cannot be written.
-    """
-    from btfsep_engine.images import write_exr
-
-    maps = procedural.maps(name, resolution, variation=variation)
-    for file, values in (("basecolor", maps.base_colour), ("height", maps.height_mm), ("roughness", maps.roughness)):
-        write_exr(Path(folder) / f"{file}.exr", np.ascontiguousarray(values[::-1]))
-    return maps
-
-
-def _unknown(name: str, known) -> InputError:
+def unknown_material(name: str, known) -> InputError:
+    """The error of a name that a library does not have; ``known``: the names that it has."""
     if name in procedural.NAMES:
         return InputError(
             f"material '{name}'", "it is not in the library", f"make it: btfsep library build FOLDER --only {name}"
@@ -308,15 +211,8 @@ def _unknown(name: str, known) -> InputError:
     return InputError(f"material '{name}'", "it is not in the library", f"{hint}btfsep library list shows all names")
 
 
-def _digest(maps: procedural.Maps, settings: dict) -> str:
-    sha = hashlib.sha256(json.dumps([VERSION, settings, maps.size_mm, maps.f0], sort_keys=True).encode())
-    sha.update(np.round(ubo2014_directions(), 6).tobytes())
-    for values in (maps.base_colour, maps.height_mm, maps.roughness, *maps.metal()):
-        sha.update(np.round(values, 3).tobytes())  # rounded: not for the last bit of a sine
-    return sha.hexdigest()
-
-
-def _is_whole(folder: Path, entry: Entry) -> bool:
+def is_whole(folder: Path, entry: Entry) -> bool:
+    """Whether the file of an entry is there and is what the index says."""
     path = folder / entry.file
     return path.is_file() and path.stat().st_size == entry.size and file_sha256(path) == entry.sha256
 

@@ -31,7 +31,7 @@ def command(function):
         try:
             result, text = function(reporter=reporter, **options)
         except InputError as error:
-            reporter.failed(str(error), INPUT_FAULT)
+            reporter.failed(str(error), INPUT_FAULT, error.result)
             sys.exit(INPUT_FAULT)
         except MemoryError:
             reporter.failed("not enough memory; the scene or the picture is too large; use --preset draft", INPUT_FAULT)

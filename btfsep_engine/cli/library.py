@@ -59,7 +59,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
     opened = opened_library(library_folder)
     result = opened.show(name)
     if maps is not None:
-        from btfsep_engine.btf.library import export_maps
+        from btfsep_engine.btf.building import export_maps
         from btfsep_engine.btf.procedural import NAMES
 
         if name not in NAMES:
@@ -75,7 +75,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
 @command
 def library_build(*, folder, names, reporter):
     """Builds all 42 materials into FOLDER by path-tracing displaced patches; resumes where it stopped."""
-    from btfsep_engine.btf.library import build
+    from btfsep_engine.btf.building import build
 
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK):  # said before the work, not after
@@ -133,13 +133,17 @@ def library_check(*, name, library_folder, reporter):
         for problem in results[-1]["problems"]:
             reporter.warn(f"{one}: {problem}")
     reporter.progress("check", 1.0)
+    result = {"library": str(opened.folder), "materials": results}
     bad = [r for r in results if not r["ok"]]
     if bad:
         first = f"{bad[0]['name']}: {bad[0]['problems'][0]}"
         raise InputError(
-            f"library {opened.folder}", f"{len(bad)} of {len(results)} materials are bad ({first})", "import them again"
+            f"library {opened.folder}",
+            f"{len(bad)} of {len(results)} materials are bad ({first})",
+            "import them again",
+            result=result,
         )
-    return {"library": str(opened.folder), "materials": results}, words.checked(results)
+    return result, words.checked(results)
 
 
 @library.command("remove")
@@ -148,7 +152,7 @@ def library_check(*, name, library_folder, reporter):
 @command
 def library_remove(*, name, folder, reporter):
     """Takes the material NAME out of a library folder, and its file."""
-    from btfsep_engine.btf.importing import remove
+    from btfsep_engine.btf.storing import remove
 
     remove(folder, name)
     return {"library": str(folder), "removed": name}, f"removed {name} from {folder}"

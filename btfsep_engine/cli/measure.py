@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from btfsep_engine.btf.library import DEFAULT_SETTINGS
+from btfsep_engine.btf.building import DEFAULT_SETTINGS
 from btfsep_engine.btf.map_files import CONVENTIONS
 from btfsep_engine.cli.command import command
 

@@ -26,9 +26,9 @@ class JsonReporter(Reporter):
         """The last line of a command that went well."""
         self._line(type="done", result=result)
 
-    def failed(self, message: str, exit_code: int):
-        """The last line of a command that did not."""
-        self._line(type="failed", message=message, exit_code=exit_code)
+    def failed(self, message: str, exit_code: int, result: dict | None = None):
+        """The last line of a command that did not; ``result``: what it found out all the same."""
+        self._line(type="failed", message=message, exit_code=exit_code, **({"result": result} if result else {}))
 
     @staticmethod
     def _line(**fields):
@@ -70,7 +70,7 @@ class TextReporter(Reporter):
         """Nothing more to say: the command has printed its words."""
         self.close()
 
-    def failed(self, message: str, exit_code: int):
+    def failed(self, message: str, exit_code: int, result: dict | None = None):
         """One line, as the contract has it."""
         self.close()
         click.echo(f"error: {message}", err=True)

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import __version__
+from btfsep_engine.btf.building import DEFAULT_SETTINGS, VERSION
 from btfsep_engine.btf.directions import ubo2014_directions
-from btfsep_engine.btf.importing import add, full_name
-from btfsep_engine.btf.library import DEFAULT_SETTINGS, VERSION, entries_of, file_sha256
+from btfsep_engine.btf.importing import full_name
+from btfsep_engine.btf.library import entries_of, file_sha256
 from btfsep_engine.btf.linear import CLASSES
+from btfsep_engine.btf.storing import add
 from btfsep_engine.btf.texture_maps import TextureMaps, read_maps
 from btfsep_engine.checkpoints import EVERY, Checkpoints
 from btfsep_engine.errors import InputError

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from btfsep_engine.btf import fmf, importing, library
+from btfsep_engine.btf import building, fmf, importing, library, storing
 from btfsep_engine.btf.formats.archive import Members
 from btfsep_engine.btf.formats.image_set import import_images
 from btfsep_engine.cli import main
@@ -55,7 +55,7 @@ def test_names_that_lead_somewhere(tmp_path, rng, capsys, name):
 
 
 def test_pipes_and_devices_do_not_hang(tmp_path, capsys):
-    importing.add(tmp_path / "l", flat("felt/one"))
+    storing.add(tmp_path / "l", flat("felt/one"))
     os.mkfifo(tmp_path / "pipe.btf")
     options = ["--name", "a", "--class", "felt", "--library", tmp_path / "l"]
     for source in (tmp_path / "pipe.btf", "/dev/zero"):
@@ -88,7 +88,7 @@ def test_a_build_into_a_file_is_refused_before_the_work(tmp_path, capsys, monkey
     def measured(*_, **__):
         raise AssertionError("measured first")
 
-    monkeypatch.setattr(library, "build", measured)
+    monkeypatch.setattr(building, "build", measured)
     for folder in (tmp_path / "file", tmp_path / "file" / "deeper"):
         assert "cannot write to" in said(capsys, "build", folder, "--only", "felt/grey-melange")
 
@@ -96,14 +96,14 @@ def test_a_build_into_a_file_is_refused_before_the_work(tmp_path, capsys, monkey
 def test_a_removal_makes_nothing_and_takes_links_not_what_they_point_to(tmp_path, capsys):
     assert "no readable index.json" in said(capsys, "remove", "felt/x", "--library", tmp_path / "none")
     assert not (tmp_path / "none").exists()
-    importing.add(tmp_path / "l", flat("felt/one"))
+    storing.add(tmp_path / "l", flat("felt/one"))
     assert "give one of its names (felt/one …)" in said(capsys, "remove", "../../x", "--library", tmp_path / "l")
     for name in ("felt_one.btf", "index.json"):  # both become links to files elsewhere
         (tmp_path / "l" / name).rename(tmp_path / name)
         (tmp_path / "l" / name).symlink_to(tmp_path / name)
     content = [(tmp_path / n).read_bytes() for n in ("felt_one.btf", "index.json")]
-    importing.add(tmp_path / "l", flat("felt/one", 0.2), overwrite=True)
-    importing.remove(tmp_path / "l", "felt/one")
+    storing.add(tmp_path / "l", flat("felt/one", 0.2), overwrite=True)
+    storing.remove(tmp_path / "l", "felt/one")
     assert [(tmp_path / n).read_bytes() for n in ("felt_one.btf", "index.json")] == content
     assert "which is empty" in said(capsys, "remove", "felt/one", "--library", tmp_path / "l")
 
@@ -124,7 +124,7 @@ def test_a_removal_makes_nothing_and_takes_links_not_what_they_point_to(tmp_path
     ],
 )
 def test_broken_indexes(tmp_path, capsys, content, words):
-    importing.add(tmp_path, flat("felt/one"))
+    storing.add(tmp_path, flat("felt/one"))
     index = json.loads((tmp_path / "index.json").read_text())
     if isinstance(content, dict):
         index["materials"][0] |= content
@@ -141,8 +141,8 @@ def test_broken_indexes(tmp_path, capsys, content, words):
 def test_a_damaged_index_is_told_or_valid(tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp() / "damaged-index"
     if not folder.exists():
-        importing.add(folder, flat("felt/one"))
-        importing.add(folder, flat("wood/two"))
+        storing.add(folder, flat("felt/one"))
+        storing.add(folder, flat("wood/two"))
         (folder / "index.json").rename(folder / "good")
     content = bytearray((folder / "good").read_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
@@ -165,7 +165,7 @@ def test_a_damaged_index_is_told_or_valid(tmp_path_factory, data):
 
 def test_a_file_that_is_exchanged_while_it_is_read(tmp_path, monkeypatch):
     """What was hashed is what is used, though another file has its name by then."""
-    importing.add(tmp_path, flat("felt/one", 0.4))
+    storing.add(tmp_path, flat("felt/one", 0.4))
     fmf.write(tmp_path / "other", flat("felt/one", 0.1))
     real = library.sha256
 
@@ -220,7 +220,7 @@ KILLED = """
 import os, signal, sys
 import numpy as np
 from tests.engine.test_btf_store import flat
-from btfsep_engine.btf import fmf, importing
+from btfsep_engine.btf import fmf, storing
 where, number, when, path = sys.argv[1:]
 
 def dies(real):
@@ -238,7 +238,7 @@ def dies(real):
 
 if where == "replace":
     os.replace = dies(os.replace)
-    importing.add(path, flat("felt/same", 0.8), overwrite=True)
+    storing.add(path, flat("felt/same", 0.8), overwrite=True)
 else:
     np.save = dies(np.save)
     fmf.read(path, components=3)
@@ -257,26 +257,26 @@ def test_an_import_that_is_killed_leaves_the_library_before_or_the_one_after(tmp
     for number in (1, 2, 3, 4):
         for when in ("before", "after"):
             folder = tmp_path / f"{number}{when}"
-            importing.add(folder, flat("felt/same", 0.4))
-            importing.add(folder, flat("felt/other", 0.4))
+            storing.add(folder, flat("felt/same", 0.4))
+            storing.add(folder, flat("felt/other", 0.4))
             ended = not killed("replace", number, when, folder, root=request.config.rootpath)
             opened = library.open_library(folder)
             assert opened.load("felt/other").albedo()[0, 0] == pytest.approx(0.4, rel=1e-3)
             found.append(round(float(opened.load("felt/same").albedo()[0, 0]), 2))
             assert ended == (number == 4)
-            importing.add(folder, flat("felt/same", 0.6), overwrite=True)
+            storing.add(folder, flat("felt/same", 0.6), overwrite=True)
             assert library.open_library(folder).load("felt/same").albedo()[0, 0] == pytest.approx(0.6, rel=1e-3)
     assert found == [0.4] * 5 + [0.8] * 3  # until the index is renamed
 
 
 def test_what_killed_imports_leave_is_taken_away_later(tmp_path):
-    importing.add(tmp_path, flat("felt/one"))
+    storing.add(tmp_path, flat("felt/one"))
     left = tmp_path / ".adding-left.btf"
     left.write_bytes(b"x")
-    importing.add(tmp_path, flat("felt/young"))
+    storing.add(tmp_path, flat("felt/young"))
     assert left.exists()  # it may be another's, under way
     os.utime(left, (1, 1))
-    importing.add(tmp_path, flat("felt/last"))
+    storing.add(tmp_path, flat("felt/last"))
     assert not left.exists()
 
 

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from btfsep_engine.btf import library, procedural
+from btfsep_engine.btf import building, library, procedural, storing
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.model import Lambertian, Tabulated
 from btfsep_engine.errors import InputError
@@ -24,11 +24,9 @@ def constant(name, value):
 @pytest.fixture
 def folder(tmp_path):
     """A library of two materials, stored as the build stores them."""
-    maps = procedural.maps("felt/grey-melange", 16)
-    entries = {}
+    height = procedural.maps("felt/grey-melange", 16).height_mm
     for name, value in (("felt/one", (0.5, 0.25, 0.1)), ("wood/two", (0.2, 0.2, 0.6))):
-        entries[name] = library._store(tmp_path, constant(name, value), maps, 0.1, "")
-    library._write_index(tmp_path, entries)
+        storing.add(tmp_path, constant(name, value), height_mm=height, relative_error=0.1)
     return tmp_path
 
 
@@ -52,16 +50,13 @@ def test_unknown_names_suggest_the_nearest(folder):
     with pytest.raises(InputError, match="did you mean 'leather/brown-grain'"):
         procedural.maps("leather/brown")
     with pytest.raises(InputError, match="did you mean 'wood/oak-boards'"):
-        library.build(folder, names=["wood/oak"])
+        building.build(folder, names=["wood/oak"])
 
 
 def test_digest_follows_content(folder):
     before = library.open_library(folder).digest
     assert library.open_library(folder).digest == before
-    entries = dict(library.open_library(folder).entries)
-    changed = constant("felt/one", (0.5, 0.25, 0.2))
-    entries["felt/one"] = library._store(folder, changed, procedural.maps("felt/grey-melange", 16), 0.1, "")
-    library._write_index(folder, entries)
+    storing.add(folder, constant("felt/one", (0.5, 0.25, 0.2)), overwrite=True)
     assert library.open_library(folder).digest != before
 
 
@@ -110,7 +105,7 @@ def test_no_library_no_json_and_another_version(tmp_path):
 def test_exported_maps_have_v_upward(tmp_path):
     from btfsep_engine.images import read_linear
 
-    maps = library.export_maps("wood/oak-boards", tmp_path, 64, 1)
+    maps = building.export_maps("wood/oak-boards", tmp_path, 64, 1)
     stored = read_linear(tmp_path / "basecolor.exr").pixels
     np.testing.assert_allclose(stored, maps.base_colour[::-1], atol=1e-6)
     assert {p.name for p in tmp_path.iterdir()} == {"basecolor.exr", "height.exr", "roughness.exr"}

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine.btf import fmf, importing, library
+from btfsep_engine.btf import fmf, importing, library, storing
 from btfsep_engine.btf.checks import check
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.lock import locked
@@ -70,6 +70,15 @@ def test_import_check_show_thumbnails_and_remove_by_commands(tmp_path, rng, caps
     status, lines = run(capsys, "library", "check", "--library", folder)
     assert status == 0 and lines[-1]["result"]["materials"][0]["ok"]
     assert lines[-1]["result"]["materials"][0]["cosine"] == {"header": "included", "reciprocity": "included"}
+    damaged = bytearray((folder / "felt_mine.btf").read_bytes())
+    damaged[-1] ^= 1
+    (folder / "felt_mine.btf").write_bytes(damaged)
+    status, lines = run(capsys, "library", "check", "--library", folder)
+    table = lines[-1]["result"]["materials"][0]
+    assert status == 2 and lines[-1]["type"] == "failed" and "1 of 4 materials are bad" in lines[-1]["message"]
+    assert not table["ok"] and table["name"] == "felt/mine" and "index" in table["problems"][0]
+    damaged[-1] ^= 1
+    (folder / "felt_mine.btf").write_bytes(damaged)
     status, lines = run(capsys, "library", "list", "--library", folder, "--thumbnails", tmp_path / "t", "--side", 32)
     pictures = {m["name"]: cv2.imread(m["thumbnail"]) for m in lines[-1]["result"]["materials"]}
     assert set(pictures) == set(library.open_library(folder).names())
@@ -155,7 +164,7 @@ def test_sources_that_are_nothing_or_too_bright(tmp_path, rng, capsys):
 
 def test_check_finds_what_is_wrong(tmp_path):
     for name in ("felt/good", "felt/changed", "felt/lost", "felt/skewed"):
-        importing.add(tmp_path, flat(name))
+        storing.add(tmp_path, flat(name))
     opened = library.open_library(tmp_path)
     data = bytearray((tmp_path / "felt_changed.btf").read_bytes())
     data[-1] ^= 1
@@ -163,7 +172,7 @@ def test_check_finds_what_is_wrong(tmp_path):
     (tmp_path / "felt_lost.btf").unlink()
     skewed = flat("felt/skewed")
     skewed.angular[:] *= np.linspace(0.2, 1, len(DIRECTIONS))[:, None, None, None] ** 3
-    importing.add(tmp_path, skewed, overwrite=True)
+    storing.add(tmp_path, skewed, overwrite=True)
     opened = library.open_library(tmp_path)
     assert check(opened, "felt/good") | {"problems": []} == check(opened, "felt/good")
     assert check(opened, "felt/good")["ok"] and check(opened, "reference/chrome")["ok"]
@@ -190,13 +199,13 @@ WRITER = """
 import sys, time
 from pathlib import Path
 from tests.engine.test_btf_store import flat
-from btfsep_engine.btf import importing
+from btfsep_engine.btf import storing
 Path(sys.argv[3], sys.argv[2]).touch()
 while len(list(Path(sys.argv[3]).iterdir())) < 2:  # both begin together
     time.sleep(0.001)
 for i in range(30):
-    importing.add(sys.argv[1], flat(f"felt/{sys.argv[2]}{i}"))
-importing.remove(sys.argv[1], f"felt/{sys.argv[2]}0")
+    storing.add(sys.argv[1], flat(f"felt/{sys.argv[2]}{i}"))
+storing.remove(sys.argv[1], f"felt/{sys.argv[2]}0")
 """
 
 
@@ -244,20 +253,20 @@ def test_a_lock_that_is_held_and_a_folder_that_cannot_be_made(tmp_path):
 
 
 def test_an_error_while_adding_leaves_nothing(tmp_path):
-    importing.add(tmp_path, flat("felt/one"))
+    storing.add(tmp_path, flat("felt/one"))
     before = (tmp_path / "index.json").read_bytes()
     bad = flat("felt/two", 1e6)
     with pytest.raises(InputError, match="half floats"):
-        importing.add(tmp_path, bad)
+        storing.add(tmp_path, bad)
     with pytest.raises(InputError, match="has one of this name"):
-        importing.add(tmp_path, flat("felt/one", 0.1))
+        storing.add(tmp_path, flat("felt/one", 0.1))
     assert (tmp_path / "index.json").read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "felt_one.btf", "index.json"]
 
 
 def test_names_that_differ_in_case_only_get_files_of_their_own(tmp_path):
-    importing.add(tmp_path, flat("felt/One"))
-    importing.add(tmp_path, flat("felt/one", 0.2))
+    storing.add(tmp_path, flat("felt/One"))
+    storing.add(tmp_path, flat("felt/one", 0.2))
     opened = library.open_library(tmp_path)
     assert len({e.file.lower() for e in opened.entries.values()}) == 2
     assert [round(float(opened.load(n).albedo()[0, 0]), 2) for n in ("felt/One", "felt/one")] == [0.4, 0.2]
