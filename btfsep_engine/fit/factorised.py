@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import lapack
 
 from btfsep_engine.errors import InputError
 
@@ -160,28 +161,30 @@ class Factorised:
         out = mixed.transpose(1, 0, 2) * self.prior.deviation[:, None, None]
         return out.reshape(self.terms, 3, *white.shape[1:])
 
-    def plain(self, white) -> np.ndarray:
-        """A symmetric W of white numbers, of which the lower triangle is read, for z: (3, terms, 3, terms)."""
-        low = np.tril(white)
-        out = low + low.T
-        out[np.diag_indices_from(out)] *= 0.5
-        rows = self.special_rows
-        out[rows] = self.turn @ out[rows]
-        out[:, rows] = out[:, rows] @ self.turn.T
-        return out.reshape(3, self.terms, 3, self.terms)
+    def root(self, factor) -> tuple[np.ndarray, float]:
+        """F K^-T of the lower Cholesky factor K (3 terms, 3 terms), and the trace of (K K^T)^-1.
 
-    def variances(self, plain) -> np.ndarray:
-        """The diagonal of F W F^T as (terms, 3), of `plain`."""
-        own = np.einsum("atbt->abt", plain)
-        return np.einsum("ca,cb,abt->tc", self.mix, self.mix, own) * self.prior.deviation[:, None] ** 2
+        Returns
+        -------
+        (3, terms, 3 terms), whose square, R R^T, is F (K K^T)^-1 F^T; float
+        """
+        white = np.ascontiguousarray(lapack.dtrtri(factor, lower=1)[0].T)
+        trace = float(np.vdot(white, white))
+        white[self.special_rows] = self.turn @ white[self.special_rows]
+        mixed = (self.mix @ white.reshape(3, -1)).reshape(3, self.terms, -1)
+        mixed *= self.prior.deviation[:, None]
+        return mixed, trace
 
-    def covariance(self, plain, terms: int) -> np.ndarray:
-        """F W F^T of the first ``terms``, rows and columns term by term: (3 terms, 3 terms)."""
-        few = plain[:, :terms, :, :terms]
-        deviation = self.prior.deviation[:terms]
-        out = np.einsum("ca,db,atbu->tcud", self.mix, self.mix, few, optimize=True)
-        out = out * deviation[:, None, None, None] * deviation[:, None]
-        return out.reshape(3 * terms, 3 * terms)
+    @staticmethod
+    def variances(root) -> np.ndarray:
+        """The diagonal of ``root``'s square as (terms, 3)."""
+        return np.einsum("ctr,ctr->tc", root, root)
+
+    @staticmethod
+    def covariance(root, terms: int) -> np.ndarray:
+        """The square of ``root``'s first ``terms``, rows and columns term by term: (3 terms, 3 terms)."""
+        few = root[:, :terms].transpose(1, 0, 2).reshape(3 * terms, -1)
+        return few @ few.T
 
     def products(self, b) -> Measured:
         """The products of b (p, 3), at unit response, with the basis images."""
@@ -219,8 +222,10 @@ class Factorised:
         """
         z = x / self.prior.deviation[:, None]
         cross = np.einsum("mc,cmd->cd", z, measured.moments)
-        gram = self.gram_of(0.0).reshape(3, 3, self.terms, self.terms)
-        out = measured.energies - cross - cross.T + np.einsum("mc,cdmn,nd->cd", z, gram, z, optimize=True)
+        columns = np.zeros((self.terms, 3, 3))
+        columns[:, np.arange(3), np.arange(3)] = z
+        columns = columns.reshape(3 * self.terms, 3)
+        out = measured.energies - cross - cross.T + columns.T @ (self.gram @ columns)
         return (out + out.T) / 2  # of an exact photo only rounding is left over, which has no symmetry
 
     def singular_values(self, terms: int) -> np.ndarray:

@@ -11,7 +11,6 @@ for light of level 1 that varies as natural light does on average (s = 1) and mi
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
 
 from btfsep_engine import sh
 from btfsep_engine.fit.expected_error import expected_error
@@ -73,12 +72,11 @@ def foresee(basis, *, blocks, prior, order: int, noise: float, seed: int = 0) ->
     channels = np.full((3, 3), CHANNELS_TOGETHER) + (1 - CHANNELS_TOGETHER) * np.eye(3)
     matrix = q * f.whitened_gram(FIRST_CORRELATION, np.linalg.inv(channels))
     matrix[np.diag_indices_from(matrix)] += 1
-    white = lapack.dpotri(cholesky(matrix), lower=1)[0]
-    freedom = float(len(white) - np.trace(white)) / 3
-    plain = f.plain(white)
+    root, unknown = f.root(cholesky(matrix))
+    freedom = f.terms - unknown / 3
     natural = prior.deviation**2 + prior.mean**2  # the mean square of a coefficient
     model = noise**2 * natural[:, None]
-    variance = f.variances(plain)
+    variance = f.variances(root)
     stddev = np.sqrt(variance + model + REFLECTANCE_SPREAD**2 * natural[:, None])
     varies = prior.deviation**2
     varies = np.where(np.arange(len(varies)) == 0, 1.0, varies)
@@ -91,24 +89,24 @@ def foresee(basis, *, blocks, prior, order: int, noise: float, seed: int = 0) ->
         np.clip(share, 0, 1)[:terms],
         (share < DETERMINED)[:terms],
         share < DETERMINED,
-        f.covariance(plain, terms),
+        f.covariance(root, terms),
         before.reshape(3 * terms, 3 * terms),
         freedom,
         float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
-        _expected(f, plain, prior, model, seed),
+        _expected(f, root, prior, model, seed),
     )
 
 
-def _expected(f: Factorised, plain, prior, model, seed: int) -> dict:
+def _expected(f: Factorised, root, prior, model, seed: int) -> dict:
     """Means over lights of the prior of their expected errors."""
     few = min(f.terms, 9)
-    posterior = f.covariance(plain, few) + np.diag(np.repeat(model[:few, 0], 3))
+    posterior = f.covariance(root, few) + np.diag(np.repeat(model[:few, 0], 3))
     together = np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3)
     natural = np.kron(np.diag(prior.deviation[:few] ** 2), together)
     values, vectors = np.linalg.eigh(natural)
-    root = vectors * np.sqrt(np.maximum(values, 0))
+    spread = vectors * np.sqrt(np.maximum(values, 0))
     random = np.random.default_rng(seed)
-    lights = prior.mean[:few].repeat(3) + random.standard_normal((LIGHTS, 3 * few)) @ root.T
+    lights = prior.mean[:few].repeat(3) + random.standard_normal((LIGHTS, 3 * few)) @ spread.T
     each = [expected_error(x.reshape(few, 3), posterior, draws=DRAWS, seed=seed + i) for i, x in enumerate(lights)]
     return {
         key: {part: float(np.median([e[key][part] for e in each])) for part in ("median", "low", "high")}

@@ -34,10 +34,12 @@ other two.
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import lapack
 from scipy.optimize import minimize_scalar
+from threadpoolctl import ThreadpoolController
 
 from btfsep_engine import sh
 from btfsep_engine.fit.factorised import Factorised, Measured
@@ -50,6 +52,7 @@ BLOCK_CORRELATIONS = (0.0, 0.03, 0.1, 0.3)  # c: variance that a block's pixels 
 FIRST_CORRELATION = 0.1  # c of the first fit, whose residuals show how the channels go together
 LOG_RATIOS = (-8.0, 30.0)  # of q, for A of unit response to the first basis light
 STEP = 1.0  # of the grid over log q: the evidence is wider than that
+PAST = 30.0  # of the logarithm of the evidence: so far below the top, no larger q is tried
 NEAR_TIE = 4.0  # of the logarithm of the evidence: so close, each c is given its own best q
 NEAR = 3.0  # how far from the first fit's log q the others are looked for first
 LEAST_NOISE = 1e-12  # of the photo's energy: noiseless synthetic photos
@@ -106,11 +109,14 @@ class LightSolver:
         InputError
             Without light in the photo.
         """
-        measured = self.factorised.measure(radiance)
-        first, x = self._search(measured, FIRST_CORRELATION, np.eye(3), None)
-        channels = misfit_channels(self.factorised.misfit(measured, x), measured.energies)
-        tried = [self._search(measured, c, channels, first.q)[0] for c in self._correlations(measured, channels, first)]
-        return self.fit(measured, max(tried, key=lambda found: found.evidence))
+        with blas().limit(limits=1, user_api="blas"):
+            measured = self.factorised.measure(radiance)
+            first, reduced = self._search(measured, FIRST_CORRELATION, np.eye(3), None)
+            x = self.factorised.coefficients(reduced.solved(first.q / self.coarsening))
+            channels = misfit_channels(self.factorised.misfit(measured, x), measured.energies)
+            near = self._correlations(measured, channels, first)
+            tried = [self._search(measured, c, channels, first.q)[0] for c in near]
+            return self.fit(measured, max(tried, key=lambda found: found.evidence))
 
     def _correlations(self, measured: Measured, channels, first: Found) -> list[float]:
         """The best of `BLOCK_CORRELATIONS` at the first fit's q, uphill from the first one, and its near ties."""
@@ -158,11 +164,11 @@ class LightSolver:
         return value
 
     def _search(self, measured: Measured, c: float, channels, near: float | None):
-        """The best ratio q of prior to noise for one c and R, and the light; ``near`` is a first guess of q.
+        """The best ratio q of prior to noise for one c and R; ``near`` is a first guess of q.
 
         Returns
         -------
-        Found, x : (terms, 3)
+        Found, and the Tridiagonal that has the light
         """
         f, inverse = self.factorised, np.linalg.inv(channels)
         moments = f.whitened_moments(measured, c, inverse)
@@ -188,13 +194,17 @@ class LightSolver:
                 best = self._peak(at, *LOG_RATIOS)
         evidence, v = at(best)
         q = float(np.exp(best))
-        return Found(evidence, q, v, c, channels), f.coefficients(reduced.solved(q / self.coarsening))
+        return Found(evidence, q, v, c, channels), reduced
 
     @staticmethod
     def _peak(at, low, high) -> float:
-        """The log q of the largest evidence: a grid, then Brent's method about its best point."""
+        """The log q of the largest evidence: a grid, uphill from low to well past the top, then Brent's method."""
         grid = np.linspace(low, high, max(5, int(np.ceil((high - low) / STEP)) + 1))
-        values = [at(x)[0] for x in grid]
+        values = []
+        for x in grid:
+            values.append(at(x)[0])
+            if values[-1] < max(values) - PAST:
+                break
         i = int(np.argmax(values))
         around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
         found = minimize_scalar(lambda x: -at(x)[0], bounds=around, method="bounded", options={"xatol": 1e-5})
@@ -205,17 +215,17 @@ class LightSolver:
         f, terms = self.factorised, sh.term_count(self.order)
         factor, moments = self._system(measured, found.correlation, found.channels, found.q)
         x = f.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
-        white = lapack.dpotri(factor, lower=1)[0]
-        freedom = float(len(white) - np.trace(white))
-        scale2, white = found.v * found.q, f.plain(white)
-        variance = scale2 * f.variances(white)
+        root, unknown = f.root(factor)
+        freedom = 3 * f.terms - unknown
+        scale2 = found.v * found.q
+        variance = scale2 * f.variances(root)
         few = min(f.terms, sh.term_count(EXPECTED_ORDER))
-        covariance = scale2 * f.covariance(white, few)
+        covariance = scale2 * f.covariance(root, few)
         energy = np.diag(measured.energies) * f.response**2
         left, free, free_residual = np.diag(f.misfit(measured, x)) * f.response**2, None, None
         if self.positive:
             free, free_residual = x[:terms], float(np.sqrt(max(left.sum(), 0) / energy.sum()))
-            x = positive_light(x, self.posterior_factor(found))
+            x = positive_light(x, math.sqrt(scale2) * root.reshape(3 * f.terms, -1))
             left = np.diag(f.misfit(measured, x)) * f.response**2
         residual = float(np.sqrt(max(left.sum(), 0) / energy.sum()))
         model = model_variance(x, residual)
@@ -265,10 +275,9 @@ class LightSolver:
 
         ``found`` is `Fit.found`.
         """
-        f = self.factorised
         factor, _ = self._system(None, found.correlation, found.channels, found.q)
-        white = lapack.dtrtri(factor, lower=1)[0].T * math.sqrt(found.q * found.v)
-        return f.coefficients(white).transpose(1, 0, 2).reshape(3 * f.terms, -1)
+        root, _ = self.factorised.root(factor)
+        return math.sqrt(found.q * found.v) * root.reshape(len(factor), -1)
 
 
 def solve_map(basis, radiance, *, blocks, prior, order: int, coarsening: float = COARSENING) -> Fit:
@@ -289,6 +298,12 @@ def reported_up_to(fit: Fit, order: int, solver: LightSolver) -> Fit:
         singular_values=singular,
         condition=float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
     )
+
+
+@lru_cache(maxsize=1)
+def blas() -> ThreadpoolController:
+    """The linear algebra's threads. Matrices of 300 rows gain nothing from several, and lose much where others run."""
+    return ThreadpoolController()
 
 
 def cholesky(matrix) -> np.ndarray:

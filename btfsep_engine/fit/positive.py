@@ -21,7 +21,7 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.positivity import DIRECTIONS, blurred_basis, darkest_share
 
 ITERATIONS = 100  # for each unknown of the non-negative problem; a few for each active direction are enough
-NEIGHBOURS = 13  # directions nearest to one, itself among them: about two rings
+NEIGHBOURS = 5  # directions nearest to one, itself among them
 EXACT = 1e-9  # of the largest shortfall: an inequality broken by less is kept
 
 

@@ -101,7 +101,7 @@ def test_it_is_the_posterior_of_full_covariance_matrices(rng):
 
 
 def test_priors_with_means_of_higher_orders_are_the_same_formulas(rng):
-    """F F^T is the prior's covariance, whatever terms have a mean; plain() and variances() turn back."""
+    """F F^T is the prior's covariance, whatever terms have a mean; root() and its squares turn back."""
     basis, blocks = view_of_a_sphere(rng, pixels=60, order=3)
     for mean_order in (0, 2):
         prior = learn(relative_coefficients(3), mean_order=mean_order)
@@ -110,10 +110,12 @@ def test_priors_with_means_of_higher_orders_are_the_same_formulas(rng):
         assert np.allclose(by_channel @ by_channel.T, prior.covariance(), atol=1e-12)
         white = rng.normal(size=(48, 50))
         white = white @ white.T
-        full = (by_channel @ white @ by_channel.T).reshape(3, 16, 3, 16)
-        assert np.allclose(f.variances(f.plain(white)), np.einsum("ctct->tc", full), rtol=1e-10)
+        full = (by_channel @ np.linalg.inv(white) @ by_channel.T).reshape(3, 16, 3, 16)
+        root, trace = f.root(np.linalg.cholesky(white))
+        assert trace == pytest.approx(np.trace(np.linalg.inv(white)), rel=1e-9)
+        assert np.allclose(f.variances(root), np.einsum("ctct->tc", full), rtol=1e-9)
         few = full[:, :4, :, :4].transpose(1, 0, 3, 2).reshape(12, 12)
-        assert np.allclose(f.covariance(f.plain(np.tril(white)), 4), few, rtol=1e-9, atol=1e-9)
+        assert np.allclose(f.covariance(root, 4), few, rtol=1e-8, atol=1e-9 * few.max())
 
 
 def test_a_tridiagonal_reduction_serves_every_q(rng):
