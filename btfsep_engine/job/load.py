@@ -69,6 +69,7 @@ def load_job(folder, *, with_photo: bool = True) -> Job:
         exposure_ev=schema.exposure_ev,
         digest=reader.digest(),
         warnings=tuple(notes),
+        image_colorspace=schema.image_colorspace,
     )
 
 

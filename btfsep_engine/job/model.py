@@ -96,7 +96,7 @@ class Photo:
 class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
-    ``warnings`` says in words what was left out while reading.
+    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb" or "linear".
     """
 
     folder: Path
@@ -108,3 +108,4 @@ class Job:
     exposure_ev: float
     digest: str
     warnings: tuple[str, ...] = ()
+    image_colorspace: str = "auto"

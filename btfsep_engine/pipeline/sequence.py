@@ -100,7 +100,7 @@ def run_sequence(
     Parameters
     ----------
     folder : job folder; its own image need not be there
-    frames : pattern of the pictures, taken by the job's camera
+    frames : pattern of the pictures, taken by the job's camera and coded as its `image_colorspace` says
     material : a name for all objects; else the job's, else as recognised in the first frame
     out : folder for the results, default ``folder/sequence``
     with_exr : whether the lights are written as maps, too
@@ -110,12 +110,13 @@ def run_sequence(
     dict, the content of sequence.json and ``out``
     """
     started = time.perf_counter()
+    settings = replace(settings, key_light="never")  # what it would cost, a frame would cost
     if settings.estimator != "map" or settings.order == "auto":
         raise InputError("a sequence", f"--order {settings.order}", "give one order for all frames")
     with reporter.stage("reading"):
         files = frame_files(frames)
         job = load_job(folder, with_photo=False)
-        job = replace(job, photo=read_photo(files[0], job.camera))
+        job = replace(job, photo=read_photo(files[0], job.camera, colorspace=job.image_colorspace))
     out = Path(out) if out is not None else job.folder / "sequence"
     scene = PreparedScene(job, reporter)
     found = object_materials(scene, library, settings, names=[material or o.material for o in job.objects])
@@ -131,7 +132,7 @@ def run_sequence(
     lights, solving = [], []
     for i, file in enumerate(files):
         with reporter.stage("reading"):
-            photo = read_photo(file, job.camera) if i else job.photo
+            photo = read_photo(file, job.camera, colorspace=job.image_colorspace) if i else job.photo
         begun = time.perf_counter()
         with reporter.stage("fit"):
             fit, lost = solver.solve(photo)

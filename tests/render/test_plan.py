@@ -74,6 +74,20 @@ def test_a_sequence_gives_each_frame_what_it_gives_alone(sphere_job_folder, caps
     assert main([*command[:3], str(frames / "*.png"), *WHITE]) == 2
 
 
+def test_frames_of_a_sequence_are_coded_as_the_job_says(sphere_job_folder, capsys, tmp_path):
+    folder, truth = sphere_job_folder
+    photo = images.read_linear(folder / "photo.exr").pixels
+    scale = 0.5 / photo.max()
+    for i in range(2):  # the first frame and further ones are read in different places
+        images.write_exr(tmp_path / f"f{i}.exr", images.linear_to_srgb(photo * scale).astype(np.float32))
+    job = json.loads((folder / "job.json").read_text())
+    (folder / "job.json").write_text(json.dumps({**job, "image_colorspace": "srgb"}))
+    assert main(["sequence", str(folder), "--images", str(tmp_path / "*.exr"), *WHITE, "--order", "2", *QUICK]) == 0
+    for i in range(2):
+        light = read_lighting(folder / "sequence" / f"f{i}.json").coefficients / scale
+        assert np.linalg.norm(light - truth) < 0.05 * np.linalg.norm(truth)
+
+
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_two_photos_share_one_light_at_any_exposure(sphere_job_folder, capsys, tmp_path, factor):
     folder, truth = sphere_job_folder
