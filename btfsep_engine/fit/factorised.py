@@ -17,6 +17,7 @@ from scipy.linalg import lapack
 from btfsep_engine.errors import InputError
 
 CHANNELS = ("red", "green", "blue")
+FEWEST_BLOCKS = 12  # from which on misfit that pixels share is told from misfit of their own
 CHUNK = 1 << 14  # pixels converted at once: the basis images of a large photo are never copied whole
 
 
@@ -210,23 +211,41 @@ class Factorised:
 
     def predicted(self, x) -> np.ndarray:
         """A x: (p, 3), of coefficients (terms, 3)."""
+        columns = self._columns(x)
+        return np.concatenate([self.rows(part) @ columns for part in self._parts()]) * self.response
+
+    def _columns(self, x) -> np.ndarray:
+        """Coefficients (terms, 3) as what the scaled A's rows are multiplied with: (3 terms, 3)."""
         columns = np.zeros((self.terms, 3, 3))
         columns[:, np.arange(3), np.arange(3)] = x / self.prior.deviation[:, None]
-        columns = columns.reshape(3 * self.terms, 3)
-        return np.concatenate([self.rows(part) @ columns for part in self._parts()]) * self.response
+        return columns.reshape(3 * self.terms, 3)
 
     def misfit(self, measured: Measured, x) -> np.ndarray:
         """(b - A x)^T (b - A x), the channels at unit response: (3, 3), of x (terms, 3).
 
         From the Gram matrix, so that no pixel is looked at; exact to 1e-15 of b^T b.
         """
-        z = x / self.prior.deviation[:, None]
-        cross = np.einsum("mc,cmd->cd", z, measured.moments)
-        columns = np.zeros((self.terms, 3, 3))
-        columns[:, np.arange(3), np.arange(3)] = z
-        columns = columns.reshape(3 * self.terms, 3)
+        columns = self._columns(x)
+        cross = np.einsum("mc,cmd->cd", x / self.prior.deviation[:, None], measured.moments)
         out = measured.energies - cross - cross.T + columns.T @ (self.gram @ columns)
         return (out + out.T) / 2  # of an exact photo only rounding is left over, which has no symmetry
+
+    def shared_misfit(self, measured: Measured, x) -> float:
+        """What of the misfit b - A x the pixels of a block share, root mean square over the photo's.
+
+        The variance between blocks that a one-way analysis of variance finds: the spread of the blocks' means, less
+        what independent misfits of their pixels give them. All of the misfit where fewer than `FEWEST_BLOCKS` blocks,
+        or blocks of one pixel each, cannot say.
+        """
+        left, blocks = np.maximum(np.diag(self.misfit(measured, x)), 0), len(self.block_sizes)
+        shared = left
+        if blocks >= FEWEST_BLOCKS and self.pixels > blocks:
+            means = measured.sums - self.sums @ self._columns(x)
+            between = (np.square(means) / self.block_sizes[:, None]).sum(0)
+            alone = np.maximum(left - between, 0) / (self.pixels - blocks)
+            shared = np.maximum(between - blocks * alone, 0)
+        unit = self.response**2
+        return float(np.sqrt(shared @ unit / max(np.diag(measured.energies) @ unit, 1e-300)))
 
     def singular_values(self, terms: int) -> np.ndarray:
         """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""

@@ -44,6 +44,7 @@ class Fit:
     covariance : of the first coefficients, orders 0 to 2, row by row and in it channel by channel; None where the fit
         does not state how they go together
     found : map_estimate.Found, what the evidence chose; None without a prior
+    shared_residual : of the residual, what neighbouring pixels share (`Factorised.shared_misfit`); None without a prior
     free_residual, free_coefficients : of the light that is free to be negative, where this one is not; else None
     """
 
@@ -64,6 +65,7 @@ class Fit:
     all_determined: np.ndarray | None = None
     covariance: np.ndarray | None = None
     found: object | None = None
+    shared_residual: float | None = None
     free_residual: float | None = None
     free_coefficients: np.ndarray | None = None
 

@@ -25,8 +25,10 @@ tr((G + P^-1)^-1 G) = sum q d / (1 + q d). What depends on A alone is kept (`fit
 Misfit by a wrong material or shape is also correlated from block to block, and many orders of light can explain it
 away, so that residuals do not show it. Two measures against that. Evidence counts less than its number: the
 likelihood is taken to the power 1 / `COARSENING` (Miller and Dunson 2019, "coarsened" posteriors). And the spread has
-a second part, the residual's relative size times the coefficients' size in each row: a model that misses the
-image by a tenth is not trusted to know its response to any coefficient better than to a tenth. A third part is
+a second part, the misfit that neighbouring pixels share: its relative size times the coefficients' size in each row. A
+model that misses blocks of the image by a tenth is not trusted to know its response to any coefficient better than to
+a tenth; what pixels miss each for itself (texture that the mean ABRDF does not have) is noise, which the posterior
+has already. A third part is
 `REFLECTANCE_SPREAD`, one factor on all: a piece of a material is lighter or darker than the one that was measured.
 All were chosen on photographs by Cycles with two of four lights; the figures stated in docs/method.md are of the
 other two.
@@ -228,7 +230,8 @@ class LightSolver:
             x = positive_light(x, math.sqrt(scale2) * root.reshape(3 * f.terms, -1))
             left = np.diag(f.misfit(measured, x)) * f.response**2
         residual = float(np.sqrt(max(left.sum(), 0) / energy.sum()))
-        model = model_variance(x, residual)
+        shared = f.shared_misfit(measured, x)
+        model = model_variance(x, shared)
         stddev = np.sqrt(variance + model + (REFLECTANCE_SPREAD * x) ** 2)
         covariance += np.diag(np.broadcast_to(model, x.shape)[:few].ravel())
         low = REFLECTANCE_SPREAD * x[:few].ravel()
@@ -255,6 +258,7 @@ class LightSolver:
             all_determined=share < DETERMINED,
             covariance=covariance,
             found=found,
+            shared_residual=shared,
             free_residual=free_residual,
             free_coefficients=free,
         )
@@ -317,9 +321,9 @@ def cholesky(matrix) -> np.ndarray:
     return upper.T * np.where(np.diag(upper) < 0, -1.0, 1.0)
 
 
-def model_variance(x, residual: float) -> np.ndarray:
-    """The variance of coefficients x (terms, 3) by a wrong model, (terms, 1): a part ``residual`` of their size."""
-    return (min(residual, 1.0) ** 2) * (x**2).mean(1, keepdims=True)
+def model_variance(x, missed: float) -> np.ndarray:
+    """The variance of coefficients x (terms, 3) by a wrong model, (terms, 1): a part ``missed`` of their size."""
+    return (min(missed, 1.0) ** 2) * (x**2).mean(1, keepdims=True)
 
 
 def misfit_channels(misfit, energies) -> np.ndarray:

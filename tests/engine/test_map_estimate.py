@@ -50,7 +50,7 @@ def photographed(rng, basis, x, blocks, *, noise, shared=0.0):
 
 def by_noise(fit):
     """The stated spread without its parts for a wrong model and for the material's reflectance."""
-    model = fit.residual**2 * (fit.coefficients**2).mean(1, keepdims=True)
+    model = fit.shared_residual**2 * (fit.coefficients**2).mean(1, keepdims=True)
     return np.sqrt(fit.stddev**2 - model - (map_estimate.REFLECTANCE_SPREAD * fit.coefficients) ** 2)
 
 
@@ -80,7 +80,7 @@ def test_it_is_the_posterior_of_full_covariance_matrices(rng):
     gram = a.T @ np.linalg.inv(noise) @ a
     hat = np.linalg.inv(gram + np.linalg.inv(signal)) @ gram
     assert freedom == pytest.approx(np.trace(hat), rel=1e-8)
-    model = np.diag(np.repeat(fit.residual**2 * (fit.coefficients**2).mean(1), 3))
+    model = np.diag(np.repeat(fit.shared_residual**2 * (fit.coefficients**2).mean(1), 3))
     reflectance = map_estimate.REFLECTANCE_SPREAD * fit.coefficients.ravel()
     model += np.outer(reflectance, reflectance)
     by_term = covariance.reshape(3, 9, 3, 9).transpose(1, 0, 3, 2).reshape(27, 27)
@@ -116,6 +116,24 @@ def test_priors_with_means_of_higher_orders_are_the_same_formulas(rng):
         assert np.allclose(f.variances(root), np.einsum("ctct->tc", full), rtol=1e-9)
         few = full[:, :4, :, :4].transpose(1, 0, 3, 2).reshape(12, 12)
         assert np.allclose(f.covariance(root, 4), few, rtol=1e-8, atol=1e-9 * few.max())
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_what_blocks_of_pixels_share_of_the_misfit_is_told_from_what_each_has_for_itself(rng, share):
+    """Of misfit of a known size, however large what pixels have for themselves is beside it."""
+    basis, blocks = view_of_a_sphere(rng, pixels=4000, order=2)
+    blocks = rng.integers(150, size=4000)
+    f = Factorised(basis, blocks, learn(relative_coefficients(2)))
+    x = f.prior.deviation[:, None] * rng.normal(size=(9, 3)) + f.prior.mean[:, None]
+    b = np.einsum("pmc,mc->pc", basis, x)
+    size = np.sqrt((b**2).mean())
+    own, together = rng.normal(size=b.shape), rng.normal(size=(150, 3))[blocks]
+    b = b + 0.3 * size * (own + np.sqrt(share) * together)
+    left = f.shared_misfit(f.measure(b), x) * np.sqrt((b**2).mean()) / (0.3 * size)
+    assert left == pytest.approx(np.sqrt(share), abs=0.06)
+    few = Factorised(basis, blocks // 30, f.prior)  # five blocks cannot say: all of it
+    left = few.shared_misfit(few.measure(b), x) * np.sqrt((b**2).mean()) / (0.3 * size)
+    assert left == pytest.approx(np.sqrt(1 + share), rel=0.1)
 
 
 def test_a_tridiagonal_reduction_serves_every_q(rng):
