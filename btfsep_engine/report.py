@@ -13,6 +13,7 @@ from btfsep_engine.render.sampling import spread
 
 PIXELS = 40_000  # most pixels of an object that the report renders; the others are filled from their neighbours
 DIRECTIONS = 256  # a picture to look at
+SIDE = 1024  # largest edge of what the report is made of; its panels are smaller
 GREY = 0.18  # display value of the photo's median luminance
 
 
@@ -93,7 +94,8 @@ def write_estimate_report(path, found, settings) -> None:
     found : pipeline.estimation.Estimate
     settings : pipeline.settings.Settings
     """
-    scene, photo = found.scene, found.scene.job.photo.radiance
+    scene = found.scene.at_most(SIDE)
+    photo = scene.job.photo.radiance
     materials = [m.material for m in found.materials]
     textured = settings.appearance == "textured"
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))

@@ -16,12 +16,12 @@ from btfsep_engine.pipeline.model_choice import (
     texture_may_help,
 )
 from btfsep_engine.pipeline.problem import pose, shares
-from btfsep_engine.pipeline.real_photo import as_real_photos, clipped_channels, scale_words, warn_of_clipping
+from btfsep_engine.pipeline.real_photo import as_real_photos, scale_words, warn_of_clipping
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
 from btfsep_engine.render.quadrature import MOST
-from btfsep_engine.render.sampling import choose_pixels
+from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
 from btfsep_engine.render.surface import SurfacePoints
 
 COARSE = 0.7  # of the misfit: error by few directions that is not one of many any more
@@ -41,12 +41,21 @@ def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settin
     Usable pixels, and with a prior saturated ones, too, as inequalities.
     """
     warn_of_clipping(scene, index, settings)
-    points = scene.points(index, textured=settings.appearance == "textured")
-    usable = scene.usable(points)
-    if settings.estimator == "map":
-        usable |= clipped_channels(scene, points).any(1)
-    points = points.take(np.flatnonzero(usable))
+    photo = scene.job.photo
+    region = scene.regions[index] & photo.usable
+    if settings.estimator == "map" and photo.clipped is not None:
+        region |= scene.regions[index] & photo.clipped.any(-1)
+    points = scene.points(
+        index,
+        region=part_of(region, share, settings),
+        textured=settings.appearance == "textured",
+    )
     return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points
+
+
+def part_of(region, share: int, settings: Settings):
+    """What of a region (h, w) bool is worth computing at, to choose ``share`` pixels of it; 0: all."""
+    return thinned(region, max(REGION, 4 * share), seed=settings.seed) if share else region
 
 
 def all_chosen_points(scenes, settings: Settings) -> list:
@@ -63,7 +72,7 @@ def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
     answers = []
     for scene, found in zip(scenes, materials, strict=True):
         for i, m in enumerate(found):
-            points = scene.points(i, textured=False)
+            points = scene.points(i, region=thinned(scene.regions[i], REGION), textured=False)
             footprint = float(np.median(points.footprint)) * scene.millimetres_per_unit
             answers.append(texture_may_help(scene.job.objects[i], m.material, footprint))
     return any(a for a, _ in answers), "; ".join(dict.fromkeys(reason for _, reason in answers))

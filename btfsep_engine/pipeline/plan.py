@@ -17,7 +17,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import determined_words
 from btfsep_engine.pipeline.model_choice import texture_contrast
-from btfsep_engine.pipeline.modelling import appearance
+from btfsep_engine.pipeline.modelling import appearance, part_of
 from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -59,8 +59,11 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
     scene = PreparedScene(job, reporter)
     textured = settings.appearance == "textured"
     with reporter.stage("transport"):
-        points = [scene.points(i, textured=textured) for i in range(len(materials))]
         counts = shares(scene, settings.pixels)
+        points = [
+            scene.points(i, region=part_of(r, n, settings), textured=textured)
+            for i, (r, n) in enumerate(zip(scene.regions, counts, strict=True))
+        ]
         chosen = [
             p.take(choose_pixels(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)
         ]

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A job ready for transport: its rays' scene, what the camera sees, and the pixels of each object."""
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 
 from btfsep_engine.job.model import Job
@@ -9,6 +12,7 @@ from btfsep_engine.render.point_transport import point_radiance
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
 from btfsep_engine.render.surface import (
     SurfacePoints,
+    View,
     camera_view,
     object_region,
     surface_points,
@@ -46,6 +50,48 @@ class PreparedScene:
     def millimetres_per_unit(self) -> float:
         """Millimetres in one world unit of the job."""
         return 1000 * self.job.metres_per_unit
+
+    def at_most(self, side: int) -> "PreparedScene":
+        """The same scene as a smaller camera sees it, no edge of its picture above ``side`` pixels; traces nothing.
+
+        Each of its pixels shows the surface in the middle of a block of pixels, and the photo's mean over the block.
+        """
+        camera, photo = self.job.camera, self.job.photo
+        edge = -(-max(camera.width, camera.height) // side)
+        if edge < 2:
+            return self
+        w, h = camera.width // edge, camera.height // edge  # what is left at the right and below is cut off
+        if not w or not h:
+            return self
+        rows, columns = edge // 2 + edge * np.arange(h), edge // 2 + edge * np.arange(w)
+        place = np.ix_(rows, columns)
+
+        def blocks(image):
+            return image[: h * edge, : w * edge].reshape(h, edge, w, edge, *image.shape[2:])
+
+        out = copy.copy(self)
+        out.view = View(**{name: image[place] for name, image in vars(self.view).items()})
+        out.regions = [region[place] for region in self.regions]
+        out.job = replace(
+            self.job,
+            camera=replace(
+                camera,
+                width=w,
+                height=h,
+                fx=camera.fx / edge,
+                fy=camera.fy / edge,
+                cx=(camera.cx - edge // 2 - 0.5) / edge + 0.5,
+                cy=(camera.cy - edge // 2 - 0.5) / edge + 0.5,
+            ),
+            photo=replace(
+                photo,
+                radiance=blocks(photo.radiance).mean((1, 3)),
+                usable=blocks(photo.usable).all((1, 3)),
+                clipped=None if photo.clipped is None else blocks(photo.clipped).any((1, 3)),
+            ),
+            objects=tuple(replace(o, mask=None if o.mask is None else o.mask[place]) for o in self.job.objects),
+        )
+        return out
 
     def points(self, index: int, *, region=None, textured: bool) -> SurfacePoints:
         """Surface points of an object, ready for `Transport`; all of its region unless one is given."""

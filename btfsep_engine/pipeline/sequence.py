@@ -18,7 +18,7 @@ from btfsep_engine.job.load import load_job, read_photo
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import determined_words, material_record, object_materials
-from btfsep_engine.pipeline.modelling import appearance
+from btfsep_engine.pipeline.modelling import appearance, part_of
 from btfsep_engine.pipeline.problem import pose, shares
 from btfsep_engine.pipeline.record import run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -121,8 +121,11 @@ def run_sequence(
     scene = PreparedScene(job, reporter)
     found = object_materials(scene, library, settings, names=[material or o.material for o in job.objects])
     with reporter.stage("transport"):
-        points = [scene.points(i, textured=settings.appearance == "textured") for i in range(len(found))]
         counts = shares(scene, settings.pixels)
+        points = [
+            scene.points(i, region=part_of(r, n, settings), textured=settings.appearance == "textured")
+            for i, (r, n) in enumerate(zip(scene.regions, counts, strict=True))
+        ]
         points = [
             p.take(choose_pixels(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)
         ]

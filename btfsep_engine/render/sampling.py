@@ -23,6 +23,7 @@ from btfsep_engine.light.natural import natural_prior
 
 NORMAL_WEIGHT = 0.5  # of a normal's difference against a distance in scene radii
 CANDIDATES = 1 << 16  # more pixels than these are thinned evenly first
+REGION = 1 << 18  # of more pixels than these most are left out before anything is computed at them
 LEVERAGE_SHARE = 0.5
 LEVERAGE_ORDER = 4
 NORMAL_CELLS = 24  # along an edge of the cube of normals, in whose cells leverage is taken to be one number
@@ -42,6 +43,27 @@ def spread(points, count: int, *, seed: int = 0) -> np.ndarray:
         return np.arange(n)
     order = np.argsort(morton(points.pixels, bits=16), kind="stable")
     return systematic(order, np.ones(n), count, seed=seed)
+
+
+def thinned(region, most: int, *, seed: int = 0) -> np.ndarray:
+    """A region (h, w) bool with every pixel's chance the same and about ``most`` left; as it is if it has no more.
+
+    Of each square of k x k pixels one is looked at, at a random place in it: large photographs cost no more memory
+    than small ones in what follows.
+    """
+    edge = int(np.sqrt(region.sum() / max(most, 1)))
+    if edge < 2:
+        return region
+    h, w = region.shape
+    rows, columns = np.mgrid[0:h:edge, 0:w:edge]
+    random = np.random.default_rng(seed)
+    rows = rows + random.integers(0, edge, rows.shape)
+    columns = columns + random.integers(0, edge, columns.shape)
+    inside = (rows < h) & (columns < w)
+    rows, columns = rows[inside], columns[inside]
+    out = np.zeros_like(region)
+    out[rows, columns] = region[rows, columns]
+    return out if out.any() else region
 
 
 def choose_pixels(points, count: int, *, seed: int = 0, leverage_share: float = LEVERAGE_SHARE) -> np.ndarray:
