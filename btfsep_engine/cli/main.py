@@ -58,6 +58,9 @@ def doctor(*, library_folder, reporter):
 @click.option("--order", type=NumberOrAuto(), help="Order of the spherical harmonics, 0 to 9, or auto.")
 @click.option("--estimator", help="map (natural-light prior) or least-squares (the paper's).")
 @click.option("--light", help="positive (nowhere too dark) or free.")
+@click.option(
+    "--robust/--no-robust", default=None, help="Leave out pixels that the light does not explain: things in front."
+)
 @click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")

@@ -5,6 +5,10 @@ The residual of a pixel (or the root mean square of a block's) over its robust s
 the median absolute deviation, scaled to a normal distribution's; it is found anew in each round. A weight w enters as
 sqrt(w) on the pixel's rows of A and b, which is a noise variance of 1 / w. Basis images must have shadows: without
 them, what is in shade looks like an outlier.
+
+The weighted fit itself pays for its safety: it takes the texture that the mean ABRDF does not have for outliers, too.
+So an estimate (`--robust`) uses it to find out which pixels stand apart (`outliers`), leaves these out, and fits the
+others as ever.
 """
 
 from dataclasses import dataclass
@@ -18,6 +22,7 @@ ROUNDS = 5
 NORMAL = 1.4826  # standard deviation over the median absolute deviation
 TUNING = {"huber": 1.345, "tukey": 4.685}  # 95 % efficiency for normal residuals
 SETTLED = 0.01  # largest change of a weight
+OUTLIER = 0.1  # a Tukey weight below which a pixel is left out: 3.9 times the spread
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,11 @@ def weights_of(residual, *, kind: str) -> np.ndarray:
     if kind == "huber":
         return 1 / np.maximum(u, 1)
     return np.where(u < 1, (1 - np.minimum(u, 1) ** 2) ** 2, 0.0)
+
+
+def outliers(basis, radiance, *, blocks, prior, order: int) -> np.ndarray:
+    """The pixels that stand apart from what light can explain: (p,) bool. Parameters and errors of `solve_robust`."""
+    return solve_robust(basis, radiance, blocks=blocks, prior=prior, order=order, kind="tukey").weights < OUTLIER
 
 
 def solve_robust(basis, radiance, *, blocks, prior, order: int, kind: str, by: str = "pixel") -> RobustFit:

@@ -15,7 +15,7 @@ from btfsep_engine.pipeline.model_choice import (
     determined_order,
     texture_may_help,
 )
-from btfsep_engine.pipeline.problem import pose, shares
+from btfsep_engine.pipeline.problem import left_out_words, pose, shares
 from btfsep_engine.pipeline.real_photo import as_real_photos, scale_words, warn_of_clipping
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
@@ -118,6 +118,8 @@ def chosen_fit(problems, rich, settings: Settings):
     settings as chosen, Fit, LightSolver or None, exposures, {what: why}
     """
     choice = {"scale": scale_words(problems)}
+    if settings.robust:
+        choice["robust"] = left_out_words(problems)
     automatic = settings.order == "auto"
     if automatic:
         settings = replace(settings, order=LARGEST_ORDER)

@@ -24,6 +24,7 @@ class Problem:
     transport : how the basis images were made, for ``result.json``
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
+    left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
     scene: object
@@ -32,6 +33,7 @@ class Problem:
     transport: dict
     measured: np.ndarray | None = None
     scales: np.ndarray | None = None
+    left_out: int | None = None
 
     @property
     def all_basis(self) -> np.ndarray:
@@ -88,6 +90,13 @@ def shares(scene, pixels: int) -> list[int]:
     """How many of ``pixels`` each object gets, by what of it is seen; 0: all."""
     sizes = np.array([r.sum() for r in scene.regions], np.float64)
     return [max(int(n), 1) for n in pixels * sizes / sizes.sum()] if pixels else [0] * len(sizes)
+
+
+def left_out_words(problems) -> str:
+    """How many pixels were not explained by the light, and left out."""
+    lost = sum(p.left_out or 0 for p in problems)
+    share = 100 * lost / max(lost + sum(len(points) for p in problems for points in p.points), 1)
+    return f"{lost} pixels ({share:.1f} %) that the light does not explain were left out"
 
 
 def pose(scene, used, points, settings) -> Problem:

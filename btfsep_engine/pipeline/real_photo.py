@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a real photograph needs before its light is fitted: clipped channels and reflectances that are not known.
+"""What a real photograph needs before its light is fitted: clipped channels, things in front, unknown reflectances.
 
 Both are settled once, with a fit of their own (`fit.censored`, `fit.white_balance`), and leave ordinary problems: the
-points that are used, and for each the values to be fitted. What follows knows nothing of them.
+points that are used, and for each the values to be fitted. What follows knows nothing of them. So are, where they are
+asked for, pixels that the light does not explain (`fit.robust`).
 """
 
 from dataclasses import replace
@@ -10,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.fit.censored import solve_censored
+from btfsep_engine.fit.robust import outliers
 from btfsep_engine.fit.white_balance import free_scales
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.doubts import THRESHOLDS
@@ -77,8 +79,20 @@ def as_real_photos(problems, rich, materials, settings):
                 if not part.any():
                     part[:] = True
         one = replace(problem, measured=measured).kept(used)
+        if settings.robust:
+            out_of_line = outliers(
+                one.all_basis,
+                one.radiance(),
+                blocks=one.blocks,
+                prior=natural_prior(settings.fit_order),
+                order=settings.fit_order,
+            )
+            for part in one.by_object(out_of_line):  # views into it: no object may vanish from the fit
+                part &= not part.all()
+            used[used] = ~out_of_line
+            one = replace(problem, measured=measured, left_out=int(out_of_line.sum())).kept(used)
         scales = scales_of(one, [not m.given for m in found], settings)
-        both = [one] if rich is None else [one, replace(rich[i], measured=measured).kept(used)]
+        both = [one] if rich is None else [one, replace(rich[i], measured=measured, left_out=one.left_out).kept(used)]
         out.append([_divided(p, scales) for p in both])
     return [each[0] for each in out], None if rich is None else [each[1] for each in out]
 

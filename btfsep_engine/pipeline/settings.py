@@ -25,6 +25,7 @@ class Settings:
     estimator : "map" (all orders up to 9 under a prior of natural light, ``order`` of them reported) or
         "least-squares" (the paper's: the orders up to ``order`` and no others)
     light : "positive" (with "map": the most probable light that is nowhere too dark, `fit.positive`) or "free"
+    robust : whether pixels that the light does not explain are left out (with "map"; `fit.robust.outliers`)
     key_light : "auto" (a sun or lamp is split off where the photo asks for it, pipeline/key_light.py) or "never"
     appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
         (mean, unless the texture lines up and explains more of the photo)
@@ -46,6 +47,7 @@ class Settings:
     order: int | str = 4
     estimator: str = "map"
     light: str = "positive"
+    robust: bool = False
     key_light: str = "auto"
     appearance: str = "auto"
     pixels: int = 4000
@@ -108,6 +110,8 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
     if settings.light not in LIGHTS:
         raise InputError("--light", f"'{settings.light}'", f"choose one of {', '.join(LIGHTS)}")
+    if settings.robust and settings.estimator != "map":
+        raise InputError("--robust", f"with --estimator {settings.estimator}", "it goes with --estimator map only")
     if settings.key_light not in ("auto", "never"):
         raise InputError("--key-light", f"'{settings.key_light}'", "choose 'auto' or 'never'")
     if settings.transport not in TRANSPORTS:

@@ -104,3 +104,23 @@ def test_least_squares_leaves_clipped_pixels_out():
     _, problem, _ = light_of(scene, [ObjectMaterial("test/grey", GREY, True)], settings)
     rows, columns = problem.pixels.T
     assert scene.job.photo.usable[rows, columns].all() and problem.measured is None
+
+
+def test_things_in_front_are_left_out_where_that_is_asked_for():
+    """A bright patch over a part of a ball; without it nearly nothing is left out, and nothing changes."""
+    scene = scene_of_balls([(0, 0, 0)])
+    known = [ObjectMaterial(GREY.name, GREY, True)]
+    robust = replace(SETTINGS, robust=True)
+    plain, _, _ = light_of(scene, known)
+    same, problem, choice = light_of(scene, known, robust)
+    assert problem.left_out < 0.02 * len(problem.points[0]) and "pixels" in choice["robust"]
+    assert abs(off(same) - off(plain)) < 0.01
+    image = scene.job.photo.radiance.copy()
+    image[40:52, 38:50] = 6 * image.max()
+    scene.job = replace(scene.job, photo=replace(scene.job.photo, radiance=image))
+    fooled, _, choice = light_of(scene, known)
+    found, problem, _ = light_of(scene, known, robust)
+    assert "robust" not in choice
+    assert off(found) < 0.02 + off(plain) < off(fooled) / 5
+    rows, columns = problem.points[0].pixels.T
+    assert not ((rows >= 40) & (rows < 52) & (columns >= 38) & (columns < 50)).any()
