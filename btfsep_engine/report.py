@@ -4,9 +4,9 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from btfsep_engine import sh
 from btfsep_engine.atomic import replacing
 from btfsep_engine.images import linear_to_srgb
+from btfsep_engine.light.files import lighting_map
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.render.sampling import spread
@@ -67,8 +67,10 @@ def write_row(path, panels, *, title: str = "") -> None:
         figure.savefig(scratch, format="png")
 
 
-def render_objects(scene, materials, lightings, *, textured: bool, directions: int, indirect=None) -> np.ndarray:
-    """Images (M, h, w, 3) float32 of a prepared scene's objects, NaN where none is.
+def render_objects(
+    scene, materials, lightings, *, textured: bool, directions: int, indirect=None, sun=None
+) -> np.ndarray:
+    """Images (M, h, w, 3) float32 of a prepared scene's objects, NaN where none is; with a ``sun`` beside each light.
 
     Large objects are rendered at `PIXELS` pixels and filled from the nearest of them.
     """
@@ -79,6 +81,8 @@ def render_objects(scene, materials, lightings, *, textured: bool, directions: i
         points = scene.points(index, region=region, textured=textured)
         points = points.take(spread(points, PIXELS))
         values = scene.radiance(points, material, lightings, directions=directions, indirect=indirect)
+        if sun is not None:
+            values = values + scene.sun_radiance(points, material, sun)[:, None]
         if len(points) < region.sum():
             values = values[cKDTree(points.pixels).query(np.argwhere(region))[1]]
         out[:, region] = values.transpose(1, 0, 2)
@@ -99,10 +103,18 @@ def write_estimate_report(path, found, settings) -> None:
     materials = [m.material for m in found.materials]
     textured = settings.appearance == "textured"
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
-    lighting = SHLighting(found.lighting.coefficients)
-    indirect = scene.indirect(materials, lighting, bounces=settings.reflections)
+    light = found.lighting
+    indirect = scene.indirect(materials, SHLighting(light.coefficients), bounces=settings.reflections)
     shown = [m if textured or not hasattr(m, "mean_material") else m.mean_material() for m in materials]
-    again = render_objects(scene, shown, lighting, textured=textured, directions=DIRECTIONS, indirect=indirect)[0]
+    again = render_objects(
+        scene,
+        shown,
+        SHLighting(light.sky),
+        textured=textured,
+        directions=DIRECTIONS,
+        indirect=indirect,
+        sun=light.sun,
+    )[0]
     sample = render_objects(
         scene, materials, training_lights(rotations=1).selected([0]), textured=True, directions=DIRECTIONS
     )[0]
@@ -112,12 +124,15 @@ def write_estimate_report(path, found, settings) -> None:
     compared = region & scene.job.photo.usable & np.isfinite(again).all(-1)
     error = np.linalg.norm((again - photo)[compared]) / max(np.linalg.norm(photo[compared]), 1e-30)
     size = (128, 256)
-    estimated = sh.to_map(found.lighting.coefficients, *size)
+    estimated = lighting_map(light, *size)
     names = ", ".join(dict.fromkeys(m.name for m in found.materials))
     panels = [
         ("photo", display(photo, factor)),
         (names, display(np.where(region[..., None], sample * exposure(sample, region), background))),
-        (f"estimated light, order {settings.order}", display(estimated, exposure(estimated, ...))),
+        (
+            f"estimated light, order {settings.order}{' and a sun' if light.sun else ''}",
+            display(estimated, exposure(estimated, ...)),
+        ),
         ("re-rendered", display(np.where(region[..., None], again * factor, background))),
         (f"difference (relative error {error:.2f})", display(difference)),
     ]

@@ -61,6 +61,7 @@ def doctor(*, library_folder, reporter):
 @click.option(
     "--robust/--no-robust", default=None, help="Leave out pixels that the light does not explain: things in front."
 )
+@click.option("--key-light", help="auto (a sun or lamp is split off where the photo asks for it) or never.")
 @click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")

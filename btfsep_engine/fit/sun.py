@@ -174,7 +174,7 @@ def split_fit(plain: Fit, solver: LightSolver, fit: Fit, radiance, *, shapes, we
     root = root[:, :terms] + shapes[0][:, None] * root[:, terms:]
     moved = (shapes - shapes[0])[:, :, None] * irradiance  # by the direction's uncertainty
     variance = np.square(root).sum(2).T + np.einsum("k,ktc->tc", weights, moved**2)
-    model = model_variance(x, residual)
+    model = model_variance(x, f.shared_misfit(measured, z))
     stddev = np.sqrt(variance + model + (REFLECTANCE_SPREAD * x) ** 2)
     few = min(terms, sh.term_count(EXPECTED_ORDER))
     part = root[:, :few].transpose(1, 0, 2).reshape(3 * few, -1)
@@ -199,16 +199,3 @@ def split_fit(plain: Fit, solver: LightSolver, fit: Fit, radiance, *, shapes, we
         free_residual=free_residual,
     )
     return Split(whole, sky, irradiance, np.hypot(own, REFLECTANCE_SPREAD * irradiance))
-
-
-def cap_around(direction, half_angle: float, count: int) -> np.ndarray:
-    """``count`` directions spread evenly over the cap of ``half_angle`` radians about a unit direction: (count, 3)."""
-    direction = np.asarray(direction, np.float64)
-    a = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
-    a /= np.linalg.norm(a)
-    b = np.cross(direction, a)
-    i = np.arange(count) + 0.5
-    cosine = 1 - (1 - np.cos(half_angle)) * i / count
-    azimuth = 2 * np.pi * i / ((1 + np.sqrt(5)) / 2)
-    sine = np.sqrt(1 - cosine**2)[:, None]
-    return cosine[:, None] * direction + sine * (np.cos(azimuth)[:, None] * a + np.sin(azimuth)[:, None] * b)

@@ -16,6 +16,7 @@ from btfsep_engine.light.maps import read_map
 from btfsep_engine.light.sun import Sun
 
 MAX_ORDER = 64
+SKY_EXACT = 1e-4  # of the first coefficient: how exactly sky and sun add up to the coefficients
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
@@ -52,7 +53,6 @@ class Lighting:
                 raise ValueError(f"{name} of order {self.order} has the shape {value.shape}, not {shape}")
             object.__setattr__(self, name, value)
 
-
     @property
     def sky(self) -> np.ndarray:
         """(terms, 3), the coefficients without the sun."""
@@ -74,8 +74,9 @@ class SunSchema(Strict):
     irradiance: Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
     stddev: Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
     size_degrees: Degrees = 0.0
-    angle_degrees: Degrees = 0.0
+    widest_degrees: Degrees = 0.0
     evidence: float = 0.0
+    sky: list[Rgb]
 
 
 class LightingSchema(Strict):
@@ -109,17 +110,31 @@ def read_lighting(path) -> Lighting:
             raise InputError(f"{path.name}: {key}", got, "write (order + 1)^2 rows")
     if schema.stddev is not None and min(min(row) for row in schema.stddev) < 0:
         raise InputError(f"{path.name}: stddev", "a standard deviation is negative", "write the positive root")
-    sun = schema.sun
-    if sun is not None and not 0.5 < np.linalg.norm(sun.direction) < 2:
-        raise InputError(f"{path.name}: sun.direction", f"its length is not 1: {sun.direction}", "write a unit vector")
+    sun = None if schema.sun is None else _sun(path.name, schema)
     return Lighting(
         schema.order,
         np.array(schema.coefficients),
         np.zeros((terms, 3)) if schema.stddev is None else np.array(schema.stddev),
         np.ones(terms, bool) if schema.determined is None else np.array(schema.determined),
         schema.exposure_ev,
-        None if sun is None else Sun(**sun.model_dump()),
+        sun,
     )
+
+
+def _sun(name: str, schema: LightingSchema) -> Sun:
+    """The sun of a file called ``name``, checked. Raises InputError."""
+    told = schema.sun
+    if not 0.99 < np.linalg.norm(told.direction) < 1.01:
+        raise InputError(f"{name}: sun.direction", f"its length is not 1: {told.direction}", "write a unit vector")
+    if len(told.sky) != len(schema.coefficients):
+        got = f"it has {len(told.sky)} rows, and the coefficients have {len(schema.coefficients)}"
+        raise InputError(f"{name}: sun.sky", got, "write the coefficients without the sun")
+    sun = Sun(**told.model_dump(exclude={"sky"}))
+    total = np.array(told.sky) + sun.coefficients(schema.order)
+    if np.abs(total - schema.coefficients).max() > SKY_EXACT * np.abs(schema.coefficients).max():
+        got = "sky and sun do not add up to the coefficients"
+        raise InputError(f"{name}: sun", got, "change all three of them together, or leave the sun out")
+    return sun
 
 
 def write_lighting(path, lighting: Lighting) -> None:
@@ -146,7 +161,7 @@ def write_lighting(path, lighting: Lighting) -> None:
     if lighting.sun is not None:
         if not np.isfinite(lighting.sun.irradiance).all():
             raise ValueError("a sun that is not finite")
-        fields["sun"] = sun_record(lighting.sun)
+        fields["sun"] = {**sun_record(lighting.sun), "sky": lighting.sky.tolist()}
     lines = []
     for key, value in fields.items():
         text = json.dumps(value, allow_nan=False)
@@ -163,7 +178,7 @@ def sun_record(sun: Sun) -> dict:
         "irradiance": sun.irradiance.tolist(),
         "stddev": sun.stddev.tolist(),
         "size_degrees": float(sun.size_degrees),
-        "angle_degrees": float(sun.angle_degrees),
+        "widest_degrees": float(sun.widest_degrees),
         "evidence": float(sun.evidence),
     }
 

@@ -22,7 +22,7 @@ class Sun:
     irradiance : (3,) float64, linear Rec.709, >= 0, on a surface that faces it, in the photo's own scale
     stddev : (3,) of the irradiance
     size_degrees : its most probable width; 0: a point will do
-    angle_degrees : the largest width that the photo allows
+    widest_degrees : the largest width that the photo allows
     evidence : logarithm of how much better the photo is explained with it
     """
 
@@ -30,7 +30,7 @@ class Sun:
     irradiance: np.ndarray
     stddev: np.ndarray
     size_degrees: float = 0.0
-    angle_degrees: float = 0.0
+    widest_degrees: float = 0.0
     evidence: float = 0.0
 
     def __post_init__(self):
@@ -41,6 +41,11 @@ class Sun:
     def coefficients(self, order: int) -> np.ndarray:
         """The sun in spherical harmonics: ((order + 1)^2, 3)."""
         return beam_shape(self.direction, order, size_degrees=self.size_degrees)[:, None] * self.irradiance
+
+    def directions(self, count: int) -> np.ndarray:
+        """Directions to points spread evenly over the disc: (count, 3), or (1, 3) where a point will do."""
+        half = np.radians(self.size_degrees) / 2
+        return cap_around(self.direction, half, count) if half > 0 else self.direction[None]
 
     def to_map(self, height: int, width: int) -> np.ndarray:
         """Radiance (height, width, 3): a disc of the sun's irradiance, at least `NARROWEST` pixels wide."""
@@ -56,3 +61,16 @@ def beam_shape(direction, order: int, *, size_degrees: float = 0.0) -> np.ndarra
     """The spherical harmonics ((order + 1)^2,) of a disc of unit irradiance about a direction."""
     cap = cap_factors(order, 2 * np.pi * (1 - np.cos(np.radians(size_degrees) / 2)))
     return sh.evaluate(order, np.asarray(direction, np.float64)) * np.repeat(cap, 2 * np.arange(order + 1) + 1)
+
+
+def cap_around(direction, half_angle: float, count: int) -> np.ndarray:
+    """``count`` directions spread evenly over the cap of ``half_angle`` radians about a unit direction: (count, 3)."""
+    direction = np.asarray(direction, np.float64)
+    a = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    a /= np.linalg.norm(a)
+    b = np.cross(direction, a)
+    i = np.arange(count) + 0.5
+    cosine = 1 - (1 - np.cos(half_angle)) * i / count
+    azimuth = 2 * np.pi * i / ((1 + np.sqrt(5)) / 2)
+    sine = np.sqrt(1 - cosine**2)[:, None]
+    return cosine[:, None] * direction + sine * (np.cos(azimuth)[:, None] * a + np.sin(azimuth)[:, None] * b)

@@ -18,6 +18,7 @@ from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_e
 from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, light_is_negative, structure_doubts
 from btfsep_engine.pipeline.interreflection import open_share, own_light
+from btfsep_engine.pipeline.key_light import key_light
 from btfsep_engine.pipeline.modelling import (
     TOLERATED,
     all_chosen_points,
@@ -141,10 +142,15 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     choice.setdefault("appearance", why)
     if rich is not None and settings.appearance == "textured":
         problems = rich
-    fitted = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
+    used = [[appearance(m.material, settings) for m in found] for found in materials]
+    with reporter.stage("key light"):
+        key, choice["key_light"] = key_light(problems, used, fit, solver, exposures, settings)
+    if key is not None:
+        fit, solver = key.fit, key.solver
     measured, photos = [p.radiance() for p in problems], []
-    for problem, b, exposure in zip(problems, measured, exposures, strict=True):
-        left = b - exposure * problem.predicted(fitted)
+    shown = predictions(problems, fit, key)
+    for problem, b, exposure, image in zip(problems, measured, exposures, shown, strict=True):
+        left = b - exposure * image
         residuals = [
             float(np.linalg.norm(r) / max(np.linalg.norm(c), 1e-30))
             for r, c in zip(problem.by_object(left), problem.by_object(b), strict=True)
@@ -153,7 +159,8 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     known = fit.determined
     if known is None:
         known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
-    lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev)
+    sun = None if key is None else key.sun
+    lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev, sun)
     with reporter.stage("checks"):
         doubts = all_doubts(problems, photos, materials, fit, solver, measured, lighting, settings)
     for doubt in doubts:
@@ -171,6 +178,25 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         choice,
         photos,
     )
+
+
+def predictions(problems, fit: Fit, key=None) -> list:
+    """What the light, with its key light where it has one, makes of each photograph's points, at the first's exposure.
+
+    Parameters
+    ----------
+    problems : list of pipeline.problem.Problem
+    fit : Fit of all of the light
+    key : key_light.KeyLight or None
+
+    Returns
+    -------
+    list of (p, 3)
+    """
+    if key is not None:
+        return [p.predicted(key.sky) + beam for p, beam in zip(problems, key.images, strict=True)]
+    fitted = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
+    return [p.predicted(fitted) for p in problems]
 
 
 def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting: Lighting, settings) -> list[str]:
@@ -221,7 +247,7 @@ def uncertainty_doubts(fit: Fit, lighting: Lighting, settings: Settings) -> list
             f"the photo determines {count} of {terms} coefficients, and not all of the first four, which hold the "
             "main direction of the light: the others are natural light's average; see stddev in lighting.json"
         )
-    if light_is_negative(lighting.coefficients) < -0.1:
+    if light_is_negative(lighting.sky) < -0.1:
         out.append(
             "the estimated light is negative in some directions, as a truncated series can be; the World clamps it at 0"
         )

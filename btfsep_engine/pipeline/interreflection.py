@@ -121,11 +121,12 @@ def with_own_light(problem, materials, settings):
     """
     scene = problem.scene
     indirect = scene.indirect(materials, SHBasis(settings.fit_order), bounces=settings.bounces)
-    basis = []
-    for material, points, straight in zip(materials, problem.points, problem.basis, strict=True):
-        transport = scene.transport(points, directions=INDIRECT_DIRECTIONS)
-        basis.append(straight + indirect.reflected(transport, material))
-    return replace(problem, basis=basis, transport={**problem.transport, "bounces": settings.bounces})
+    between = [
+        indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), material)
+        for material, points in zip(materials, problem.points, strict=True)
+    ]
+    basis = [straight + added for straight, added in zip(problem.basis, between, strict=True)]
+    return replace(problem, basis=basis, between=between, transport={**problem.transport, "bounces": settings.bounces})
 
 
 def carried_over(probe: SurfacePoints, values, points: SurfacePoints) -> np.ndarray:

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A key light (a sun, a lamp) split off the series as one beam, where the photo says that there is one.
 
-1. 512 directions over the sky are asked (`fit.sun.BeamTest`), on a part of the pixels; nothing stands out: done.
-2. The best few are looked at from nearby, with rays of their own and all pixels; the beam becomes an unknown of the
-   fit, and noise and prior are found anew with it.
-3. With these, the neighbourhood is asked again, finer: the direction is the mean of what is probable, and how far that
-   spreads is part of the stated uncertainty.
-4. Discs of several sizes are asked in place of the point. What is as broad as the series' own resolution is no key
-   light: the series can say it.
+1. Directions all over the sky are asked (`fit.sun.BeamTest`), on a part of the pixels; nothing stands out: done.
+2. The best few are looked at from nearby, with rays of their own and all pixels; too little light: done.
+3. The beam becomes an unknown of the fit, and noise and prior are found anew with it. With these, the neighbourhood is
+   asked again, finer: the direction is the mean of what is probable, and how far that spreads is part of the stated
+   uncertainty.
+4. Discs of several sizes are asked in place of the point.
+
+A key light is what explains the photo better by far (`ENOUGH`), comes from a small disc (`BROADEST`: what is broader
+is light that the series can say, or gloss that the material's model lacks), and is a good part of the light (`LEAST`).
 """
 
 from dataclasses import dataclass
@@ -18,25 +20,30 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import Fit
-from btfsep_engine.fit.map_estimate import LightSolver
-from btfsep_engine.fit.sun import BeamTest, cap_around, over_the_sky, split_fit, with_beam
+from btfsep_engine.fit.map_estimate import LightSolver, blas
+from btfsep_engine.fit.sun import BeamTest, over_the_sky, split_fit, with_beam
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.natural import natural_prior
-from btfsep_engine.light.sun import Sun, beam_shape
+from btfsep_engine.light.sun import Sun, beam_shape, cap_around
 from btfsep_engine.pipeline.together import stacked
 from btfsep_engine.render.beams import beam_radiance
 
-SKY = 512  # directions, 9 degrees apart
-SCREENED = 1500  # pixels that are asked first
-ENOUGH = 6.0  # logarithm of the evidence ratio that is asked for, a beam from anywhere against none
-HOPELESS = 0.0  # in the first pass, below which nothing is looked at from nearby
+SKY = 400  # directions, 10 degrees apart
+SCREENED = 1000  # pixels that are asked first
+ENOUGH = 10.0  # logarithm of the evidence ratio that is asked for, a beam from anywhere against none
+HOPELESS = -2.0  # of it in the first pass, below which nothing is looked at from nearby
+BROADEST = np.radians(10.0)  # half of the disc's width
+LEAST = 0.2  # of the light: what is less is no key light
+TOO_LITTLE = 0.05  # of the light, as a first look has it, before noise and prior are found anew
 PEAKS, APART = 3, np.cos(np.radians(20))
-NEAR, NEAR_COUNT = np.radians(10), 24
-FINE, FINE_COUNT = np.radians(5), 48
-HALF_ANGLES = np.radians([0.0, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0, 25.0])
-DISC_COUNT = 12
-BROADEST = np.radians(12.5)  # half of the narrowest blur that order 9 resolves (`light.positivity`)
+NEAR, NEAR_COUNT = np.radians(10), 20
+FINE, FINE_COUNT = np.radians(6), 40
+FINEST, FINEST_COUNT = np.radians(1.5), 16
+CENTRED = 3  # times at most that the cap is moved
+HALF_ANGLES = np.radians([0.0, 1.5, 3.0, 5.0, 8.0, 12.0, 18.0])
+DISC_COUNT = 8
 CLEARLY = 2.0  # of the logarithm of the evidence: a size that is worse by more is not possible any more
+ALL_OF_IT = np.sqrt(4 * np.pi)  # a beam's irradiance over this is its part of the first coefficient
 NONE = "no single direction stands out: all of the light is in the spherical harmonics"
 
 
@@ -73,14 +80,20 @@ class Responses:
     def __init__(self, problems, materials, *, every: int = 1):
         self.parts = []
         for problem, used in zip(problems, materials, strict=True):
-            for points, material, basis in zip(problem.points, used, problem.basis, strict=True):
+            for i, (points, material) in enumerate(zip(problem.points, used, strict=True)):
                 few = points.take(slice(None, None, every)) if every > 1 else points
-                extra = None
-                if problem.transport["bounces"] > 1:  # smooth, so that the series holds a beam's
-                    lights = SHBasis(sh.order_of(basis.shape[1]))
-                    count = problem.transport["directions"]
-                    extra = basis[::every] - problem.scene.radiance(few, material, lights, directions=count)
-                self.parts.append((problem.scene, few, material, extra))
+                self.parts.append((problem.scene, few, material, self._between(problem, i, few, material, every)))
+
+    @staticmethod
+    def _between(problem, i: int, points, material, every: int):
+        """What surfaces send each other of each basis light: smooth, so that the series holds a beam's."""
+        if problem.transport["bounces"] < 2:
+            return None
+        if problem.between is not None:
+            return problem.between[i][::every]
+        basis = problem.basis[i]
+        lights, count = SHBasis(sh.order_of(basis.shape[1])), problem.transport["directions"]
+        return basis[::every] - problem.scene.radiance(points, material, lights, directions=count)
 
     def __call__(self, directions) -> np.ndarray:
         """(p, n, 3) float32 per unit irradiance from each direction (n, 3)."""
@@ -96,14 +109,14 @@ class Responses:
         return np.concatenate(out)
 
 
-def key_light(problems, materials, fit: Fit, exposures, settings) -> tuple[KeyLight | None, str]:
+def key_light(problems, materials, fit: Fit, solver, exposures, settings) -> tuple[KeyLight | None, str]:
     """The key light of a photograph, or None; and why, in words.
 
     Parameters
     ----------
     problems : list of pipeline.problem.Problem, as they were fitted
     materials : for each of them the Material of each object, as in the fit
-    fit, exposures : of `together.fit_together`
+    fit, solver, exposures : of `together.fit_together`
     settings : Settings
     """
     if settings.key_light == "never":
@@ -112,20 +125,22 @@ def key_light(problems, materials, fit: Fit, exposures, settings) -> tuple[KeyLi
         return None, "not looked for: that needs --estimator map and --transport kernel"
     basis, blocks = stacked(problems)
     b = np.concatenate([p.radiance() / e for p, e in zip(problems, exposures, strict=True)]).astype(np.float64)
-    search = Search(basis, blocks, b, fit, settings)
+    search = Search(basis, blocks, b, fit, solver, settings)
     every = max(1, len(b) // SCREENED)
     sky = fibonacci_sphere(SKY)
-    first = search.screen(Responses(problems, materials, every=every)(sky), problems, every)
-    if over_the_sky(first) < HOPELESS:
-        return None, NONE
-    return search.found(Responses(problems, materials), sky, first, [sum(map(len, p.points)) for p in problems])
+    with blas().limit(limits=1, user_api="blas"):  # as in the fit: the matrices are small
+        first = search.screen(Responses(problems, materials, every=every)(sky), problems, every)
+        if over_the_sky(first) < HOPELESS:
+            return None, NONE
+        return search.found(Responses(problems, materials), sky, first, [sum(map(len, p.points)) for p in problems])
 
 
 class Search:
-    """Steps 1 to 4 for one photograph's (or several photographs') rows: basis, blocks, b and the Fit without a beam."""
+    """Steps 1 to 4 for one photograph's (or several photographs') rows: basis, blocks, b and the fit without a beam."""
 
-    def __init__(self, basis, blocks, b, fit: Fit, settings):
-        self.basis, self.blocks, self.b, self.fit, self.settings = basis, blocks, b, fit, settings
+    def __init__(self, basis, blocks, b, fit: Fit, solver: LightSolver, settings):
+        self.basis, self.blocks, self.b = basis, blocks, b
+        self.fit, self.solver, self.settings = fit, solver, settings
         self.prior = natural_prior(settings.fit_order)
         self.order = sh.order_of(len(fit.coefficients))
 
@@ -139,35 +154,36 @@ class Search:
 
     def found(self, responses, sky, evidence, counts) -> tuple[KeyLight | None, str]:
         """The beam near the best of the directions that were screened."""
-        solver = LightSolver(self.basis, blocks=self.blocks, prior=self.prior, order=self.order)
         near = np.concatenate([cap_around(d, NEAR, NEAR_COUNT) for d in peaks(sky, evidence)])
-        test = BeamTest(solver, self.fit.found, self.b).ask(responses(near))
-        direction = near[test.evidence.argmax()]
-        _, beside = self._with(responses(direction[None])[:, 0])
-        test = BeamTest(solver, beside.found, self.b)
-        around = cap_around(direction, FINE, FINE_COUNT)
-        asked = test.ask(responses(around))
-        if not np.isfinite(asked.evidence).any():
+        images = responses(near)
+        asked = BeamTest(self.solver, self.fit.found, self.b).ask(images)
+        best = int(asked.evidence.argmax())
+        if not (np.isfinite(asked.evidence[best]) and self._part(asked.irradiance[best]) > TOO_LITTLE):
             return None, NONE
-        weights = np.exp(asked.evidence - asked.evidence.max())
-        cell = 2 * np.pi * (1 - np.cos(FINE)) / FINE_COUNT
-        chance = np.log(weights.sum() * cell / (4 * np.pi))  # one direction out of all
+        direction = near[best]
+        _, beside = self._with(images[:, best])
+        test = BeamTest(self.solver, beside.found, self.b)
+        around, evidence, area = self._around(test, responses, direction)
+        if not np.isfinite(evidence).any():
+            return None, NONE
+        weights = np.exp(evidence - evidence.max()) * area
+        chance = np.log(weights.sum() / (4 * np.pi))  # one direction out of all
         weights /= weights.sum()
         direction = weights @ around
         direction /= np.linalg.norm(direction)
         sizes, images = self._sizes(test, responses, direction)
         best = int(sizes.argmax())
         half = HALF_ANGLES[best]
+        if half > BROADEST:
+            return None, (
+                "no key light: the brightest part of the light is taken to be about "
+                f"{2 * np.degrees(half):.0f} degrees wide, which the spherical harmonics can say"
+            )
         with_it, beside = self._with(images[:, best])
         gain = beside.found.evidence - self.fit.found.evidence + chance
         if gain < ENOUGH:
             return None, NONE
-        if half > BROADEST:
-            return None, (
-                "no key light: the brightest part of the light is about "
-                f"{2 * np.degrees(half):.0f} degrees wide, which the spherical harmonics can say"
-            )
-        size = 2 * float(np.degrees(half))
+        size = 2 * round(float(np.degrees(half)), 3)
         shapes = np.stack([beam_shape(d, self.prior.order, size_degrees=size) for d in (direction, *around)])
         split = split_fit(
             self.fit,
@@ -178,23 +194,54 @@ class Search:
             weights=np.concatenate([[0.0], weights]),
             positive=self.settings.positive,
         )
+        part = split.irradiance.mean() / (ALL_OF_IT * split.fit.coefficients[0].mean())
+        if part < LEAST:
+            return None, (
+                f"no key light: the strongest single direction has about {100 * part:.0f} % of the light, which stays "
+                "in the spherical harmonics"
+            )
         widest = HALF_ANGLES[np.flatnonzero(sizes > sizes.max() - CLEARLY).max()]
         sun = Sun(
             direction,
             split.irradiance,
             split.stddev,
             size_degrees=size,
-            angle_degrees=2 * float(np.degrees(widest)),
+            widest_degrees=2 * round(float(np.degrees(widest)), 3),
             evidence=float(gain),
         )
         beam = images[:, best] * split.irradiance
         parts = np.split(beam, np.cumsum(counts)[:-1])
         return KeyLight(sun, split.fit, with_it, split.sky, parts), words(sun, split.fit)
 
+    def _part(self, irradiance) -> float:
+        """How much of the light a beam is, by the fit without it."""
+        return float(irradiance.mean() / (ALL_OF_IT * self.fit.coefficients[0].mean()))
+
     def _with(self, response):
         """Solver and Fit with a beam."""
         solver = with_beam(self.basis, response, blocks=self.blocks, prior=self.prior, order=self.order)
         return solver, solver.solve(self.b)
+
+    @staticmethod
+    def _around(test: BeamTest, responses, direction):
+        """Directions (n, 3) about one, the evidence for each (n,), and the solid angle that each stands for (n,).
+
+        A wide cap, about its best direction again while that lies at its edge, and a narrow one about the last.
+        """
+        for _ in range(CENTRED):
+            wide, centre = cap_around(direction, FINE, FINE_COUNT), direction
+            asked = test.ask(responses(wide)).evidence
+            direction = wide[asked.argmax()]
+            if direction @ centre > np.cos(0.7 * FINE):
+                break
+        narrow = cap_around(direction, FINEST, FINEST_COUNT)
+        outside = wide @ direction < np.cos(FINEST)
+        cells = [2 * np.pi * (1 - np.cos(a)) / n for a, n in ((FINE, FINE_COUNT), (FINEST, FINEST_COUNT))]
+        return (
+            np.concatenate([wide[outside], narrow]),
+            np.concatenate([asked[outside], test.ask(responses(narrow)).evidence]),
+            np.repeat(cells, [outside.sum(), len(narrow)]),
+        )
 
     def _sizes(self, test: BeamTest, responses, direction):
         """The evidence for discs of `HALF_ANGLES`, and their images (p, sizes, 3)."""
@@ -218,11 +265,12 @@ def peaks(sky, evidence) -> list:
 
 def words(sun: Sun, fit: Fit) -> str:
     """The key light for people."""
-    share = sun.irradiance.mean() / (np.sqrt(4 * np.pi) * fit.coefficients[0].mean())
+    share = sun.irradiance.mean() / (ALL_OF_IT * fit.coefficients[0].mean())
+    wide = max(sun.widest_degrees, 1.0)
     height = np.degrees(np.arcsin(np.clip(sun.direction[2], -1, 1)))
     azimuth = np.degrees(np.arctan2(sun.direction[1], sun.direction[0]))
     return (
         f"a key light is split off: {100 * share:.0f} % of the light, from {height:.0f} degrees above the horizon, "
-        f"azimuth {azimuth:.0f} degrees (from +X towards +Y), less than {max(sun.angle_degrees, 1.0):.0f} degrees wide "
+        f"azimuth {azimuth:.0f} degrees (from +X towards +Y), less than {wide:.0f} degrees wide "
         f"(logarithm of the evidence {sun.evidence:.0f})"
     )

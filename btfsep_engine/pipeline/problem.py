@@ -25,6 +25,7 @@ class Problem:
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
+    between : as ``basis``, the part of it that surfaces send each other, where that was added to the rest; or None
     """
 
     scene: object
@@ -34,6 +35,7 @@ class Problem:
     measured: np.ndarray | None = None
     scales: np.ndarray | None = None
     left_out: int | None = None
+    between: list | None = None
 
     @property
     def all_basis(self) -> np.ndarray:
@@ -70,11 +72,14 @@ class Problem:
             points=[p.take(np.flatnonzero(u)) for p, u in zip(self.points, parts, strict=True)],
             basis=[a[u] for a, u in zip(self.basis, parts, strict=True)],
             measured=None if self.measured is None else self.measured[used],
+            between=self.between and [a[u] for a, u in zip(self.between, parts, strict=True)],
         )
 
     def up_to(self, order: int) -> "Problem":
         """The same with fewer basis lights."""
-        return replace(self, basis=[a[:, : (order + 1) ** 2] for a in self.basis])
+        terms = (order + 1) ** 2
+        between = self.between and [a[:, :terms] for a in self.between]
+        return replace(self, basis=[a[:, :terms] for a in self.basis], between=between)
 
     def predicted(self, x) -> np.ndarray:
         """A x: (p, 3), of coefficients (terms, 3), as many as there are basis lights or fewer."""

@@ -20,11 +20,18 @@ from btfsep_engine.report import exposure, render_objects
 
 
 def lighting_of(path):
-    """The lighting in a file: ``lighting.json``, or an environment map (EXR, HDR, PNG, …)."""
+    """The lighting in a file, ``lighting.json`` or an environment map (EXR, HDR, PNG, …).
+
+    Returns
+    -------
+    all of the light, the same without its sun, and the Sun or None
+    """
     path = Path(path)
     if path.suffix.lower() == ".json":
-        return SHLighting(read_lighting(path).coefficients)
-    return EnvironmentMaps(read_map(path)[None], (path.stem,))
+        light = read_lighting(path)
+        return SHLighting(light.coefficients), SHLighting(light.sky), light.sun
+    light = EnvironmentMaps(read_map(path)[None], (path.stem,))
+    return light, light, None
 
 
 def earlier_materials(job, result) -> list:
@@ -48,7 +55,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
     """
     with reporter.stage("reading"):
         job = load_job(folder)
-        light = lighting_of(lighting)
+        light, sky, sun = lighting_of(lighting)
         suffix = Path(out).suffix.lower()
         if suffix not in (".exr", ".png"):
             raise InputError("--out", f"'{out}'", "name an .exr (linear) or a .png (for looking at)")
@@ -63,7 +70,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
         materials = [m.material for m in found]
         indirect = scene.indirect(materials, light, bounces=settings.reflections, seed=settings.seed)
         image = render_objects(
-            scene, materials, light, textured=True, directions=settings.many_directions, indirect=indirect
+            scene, materials, sky, textured=True, directions=settings.many_directions, indirect=indirect, sun=sun
         )[0]
     shown = np.isfinite(image).all(-1)
     image = np.where(shown[..., None], image, 0).astype(np.float32)

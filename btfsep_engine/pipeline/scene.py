@@ -6,8 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from btfsep_engine.btf.model import Mirror
 from btfsep_engine.job.model import Job
+from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
+from btfsep_engine.light.sun import Sun
+from btfsep_engine.render.beams import beam_radiance
 from btfsep_engine.render.point_transport import point_radiance
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
 from btfsep_engine.render.surface import (
@@ -23,6 +27,8 @@ from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.transport import Transport
 
 INDIRECT_DIRECTIONS = 128  # light from other surfaces is smooth
+SUN_DIRECTIONS = 12  # over a sun's disc
+MIRRORED = 9  # order of the series as which a mirror shows a sun: a ray never hits it
 
 
 class PreparedScene:
@@ -124,6 +130,20 @@ class PreparedScene:
         if indirect is not None:
             out += indirect.reflected(self.transport(points, directions=INDIRECT_DIRECTIONS), material)
         return out
+
+    def sun_radiance(self, points: SurfacePoints, material, sun: Sun) -> np.ndarray:
+        """Radiance (p, 3) float32 of points under a sun alone, with its own shadows, without interreflections."""
+        if isinstance(material, Mirror):
+            light = SHLighting(sun.coefficients(MIRRORED))
+            return self.radiance(points, material, light, directions=INDIRECT_DIRECTIONS)[:, 0]
+        per_beam = beam_radiance(
+            self.tracer,
+            points,
+            material,
+            sun.directions(SUN_DIRECTIONS),
+            millimetres_per_unit=self.millimetres_per_unit,
+        )
+        return per_beam.mean(1) * sun.irradiance.astype(np.float32)
 
     def photo_at(self, points: SurfacePoints) -> np.ndarray:
         """The photograph's radiance (p, 3) float32 at the points' pixels."""

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A key light in the estimate: found where there is one, not where the light is broad; what is written and rendered.
+
+The photo's beam is closed form (a matte ball under a plate, its shadow included); the rest of its light the kernel's.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine import images, sh
+from btfsep_engine.btf.model import Lambertian, Mirror
+from btfsep_engine.cli import main
+from btfsep_engine.fit.compare import relative_l2
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.files import read_lighting
+from btfsep_engine.light.lightings import SHLighting, cap_factors
+from btfsep_engine.light.sun import Sun
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.key_light import key_light
+from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import fit_together
+from btfsep_engine.progress import Reporter
+from btfsep_engine.render.beams import beam_radiance
+from tests.render.prepared import ball
+from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+
+GREY = Lambertian("test/grey", np.full(3, 0.3))
+SILVER = Mirror("test/silver", np.ones(3))
+FROM = np.array([0.5, 0.2, 0.84]) / np.linalg.norm([0.5, 0.2, 0.84])
+LOW, HIGH = np.array([0.3, -0.4, 1.2]), np.array([0.9, 0.5, 1.25])  # a plate's corners
+SETTINGS = choose("draft", bounces=1, directions=512)
+
+
+def plate():
+    shape = trimesh.creation.box(HIGH - LOW)
+    return as_mesh(shape.apply_translation((LOW + HIGH) / 2), flat=True)
+
+
+def lit_by_the_sun(positions, normals, direction):
+    """Radiance per unit irradiance of the grey ball under the plate: closed form; 0 in shadow."""
+    with np.errstate(divide="ignore"):
+        near, far = ((corner - positions) / direction for corner in (LOW, HIGH))
+    enter, leave = np.minimum(near, far).max(1), np.maximum(near, far).min(1)
+    shadow = (enter < leave) & (leave > 0)
+    return 0.3 / np.pi * np.maximum(normals @ direction, 0) * ~shadow
+
+
+def photographed(*, share=0.0, light=None, noise=0.02, count=1000):
+    """A problem whose photo holds a beam of ``share`` of the light, from `FROM`; the true coefficients; the beam."""
+    scene = PreparedScene(job_of([ball()], looking_down(), occluders=[plate()]), Reporter())
+    points = scene.points(0, textured=False)
+    rest = positive_light(3) if light is None else light
+    irradiance = np.sqrt(4 * np.pi) * rest[0].mean() * share / (1 - share)
+    sky = scene.radiance(points, GREY, SHLighting(rest), directions=2048)[:, 0]
+    beam = lit_by_the_sun(points.position, points.normal, FROM) * irradiance
+    values = (sky + beam[:, None]) * np.random.default_rng(0).normal(1, noise, sky.shape)
+    image = np.zeros((96, 96, 3), np.float32)
+    image[points.pixels[:, 0], points.pixels[:, 1]] = values
+    scene.job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
+    truth = np.zeros((100, 3))
+    truth[: len(rest)] = rest
+    truth += sh.evaluate(9, FROM)[:, None] * irradiance
+    chosen = points.take(np.random.default_rng(1).permutation(len(points))[:count])
+    return pose(scene, [GREY], [chosen], SETTINGS), truth, irradiance
+
+
+def looked_for(problem, settings=SETTINGS):
+    fit, solver, exposures = fit_together([problem], settings)
+    return fit, *key_light([problem], [[GREY]], fit, solver, exposures, settings)
+
+
+def order_2(fit, truth) -> float:
+    return relative_l2(fit.all_coefficients[:9], truth[:9])["relative_l2_free_scale"]
+
+
+def test_beams_are_the_closed_form_with_its_shadow():
+    problem, _, _ = photographed()
+    points = problem.points[0]
+    directions = np.stack([FROM, [0.0, 0.0, 1.0], [0.6, 0.0, -0.8]])
+    found = beam_radiance(problem.scene.tracer, points, GREY, directions, millimetres_per_unit=50.0)
+    assert found.shape == (len(points), 3, 3)
+    shadowed = 0
+    for j, direction in enumerate(directions):
+        truth = lit_by_the_sun(points.position, points.normal, direction)
+        facing = points.flat_normal @ direction > 0.02  # elsewhere the mesh's facets decide
+        right = np.abs(found[facing, j, 0] - truth[facing]) < 1e-5
+        assert right.mean() > 0.995  # the shadow's edge is the facets'
+        shadowed += int((truth[facing] == 0).sum())
+    assert shadowed > 50
+    assert not beam_radiance(problem.scene.tracer, points, SILVER, directions, millimetres_per_unit=50.0).any()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_a_sun_is_found_and_the_whole_light_is_better_for_it(share):
+    problem, truth, irradiance = photographed(share=share)
+    plain, key, why = looked_for(problem)
+    assert key is not None and why.startswith("a key light is split off")
+    assert key.sun.direction @ FROM > np.cos(np.radians(2))
+    assert np.abs(key.sun.irradiance / irradiance - 1).max() < 0.1
+    assert (np.abs(key.sun.irradiance - irradiance) < 2 * key.sun.stddev).all()
+    assert key.sun.size_degrees <= key.sun.widest_degrees < 12 and key.sun.evidence > 10
+    assert order_2(key.fit, truth) < 0.5 * order_2(plain, truth) and order_2(key.fit, truth) < 0.04
+    # the parts are the whole, and explain the photo
+    shape = sh.evaluate(9, key.sun.direction) * np.repeat(
+        cap_factors(9, 2 * np.pi * (1 - np.cos(np.radians(key.sun.size_degrees) / 2))), 2 * np.arange(10) + 1
+    )
+    assert np.allclose(key.sky + shape[:, None] * key.sun.irradiance, key.fit.all_coefficients, atol=1e-9)
+    left = problem.radiance() - problem.predicted(key.sky) - key.images[0]
+    assert np.linalg.norm(left) / np.linalg.norm(problem.radiance()) == pytest.approx(key.fit.residual, rel=0.02)
+    assert key.fit.residual < 0.6 * plain.residual
+
+
+def broad(half_degrees, share=0.6):
+    """Coefficients to order 9 of even light and a disc of ``share`` of it, ``2 half_degrees`` wide, from `FROM`."""
+    factors = cap_factors(9, 2 * np.pi * (1 - np.cos(np.radians(half_degrees))))
+    x = (sh.evaluate(9, FROM) * np.repeat(factors, 2 * np.arange(10) + 1))[:, None] * np.ones(3) * share
+    x[0] += (1 - share) / np.sqrt(4 * np.pi)
+    return x
+
+
+@pytest.mark.parametrize("light", [positive_light(3), positive_light(3, seed=5), broad(40), broad(60)])
+def test_in_soft_light_there_is_none(light):
+    problem, _, _ = photographed(light=light)
+    _, key, why = looked_for(problem)
+    assert key is None and why.startswith("no ")
+
+
+def test_a_weak_lamp_is_no_key_light():
+    _, key, why = looked_for(photographed(share=0.1)[0])
+    assert key is None and why.startswith("no key light: the strongest single direction has about 1")
+
+
+def test_it_is_not_looked_for_where_it_cannot_be_or_was_not_asked_for():
+    problem, _, _ = photographed(share=0.5, count=300)
+    for settings, words in (
+        (replace(SETTINGS, key_light="never"), "--key-light never"),
+        (replace(SETTINGS, estimator="least-squares", order=2), "--estimator map"),
+    ):
+        assert (
+            looked_for(problem, settings)[1:] == (None, f"not looked for: {words}")
+            or words in looked_for(problem, settings)[2]
+        )
+
+
+def test_the_estimate_has_it_with_several_photos_and_the_light_between_surfaces():
+    """Two exposures of one scene; both photos' residuals are those of the whole light."""
+    problem, truth, _ = photographed(share=0.5)
+    scene = problem.scene
+    brighter = PreparedScene(scene.job, Reporter())
+    photo = scene.job.photo
+    brighter.job = replace(scene.job, photo=replace(photo, radiance=2 * photo.radiance))
+
+    class Library:
+        def load(self, name):
+            return GREY
+
+    settings = replace(SETTINGS, bounces=3, order=4)
+    found = estimate(scene, Library(), settings, material="grey", others=[brighter])
+    assert found.choice["key_light"].startswith("a key light is split off")
+    assert found.lighting.sun.direction @ FROM > np.cos(np.radians(2))
+    assert [round(p.exposure, 2) for p in found.photos] == [1.0, 2.0]
+    assert all(p.residuals[0] < 0.1 for p in found.photos)
+    x = found.lighting.coefficients
+    assert relative_l2(x[:9], truth[:9])["relative_l2_free_scale"] < 0.06
+    never = estimate(scene, Library(), replace(settings, key_light="never"), material="grey", others=[brighter])
+    assert never.lighting.sun is None and never.choice["key_light"] == "not looked for: --key-light never"
+    assert never.photos[0].residuals[0] > 1.3 * found.photos[0].residuals[0]
+
+
+def test_a_mirror_shows_a_sun_as_a_series_does():
+    problem, _, _ = photographed()
+    points, sun = problem.points[0], Sun(FROM, np.full(3, 2.0), np.zeros(3))
+    seen = problem.scene.sun_radiance(points, SILVER, sun)
+    truth = problem.scene.radiance(points, SILVER, SHLighting(sun.coefficients(9)), directions=128)[:, 0]
+    assert seen.max() > 1 and np.allclose(seen, truth)
+
+
+def test_the_commands_write_and_render_it(tmp_path, capsys):
+    """estimate writes the sun beside all of the light; relight draws its shadow where the photo has it."""
+    problem, _, _ = photographed(share=0.6, noise=0.01)
+    folder = written(problem.scene.job, tmp_path / "job")
+    white = ["--material", "reference/white-diffuse"]
+    assert main(["estimate", str(folder), *white, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    assert result["choice"]["key_light"].startswith("a key light is split off: ")
+    assert result["settings"]["key_light"] == "auto" and result["seconds"]["key light"] > 0
+    light = read_lighting(result["lighting"])
+    assert light.order == 4 and light.sun.direction @ FROM > np.cos(np.radians(2))
+    share = light.sun.irradiance.mean() / (np.sqrt(4 * np.pi) * light.coefficients[0].mean())
+    assert abs(share - 0.6) < 0.08
+    assert np.abs(light.sky + light.sun.coefficients(4) - light.coefficients).max() < 1e-9
+    sky = images.read_linear(folder / "result" / "lighting.exr").pixels
+    assert np.abs(sh.project_map(sky, 4) - light.coefficients).max() < 0.02 * light.coefficients[0].max()
+    assert sky.max() > 20 * np.median(sky)
+
+    def relit(lighting):
+        out = tmp_path / "relit.exr"
+        assert main(["relight", str(folder), *white, "--lighting", str(lighting), "--out", str(out)]) == 0
+        photo = problem.scene.job.photo.radiance
+        seen = photo.any(2)
+        again, photo = images.read_linear(out).pixels[seen], photo[seen]
+        return np.linalg.norm(again - photo) / np.linalg.norm(photo)
+
+    whole = json.loads((folder / "result" / "lighting.json").read_text())
+    del whole["sun"]  # as who knows of no sun reads it
+    (tmp_path / "whole.json").write_text(json.dumps(whole))
+    assert relit(result["lighting"]) < 0.06 and relit(tmp_path / "whole.json") > 0.1
+
+    assert main(["estimate", str(folder), *white, "--key-light", "never", "--no-report"]) == 0
+    assert read_lighting(folder / "result" / "lighting.json").sun is None
+    assert main(["estimate", str(folder), *white, "--key-light", "always"]) == 2
+    assert "--key-light" in capsys.readouterr().err
+
+
+def written(job, folder):
+    """The job in memory as a folder."""
+    folder.mkdir()
+    for name, mesh in (("ball", job.objects[0].mesh), ("plate", job.occluders[0])):
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(folder / f"{name}.ply")
+    images.write_exr(folder / "photo.exr", job.photo.radiance)
+    c = job.camera
+    camera = {k: getattr(c, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
+    (folder / "job.json").write_text(
+        json.dumps(
+            {
+                "format": "btfsep-job",
+                "version": 1,
+                "image": "photo.exr",
+                "camera": {**camera, "to_world": np.asarray(c.to_world).tolist()},
+                "objects": [{"name": "ball", "mesh": "ball.ply"}],
+                "occluders": [{"mesh": "plate.ply"}],
+                "metres_per_unit": job.metres_per_unit,
+            }
+        )
+    )
+    return folder
