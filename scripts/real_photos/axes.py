@@ -7,7 +7,7 @@ import numpy as np
 from btfsep_engine.fit.censored import solve_censored
 from btfsep_engine.fit.compare import relative_l2
 from btfsep_engine.fit.map_estimate import solve_map
-from btfsep_engine.fit.robust import solve_robust
+from btfsep_engine.fit.robust import outliers, solve_robust
 from btfsep_engine.fit.white_balance import free_scales
 from btfsep_engine.images import linear_to_srgb, srgb_to_linear
 from btfsep_engine.light.natural import natural_prior
@@ -33,7 +33,7 @@ def error_of_colour(fit, truth) -> float:
 
 
 def plain(view, b, chosen, key="mean"):
-    """The fit of the chosen pixels (p,) bool."""
+    """The fit of the chosen pixels, (p,) bool or numbers."""
     blocks = view.blocks[chosen]
     return solve_map(view.basis[key][chosen], b[chosen], blocks=blocks, prior=natural_prior(9), order=ORDER)
 
@@ -128,6 +128,9 @@ def robust_fits(view, b, keep, key="mean"):
         for by in ("pixel", "block"):
             found = solve_robust(basis, b[keep], blocks=blocks, prior=natural_prior(9), order=ORDER, kind=kind, by=by)
             yield f"{kind} by {by}", found.fit
+    out = outliers(basis, b[keep], blocks=blocks, prior=natural_prior(9), order=ORDER)
+    explained = np.flatnonzero(keep)[~out]
+    yield "left out by pixel (--robust)", plain(view, b, explained, key)
 
 
 def specks(view, light, rng) -> dict:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from scripts.real_photos.axes import SEVERITIES, TITLES
 
-COLOURS = ("#D55E00", "#0072B2", "#009E73", "#E69F00", "#CC79A7")  # Okabe and Ito's
+COLOURS = ("#D55E00", "#0072B2", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")  # Okabe and Ito's
 
 
 def draw(path, answers: dict) -> None:
@@ -21,8 +21,8 @@ def draw(path, answers: dict) -> None:
         for colour, estimator in zip(COLOURS, rows[0], strict=False):
             y = np.median([row[estimator] for row in rows], 0)
             if name == "textures":  # kinds of appearance, no severities
-                where = x + 0.16 * (COLOURS.index(colour) - (len(rows[0]) - 1) / 2)
-                ax.bar(where, y, 0.15, color=colour, label=estimator)
+                where = x + 0.14 * (COLOURS.index(colour) - (len(rows[0]) - 1) / 2)
+                ax.bar(where, y, 0.13, color=colour, label=estimator)
             else:
                 ax.plot(x, y, marker="o", markersize=4, color=colour, label=estimator)
         ax.set_title(TITLES[name], fontsize=10)
