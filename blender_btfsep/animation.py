@@ -40,7 +40,7 @@ def apply_sequence(scene, frames, *, clamp: bool = True, interpolation: str = "L
     if len(orders) > 1:
         raise InputError("the sequence", f"its lights have the orders {sorted(orders)}", "estimate it anew")
     order = orders.pop()
-    made = world.apply_lighting(scene, frames[0][1], mode="NODES", clamp=clamp)
+    made = world.apply_lighting(scene, frames[0][1], mode="NODES", clamp=clamp, lamp=False)
     tree = made.node_tree
     group = tree.nodes[sh_nodes.GROUP_NAME]
 

@@ -88,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
     save.add_argument("--save", metavar="FILE.blend", help="save the file with the World")
     save.add_argument("--world", choices=("nodes", "texture", "none"), help="default: the panel's")
 
+    sun = argparse.ArgumentParser(add_help=False)
+    sun.add_argument("--sun", choices=("lamp", "world"), help="where a key light goes (default: the panel's)")
+
     fit = argparse.ArgumentParser(add_help=False)
     fit.add_argument("--material", help="the material of all objects, instead of recognition")
     textures = [name for name, *_ in APPEARANCES]
@@ -95,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--out", help="folder for the results (default: in the job's)")
 
     estimate = commands.add_parser(
-        "estimate", parents=[job, engine, fit, save], help="estimate the light, write the World"
+        "estimate", parents=[job, engine, fit, save, sun], help="estimate the light, write the World"
     )
     estimate.add_argument(
         "--order", type=_order, metavar="N|auto", help="order of the spherical harmonics (default: the panel's)"
@@ -108,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
     exporting = commands.add_parser("export", parents=[job], help="write the job folder only")
     exporting.set_defaults(run=_export)
 
-    apply = commands.add_parser("apply", parents=[save], help="make a lighting.json the World")
+    apply = commands.add_parser("apply", parents=[save, sun], help="make a lighting.json the World")
     apply.add_argument("lighting")
     apply.add_argument("--scene", help="name of the scene (default: the active one)")
     apply.set_defaults(run=_apply)
@@ -227,7 +230,7 @@ def _estimate(options) -> None:
     for sentence in told(result):
         _say(sentence)
     if mode != "NONE":
-        world.apply_lighting(scene, lighting, mode=mode, clamp=scene.btfsep.clamp)
+        world.apply_lighting(scene, lighting, mode=mode, clamp=scene.btfsep.clamp, lamp=_lamp(options, scene))
     _say(f"wrote {out}")
 
 
@@ -256,8 +259,13 @@ def _apply(options) -> None:
     mode = (options.world or scene.btfsep.world_mode).upper()
     if mode == "NONE":
         raise InputError("the World", "'none' was asked for", "choose nodes or texture")
-    world.apply_lighting(scene, lighting_file.read(options.lighting), mode=mode, clamp=scene.btfsep.clamp)
+    lighting = lighting_file.read(options.lighting)
+    world.apply_lighting(scene, lighting, mode=mode, clamp=scene.btfsep.clamp, lamp=_lamp(options, scene))
     _say(f"the World of scene '{scene.name}' is now the lighting")
+
+
+def _lamp(options, scene) -> bool:
+    return scene.btfsep.sun_lamp if options.sun is None else options.sun == "lamp"
 
 
 def _save(path: str) -> None:

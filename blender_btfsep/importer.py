@@ -24,6 +24,10 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
         name="Clamp Negative", description="Black where the sum of the harmonics is negative", default=True
     )
 
+    lamp: BoolProperty(
+        name="Sun Lamp", description="A key light in the file becomes a Sun lamp beside the World", default=True
+    )
+
     def invoke(self, context, event):
         if self.properties.is_property_set("filepath") and self.filepath:  # dropped into the view
             return self.execute(context)
@@ -32,7 +36,7 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
     def execute(self, context):
         try:
             lighting = lighting_file.read(bpy.path.abspath(self.filepath))
-            world.apply_lighting(context.scene, lighting, mode=self.mode, clamp=self.clamp)
+            world.apply_lighting(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

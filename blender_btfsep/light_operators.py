@@ -32,7 +32,8 @@ class BTFSEP_OT_apply(bpy.types.Operator):
         if not self.properties.is_property_set("mode") and settings.world_mode != "NONE":
             mode = settings.world_mode
         try:
-            world.apply_lighting(context.scene, lighting_file.read(last_lighting()), mode=mode, clamp=settings.clamp)
+            lighting = lighting_file.read(last_lighting())
+            world.apply_lighting(context.scene, lighting, mode=mode, clamp=settings.clamp, lamp=settings.sun_lamp)
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -46,7 +47,7 @@ def last_lighting() -> str:
 
 
 class BTFSEP_OT_restore_world(bpy.types.Operator):
-    """Put the World back that the scene had before BTFsep"""
+    """Put the World back that the scene had before BTFsep, without the Sun lamp of BTFsep"""
 
     bl_idname = "btfsep.restore_world"
     bl_label = "Restore Previous World"

@@ -20,7 +20,9 @@ def read(path) -> dict:
     Returns
     -------
     dict with "order" (int), "coefficients" ((order + 1)^2 rows of 3 floats, linear Rec.709 radiance),
-    "stddev" (same shape, or None), "determined" (list of bool, or None), "exposure_ev" (float)
+    "stddev" (same shape, or None), "determined" (list of bool, or None), "exposure_ev" (float),
+    "sun" (None, or a dict with "direction" (3 floats, unit), "irradiance" (3 floats >= 0), "size_degrees" and "sky",
+    the coefficients without it)
 
     Raises
     ------
@@ -70,11 +72,38 @@ def validate(data, name: str = "the lighting") -> dict:
         "stddev": stddev,
         "determined": determined,
         "exposure_ev": float(exposure),
+        "sun": None if data.get("sun") is None else _sun(data["sun"], order, name),
+    }
+
+
+def _sun(sun, order: int, name: str) -> dict:
+    if not isinstance(sun, dict):
+        raise InputError(name, "'sun' is no object", _REMEDY)
+    direction, irradiance, size = sun.get("direction"), sun.get("irradiance"), sun.get("size_degrees", 0.0)
+    for key, row in (("direction", direction), ("irradiance", irradiance)):
+        if not _is_row(row):
+            raise InputError(name, f"'{key}' of 'sun' is not three finite numbers", _REMEDY)
+    length = math.hypot(*direction)
+    if not 0.99 < length < 1.01:
+        raise InputError(name, "'direction' of 'sun' is no unit vector", _REMEDY)
+    if min(irradiance) < 0:
+        raise InputError(name, "'irradiance' of 'sun' is negative", _REMEDY)
+    if not _is_number(size) or not 0 <= size <= 180:
+        raise InputError(name, f"'size_degrees' of 'sun' is {size!r}, not a number from 0 to 180", _REMEDY)
+    return {
+        "direction": [value / length for value in direction],
+        "irradiance": [float(value) for value in irradiance],
+        "size_degrees": float(size),
+        "sky": _rows(sun.get("sky"), order, name, "sky"),
     }
 
 
 def _is_number(value) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_row(row) -> bool:
+    return isinstance(row, list) and len(row) == 3 and all(_is_number(value) for value in row)
 
 
 def _rows(rows, order: int, name: str, key: str) -> list:
@@ -83,6 +112,6 @@ def _rows(rows, order: int, name: str, key: str) -> list:
         got = f"{len(rows)} rows" if isinstance(rows, list) else "no list"
         raise InputError(name, f"'{key}' has {got}, order {order} needs {wanted}", _REMEDY)
     for index, row in enumerate(rows):
-        if not isinstance(row, list) or len(row) != 3 or not all(_is_number(value) for value in row):
+        if not _is_row(row):
             raise InputError(name, f"row {index} of '{key}' is not three finite numbers", _REMEDY)
     return [[float(value) for value in row] for row in rows]

@@ -171,7 +171,8 @@ class BTFSEP_OT_estimate(runs.EngineOperator, bpy.types.Operator):
         runs.run_state().report = report if os.path.isfile(report) else ""
         words += told(result)
         if scene.btfsep.world_mode != "NONE":
-            world.apply_lighting(scene, lighting, mode=scene.btfsep.world_mode, clamp=scene.btfsep.clamp)
+            given = scene.btfsep
+            world.apply_lighting(scene, lighting, mode=given.world_mode, clamp=given.clamp, lamp=given.sun_lamp)
         return "\n".join(words)
 
 

@@ -125,6 +125,8 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         number.prop(settings, "order")
         row.prop(settings, "auto_order", text="Auto", toggle=True)
         column.prop(settings, "world_mode")
+        if settings.world_mode != "NONE":
+            column.prop(settings, "sun_lamp")
 
         if runs.is_running():
             row = layout.row(align=True)

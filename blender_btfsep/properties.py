@@ -111,6 +111,11 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
     clamp: BoolProperty(
         name="Clamp Negative", description="Black where the sum of the harmonics is negative", default=True
     )
+    sun_lamp: BoolProperty(
+        name="Sun Lamp",
+        description="A sun or lamp that the photo shows becomes a Sun lamp beside the World. Off: all of it is World",
+        default=True,
+    )
 
 
 class BTFSEP_PG_name(bpy.types.PropertyGroup):

@@ -28,6 +28,7 @@ STAGES = {
     "transport": ("Light transport", 0.6, 0.8),
     "factorising": ("Solving for the light", 0.8, 0.81),
     "fit": ("Solving for the light", 0.8, 0.85),
+    "key light": ("Looking for a key light", 0.84, 0.85),
     "report": ("Making the report", 0.85, 0.97),
     "writing": ("Writing the results", 0.97, 1.0),
 }

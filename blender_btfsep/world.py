@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes a lighting into a scene as its World: as editable spherical harmonics, or baked into a texture.
 
+A key light (sun) becomes a Sun lamp beside a World of the rest, or stays in the World's harmonics (`sun_lamp`).
+
 A World made here carries WORLD_TAG. Only such Worlds are ever changed; a World of the user's is kept in the file
 (fake user) and can be put back.
 """
@@ -8,7 +10,7 @@ A World made here carries WORLD_TAG. Only such Worlds are ever changed; a World 
 import bpy
 import numpy as np
 
-from . import harmonics, sh_nodes
+from . import harmonics, sh_nodes, sun_lamp
 from .errors import InputError
 
 WORLD_NAME = "BTFsep Lighting"
@@ -27,8 +29,10 @@ def is_ours(world) -> bool:
     return world is not None and WORLD_TAG in world and world.library is None
 
 
-def apply_lighting(scene, lighting: dict, *, mode: str = "NODES", clamp: bool = True) -> bpy.types.World:
-    """Makes ``lighting`` the World of ``scene``, in place of an earlier one of ours; never changes the user's.
+def apply_lighting(
+    scene, lighting: dict, *, mode: str = "NODES", clamp: bool = True, lamp: bool = True
+) -> bpy.types.World:
+    """Makes ``lighting`` the light of ``scene``, in place of an earlier one of ours; never changes the user's World.
 
     Parameters
     ----------
@@ -36,6 +40,7 @@ def apply_lighting(scene, lighting: dict, *, mode: str = "NODES", clamp: bool = 
     lighting : dict, as lighting_file.read returns it; "coefficients" are ((L + 1)^2, 3), linear Rec.709 radiance
     mode : "NODES" (a node group with the coefficients as inputs; up to order 9) or "TEXTURE" (a packed map)
     clamp : black where the sum is negative; what is left is dimmed to the same amount of light (`clamp_gain`)
+    lamp : whether a key light becomes a Sun lamp, and the World the rest; else the World is all of the light
 
     Returns
     -------
@@ -46,7 +51,8 @@ def apply_lighting(scene, lighting: dict, *, mode: str = "NODES", clamp: bool = 
     InputError
         When the order is too high for nodes.
     """
-    coefficients = np.asarray(lighting["coefficients"], np.float64)
+    sun = lighting.get("sun") if lamp else None
+    coefficients = np.asarray(sun["sky"] if sun else lighting["coefficients"], np.float64)
     order = harmonics.order_of(len(coefficients))
     if mode not in {"NODES", "TEXTURE"}:
         raise ValueError(f"mode is {mode!r}, not 'NODES' or 'TEXTURE'")
@@ -69,12 +75,13 @@ def apply_lighting(scene, lighting: dict, *, mode: str = "NODES", clamp: bool = 
         _write_nodes(tree, coefficients, order, clamp)
     else:
         _write_texture(tree, coefficients, clamp)
+    sun_lamp.put(scene, sun)
     world[WORLD_TAG] = {"mode": mode, "order": order, "exposure_ev": float(lighting.get("exposure_ev", 0.0))}
     return world
 
 
 def restore_previous(scene):
-    """Puts the World back that ``scene`` had before BTFsep, and removes ours.
+    """Puts the World back that ``scene`` had before BTFsep, and removes ours and its lamp.
 
     Returns
     -------
@@ -92,6 +99,7 @@ def restore_previous(scene):
     if previous is not None and not ours.get(PREVIOUS_WAS_FAKE, True):
         previous.use_fake_user = False
     scene.world = previous
+    sun_lamp.put(scene, None)
     if ours.users == 0:
         bpy.data.worlds.remove(ours)
     _remove_orphans()

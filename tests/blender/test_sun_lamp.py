@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Sun lamp beside the World: as much light as the whole, made, replaced, taken away, undone, without a window."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_btfsep import lighting_file, sun_lamp, world
+from blender_btfsep.errors import InputError
+from btfsep_engine import sh
+from btfsep_engine.light.files import Lighting, write_lighting
+from btfsep_engine.light.sun import Sun
+
+ROOT = Path(__file__).resolve().parents[2]
+DIRECTION = np.array([-0.6, -0.48, 0.64])
+
+
+def write_sunny(path, *, order=4, direction=DIRECTION, irradiance=(3.0, 2.0, 1.0), size=0.5, sky=None):
+    """A lighting.json as the engine writes it; gives its Lighting."""
+    if sky is None:
+        sky = np.random.default_rng(3).normal(size=(sh.term_count(order), 3)) * 0.05
+        sky[0] = 1.0
+    sun = Sun(direction, irradiance, np.zeros(3), size_degrees=size)
+    x = sky + sun.coefficients(order)
+    light = Lighting(order, x, np.zeros_like(x), np.ones(len(x), bool), 0.0, sun)
+    write_lighting(path, light)
+    return light
+
+
+@pytest.fixture
+def sunny(tmp_path):
+    path = tmp_path / "sunny.json"
+    return path, write_sunny(path)
+
+
+def the_lamp(scene):
+    (lamp,) = sun_lamp.lamps(scene)
+    return lamp
+
+
+def y_coefficients(made):
+    inputs = made.node_tree.nodes["BTFsep SH Lighting"].inputs
+    return np.array([tuple(s.default_value) for s in inputs if s.name.startswith("Y ")])
+
+
+def white_sphere(scene, add_camera, size=48):
+    """A white matte sphere, seen by a parallel camera; gives the normals of its pixels and which are inside."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
+    sphere = bpy.context.object
+    sphere.data.shade_smooth()
+    matte = bpy.data.materials.new("White")
+    matte.use_nodes = True
+    matte.node_tree.nodes.clear()
+    diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
+    output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    sphere.data.materials.append(matte)
+    scene.render.resolution_x = scene.render.resolution_y = size
+    camera = add_camera(scene, (3.0, -5.0, 2.5))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 2.2
+    scene.cycles.samples, scene.cycles.max_bounces = 256, 0
+    x = ((np.arange(size) + 0.5) / size - 0.5) * 2.2
+    px, py = np.meshgrid(x, -x)
+    local = np.stack([px, py, np.sqrt(np.maximum(1 - px**2 - py**2, 0))], -1)
+    return local @ np.array(camera.matrix_world)[:3, :3].T, px**2 + py**2 < 0.9**2
+
+
+def test_lamp_and_world_light_a_sphere_as_theory_says_and_as_the_whole_does(scene, render, add_camera, sunny):
+    path, light = sunny
+    normals, inside = white_sphere(scene, add_camera)
+    lighting = lighting_file.read(path)
+    made = world.apply_lighting(scene, lighting)
+    assert np.allclose(y_coefficients(made), light.sky, atol=1e-6)
+    both = render(scene)
+    # the lamp alone is E cos / pi of the irradiance E
+    made.node_tree.nodes["BTFsep SH Lighting"].inputs["Strength"].default_value = 0
+    alone = render(scene)
+    cosine = np.maximum(normals @ DIRECTION, 0)
+    truth = cosine[..., None] * light.sun.irradiance / np.pi
+    lit = inside & (cosine > 0.2)
+    assert np.abs(alone[lit] / truth[lit] - 1).max() < 0.02
+    assert alone[inside & (normals @ DIRECTION < -0.05)].max() < 1e-3
+    # with the World it is closed form, too
+    truth = truth + sh.irradiance(light.sky, normals) / np.pi
+    assert np.abs(both / truth - 1)[inside].mean() < 0.01
+    # all of it in the World: no lamp, and as much light on the whole, which a series of order 4 smears a little
+    made = world.apply_lighting(scene, lighting, lamp=False, clamp=False)
+    assert not sun_lamp.lamps(scene) and np.allclose(y_coefficients(made), light.coefficients, atol=1e-6)
+    whole = render(scene)
+    assert np.abs(whole[inside].mean(0) / both[inside].mean(0) - 1).max() < 0.02
+    assert np.linalg.norm((whole - both)[inside]) < 0.05 * np.linalg.norm(both[inside])
+
+
+def test_the_lamp_can_be_edited_and_is_replaced(scene, sunny, tmp_path):
+    path, _ = sunny
+    mine = bpy.data.objects.new("Mine", bpy.data.lights.new("Mine", "SUN"))
+    scene.collection.objects.link(mine)
+    world.apply_lighting(scene, lighting_file.read(path))
+    lamp = the_lamp(scene)
+    assert lamp.name == "BTFsep Sun" and lamp.data.energy == pytest.approx(3)
+    assert np.allclose(lamp.data.color, [1, 2 / 3, 1 / 3]) and lamp.data.angle == pytest.approx(np.radians(0.5))
+    bpy.context.view_layer.update()
+    assert np.allclose(np.array(lamp.matrix_world)[:3, 2], DIRECTION, atol=1e-6)  # a Sun shines along its -Z
+    lamp.name, lamp.data.energy, lamp.rotation_euler = "Renamed", 9.0, (0, 0, 0)
+    write_sunny(tmp_path / "other.json", direction=[0.0, 0.0, 1.0], irradiance=(1.0, 4.0, 2.0), size=3.0)
+    for _ in range(3):
+        world.apply_lighting(scene, lighting_file.read(tmp_path / "other.json"), mode="TEXTURE")
+        lamp = the_lamp(scene)
+        assert (lamp.name, round(lamp.data.energy, 5)) == ("BTFsep Sun", 4.0)
+        assert np.allclose(np.array(lamp.rotation_euler.to_matrix())[:, 2], [0, 0, 1], atol=1e-6)
+    assert sorted(o.name for o in bpy.data.objects) == ["BTFsep Sun", "Mine"] and len(bpy.data.lights) == 2
+    # a light without a sun takes the lamp away, and the user's stays
+    plain = lighting_file.read(path) | {"sun": None}
+    world.apply_lighting(scene, plain)
+    assert [o.name for o in bpy.data.objects] == ["Mine"] and len(bpy.data.lights) == 1
+    world.apply_lighting(scene, lighting_file.read(path))
+    world.restore_previous(scene)
+    assert [o.name for o in bpy.data.objects] == ["Mine"]
+
+
+def test_each_scene_has_its_own(scene, sunny):
+    path, _ = sunny
+    other = bpy.data.scenes.new("Other")
+    for each in (scene, other, scene):
+        world.apply_lighting(each, lighting_file.read(path))
+    assert the_lamp(scene) != the_lamp(other)
+    other.collection.objects.link(the_lamp(scene))  # the user shares it: taken out of one, it stays in the other
+    shared = the_lamp(scene)
+    world.apply_lighting(scene, lighting_file.read(path) | {"sun": None})
+    assert not sun_lamp.lamps(scene) and shared in sun_lamp.lamps(other)
+
+
+def test_import_panel_and_undo(addon, scene, sunny):
+    path, light = sunny
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.import_lighting(filepath=str(path)) == {"FINISHED"}
+    assert np.allclose(y_coefficients(bpy.context.scene.world), light.sky, atol=1e-6)
+    the_lamp(bpy.context.scene)
+    bpy.ops.ed.undo_push(message="imported")
+    bpy.ops.ed.undo()
+    assert not bpy.data.objects and not bpy.data.lights and bpy.context.scene.world is None
+    bpy.ops.ed.redo()
+    the_lamp(bpy.context.scene)
+    assert bpy.ops.btfsep.import_lighting(filepath=str(path), lamp=False) == {"FINISHED"}
+    assert not sun_lamp.lamps(bpy.context.scene)
+    assert np.allclose(y_coefficients(bpy.context.scene.world), light.coefficients, atol=1e-6)
+
+
+def test_estimate_and_apply_do_as_the_panel_says(photographed, fake_engine, sunny):
+    path, light = sunny
+    fake_engine(lighting=json.loads(path.read_text()), result={"objects": []})
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+    the_lamp(photographed)
+    photographed.btfsep.sun_lamp = False
+    assert bpy.ops.btfsep.apply() == {"FINISHED"}
+    assert not sun_lamp.lamps(photographed)
+    assert np.allclose(y_coefficients(photographed.world), light.coefficients, atol=1e-6)
+    photographed.btfsep.sun_lamp = True
+    assert bpy.ops.btfsep.apply() == {"FINISHED"}
+    assert np.allclose(y_coefficients(photographed.world), light.sky, atol=1e-6)
+    the_lamp(photographed)
+    assert bpy.ops.btfsep.restore_world() == {"FINISHED"} and not sun_lamp.lamps(photographed)
+
+
+DRIVER = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import blender_btfsep
+blender_btfsep.register()
+status = blender_btfsep.command.main(sys.argv[2:])
+blender_btfsep.unregister()
+sys.exit(status)
+"""
+
+
+@pytest.mark.parametrize(("where", "lamps"), [(None, 1), ("lamp", 1), ("world", 0)])
+def test_without_a_window(sunny, tmp_path, where, lamps):
+    options = ["--sun", where] if where else []
+    saved = tmp_path / "lit.blend"
+    command = [sys.executable, "-c", DRIVER, str(ROOT), "apply", str(sunny[0]), "--save", str(saved), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(saved))
+    assert len(sun_lamp.lamps(bpy.context.scene)) == lamps
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"direction": [1, 0]}, "'direction' of 'sun'"),
+        ({"direction": [0, 0, 3]}, "no unit vector"),
+        ({"irradiance": [1, -1, 1]}, "negative"),
+        ({"irradiance": [1, float("nan"), 1]}, "'irradiance' of 'sun'"),
+        ({"size_degrees": 999}, "'size_degrees'"),
+        ({"sky": [[1, 1, 1]]}, "'sky' has 1 rows"),
+    ],
+)
+def test_a_sun_that_makes_no_sense_is_refused_in_words(sunny, change, words):
+    data = json.loads(sunny[0].read_text())
+    data["sun"] |= change
+    with pytest.raises(InputError, match=words):
+        lighting_file.validate(data)
+    with pytest.raises(InputError, match="'sun' is no object"):
+        lighting_file.validate(data | {"sun": 3})
