@@ -96,10 +96,11 @@ def diagnose(solver, fit, radiance, *, blocks, position, normal, open_share) -> 
     fit : its Fit of ``radiance : (p, 3)``
     blocks, position, normal, open_share : of the p points
     """
-    left = solver.left_over(fit.found, radiance)
+    left_of = solver.smoother(fit.found)
+    left = left_of(radiance)
     weight = 1 / solver.factorised.response
     columns = hypotheses(radiance - left, fit.all_coefficients, position=position, normal=normal, open_share=open_share)
     return {
-        name: effect(left * weight, np.stack([solver.left_over(fit.found, c) * weight for c in each]), blocks)
+        name: effect(left * weight, np.stack([left_of(c) * weight for c in each]), blocks)
         for name, each in columns.items()
     }

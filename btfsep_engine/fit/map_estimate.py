@@ -268,11 +268,22 @@ class LightSolver:
 
         The photograph's own where ``values`` is the photograph; for another column, what no light can imitate of it.
         """
-        f, b = self.factorised, np.asarray(values, np.float64)
-        measured = f.products(b / f.response)
-        factor, moments = self._system(measured, found.correlation, found.channels, found.q)
-        x = f.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
-        return b - f.predicted(x)
+        return self.smoother(found)(values)
+
+    def smoother(self, found: Found):
+        """`left_over` for many columns: a function of ``values : (p, 3)``, factorised once."""
+        f, inverse = self.factorised, np.linalg.inv(found.channels)
+        with blas().limit(limits=1, user_api="blas"):
+            factor, _ = self._system(None, found.correlation, found.channels, found.q)
+
+        def left(values):
+            b = np.asarray(values, np.float64)
+            with blas().limit(limits=1, user_api="blas"):
+                moments = f.whitened_moments(f.products(b / f.response), found.correlation, inverse)
+                x = f.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
+                return b - f.predicted(x)
+
+        return left
 
     def posterior_factor(self, found: Found) -> np.ndarray:
         """R (3 terms, 3 terms), channel by channel, of the posterior's covariance R R^T (of all orders, no model part).
