@@ -25,6 +25,7 @@ from btfsep_engine.render.surface import SurfacePoints
 WORTH = 0.5  # stated standard deviations: a bias of that size is not in them; to model it costs a tenth of a second
 NEGLIGIBLE = 0.003  # of the sky's light: below any misfit
 PROBE = 400  # pixels of an object at which the scene's own light is found
+MOST = 0.8  # of the photo: if other surfaces would add so much, they are modelled without a trial
 OPEN_DIRECTIONS = 128
 NEIGHBOURS = 3
 
@@ -38,7 +39,8 @@ class OwnLight:
     modelled : bool
     bound : how much light other surfaces could add under an even sky, over the sky's own
     share : how much of the photo it is under the light that was found without it; None where the bound was enough
-    change : the most that it moves a coefficient, in stated standard deviations; None where the bound was enough
+    change : the most that it moves a coefficient, in stated standard deviations; None where the bound was enough,
+        infinite where the share left no doubt
     why : in words
     """
 
@@ -98,7 +100,10 @@ def own_light(problems, materials, fit: Fit, solver, exposures, *, bounces: int)
     added = np.concatenate(added).astype(np.float64)
     measured = np.concatenate([p.radiance() / e for p, e in zip(problems, exposures, strict=True)]).astype(np.float64)
     basis, blocks = (None, None) if solver else stacked(problems)
+    share = float(np.linalg.norm(added) / max(np.linalg.norm(measured), 1e-300))
     rest = measured - added
+    if share > MOST:  # inside a cavity more than the photo holds: nothing is left that could be fitted
+        return OwnLight(True, bound, share, np.inf, words(True, bound, share, np.inf))
     if solver:  # under the same prior and noise: one solution instead of a search for both
         again = solver.fit(solver.factorised.measure(rest), fit.found)
     else:
@@ -106,7 +111,6 @@ def own_light(problems, materials, fit: Fit, solver, exposures, *, bounces: int)
     terms = len(fit.coefficients)  # a solver may state more than are reported
     moved = np.abs(again.coefficients[:terms] - fit.coefficients) / np.maximum(fit.stddev, 1e-300)
     change = float(moved.max())
-    share = float(np.linalg.norm(added) / max(np.linalg.norm(measured), 1e-300))
     return OwnLight(change > WORTH, bound, share, change, words(change > WORTH, bound, share, change))
 
 
@@ -145,6 +149,8 @@ def words(modelled: bool, bound: float, share: float | None, change: float | Non
     """The decision for people."""
     if share is None:
         return f"interreflections are left out: they are at most {100 * bound:.1f} % of the light under an even sky"
+    if not np.isfinite(change):
+        return f"interreflections are modelled: without them the light found would add {100 * share:.0f} % of the photo"
     effect = (
         f"{100 * share:.0f} % of the photo, which moves the estimate by up to {change:.1f} of its stated uncertainty"
     )

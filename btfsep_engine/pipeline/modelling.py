@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.btf.model import Material, Tabulated
+from btfsep_engine.errors import InputError
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.fit.map_estimate import reported_up_to
 from btfsep_engine.pipeline.interreflection import with_own_light
@@ -60,9 +61,22 @@ def part_of(region, share: int, settings: Settings):
 
 def all_chosen_points(scenes, settings: Settings) -> list:
     """For every photograph the points of each object."""
-    return [
-        [chosen_points(scene, i, n, settings) for i, n in enumerate(shares(scene, settings.pixels))] for scene in scenes
-    ]
+    out = []
+    for scene in scenes:
+        out.append([chosen_points(scene, i, n, settings) for i, n in enumerate(shares(scene, settings.pixels))])
+        if not any(len(points) for points in out[-1]):
+            raise InputError(
+                names_of(scene),
+                "every pixel that shows it is saturated or transparent",
+                "give a photo with a shorter exposure, or one that is opaque where the object is",
+            )
+    return out
+
+
+def names_of(scene: PreparedScene) -> str:
+    """The objects of a scene, for an error."""
+    names = " and ".join(f"'{o.name}'" for o in scene.job.objects)
+    return f"object{'s' if len(scene.job.objects) > 1 else ''} {names}"
 
 
 def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
@@ -92,6 +106,13 @@ def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
         ]
 
     problems = all_with(replace(settings, appearance="mean") if both else settings)
+    for problem in problems:
+        if not any(basis.any() for basis in problem.basis):
+            raise InputError(
+                names_of(problem.scene),
+                "no light from outside gets by way of it to the camera",
+                "check that the camera is not inside closed geometry, and that the material is not black",
+            )
     rich = all_with(textured) if both else None
     return as_real_photos(problems, rich, materials, settings) if settings.estimator == "map" else (problems, rich)
 

@@ -16,6 +16,7 @@ from btfsep_engine.job.model import TriangleMesh
 XATLAS_FACES = 40_000
 # a chart whose field around z averages to less than this (1: a wall) has no direction around z
 HORIZONTAL = 0.1
+MARKS = 1 << 27  # of vertices times `DIRECTIONS`: what marking them may take, half a gigabyte
 # faces, edges and corners of a cube: no normal is further than 28 degrees from one of them
 DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], np.float64) - 1
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
@@ -55,6 +56,10 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
         return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32)
     else:
         uv = _xatlas_uv(mesh)
+        if not (np.isfinite(uv).all() and np.abs(_uv_areas(uv)).sum() > 0):
+            if reporter is not None:
+                reporter.warn("xatlas finds no charts on a mesh; it is mapped by projecting patches onto planes")
+            return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32)
     surface = _areas(mesh.vertices[mesh.faces])
     chart = np.abs(_uv_areas(uv))
     if not np.isfinite(uv).all() or chart.sum() <= 0:
@@ -110,7 +115,13 @@ def _welded(vertices):
 
 def _clusters(faces, label):
     """(f,) int from 0: faces of one label that hang together by their vertices."""
-    nodes = np.unique(faces * len(DIRECTIONS) + label[:, None], return_inverse=True)[1].reshape(-1, 3)
+    key = faces.astype(np.int64) * len(DIRECTIONS) + label[:, None]
+    if key.max() < MARKS:  # numbered in order by marking: many times quicker than by sorting
+        marked = np.zeros(int(key.max()) + 1, bool)
+        marked[key] = True
+        nodes = (np.cumsum(marked, dtype=np.int32) - 1)[key]
+    else:
+        nodes = np.unique(key, return_inverse=True)[1].reshape(-1, 3)
     links = coo_matrix(
         (np.ones(2 * len(nodes), bool), (nodes[:, :2].ravel(), nodes[:, 1:].ravel())), shape=(int(nodes.max()) + 1,) * 2
     )
@@ -174,10 +185,11 @@ def _xatlas_uv(mesh):
     except (OSError, ValueError):
         pass  # not there, or damaged: compute it
     # charts must not break where a mesh file splits its vertices (seams of normals or of another UV)
-    scaled = mesh.vertices - mesh.vertices.mean(0)
+    used, corner = np.unique(mesh.faces, return_inverse=True)  # a vertex of no face may be anywhere
+    scaled = mesh.vertices[used] - mesh.vertices[used].mean(0)
     scaled = (scaled / (np.abs(scaled).max() or 1.0)).astype(np.float32)
     welded, inverse = np.unique(scaled, axis=0, return_inverse=True)
-    faces = inverse.reshape(-1)[mesh.faces].astype(np.uint32)
+    faces = inverse.reshape(-1)[corner].reshape(-1, 3).astype(np.uint32)
     atlas = xatlas.Atlas()
     atlas.add_mesh(np.ascontiguousarray(welded), np.ascontiguousarray(faces))
     pack = xatlas.PackOptions()
