@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import lighting_file, sun_lamp, world
+from blender_btfsep import animation, lighting_file, sun_lamp, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import sh
 from btfsep_engine.light.files import Lighting, write_lighting
@@ -134,6 +134,15 @@ def test_each_scene_has_its_own(scene, sunny):
     shared = the_lamp(scene)
     world.apply_lighting(scene, lighting_file.read(path) | {"sun": None})
     assert not sun_lamp.lamps(scene) and shared in sun_lamp.lamps(other)
+
+
+def test_a_sequence_has_all_of_its_light_in_the_world(scene, sunny):
+    """Its keyframes have no lamp; one that was there before must not shine on."""
+    path, light = sunny
+    lighting = lighting_file.read(path)
+    world.apply_lighting(scene, lighting)
+    made = animation.apply_sequence(scene, [(1, lighting), (5, lighting)])
+    assert not sun_lamp.lamps(scene) and np.allclose(y_coefficients(made), light.coefficients, atol=1e-6)
 
 
 def test_import_panel_and_undo(addon, scene, sunny):

@@ -18,7 +18,7 @@ from btfsep_engine.fit.compare import relative_l2
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting, cap_factors
-from btfsep_engine.light.sun import Sun
+from btfsep_engine.light.sun import Sun, cap_around
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.key_light import key_light
 from btfsep_engine.pipeline.problem import pose
@@ -51,14 +51,15 @@ def lit_by_the_sun(positions, normals, direction):
     return 0.3 / np.pi * np.maximum(normals @ direction, 0) * ~shadow
 
 
-def photographed(*, share=0.0, light=None, noise=0.02, count=1000):
-    """A problem whose photo holds a beam of ``share`` of the light, from `FROM`; the true coefficients; the beam."""
+def photographed(*, share=0.0, half_degrees=0.0, light=None, noise=0.02, count=1000):
+    """A problem whose photo holds a beam (or a disc) of ``share`` of the light, from `FROM`; the truth; the beam."""
     scene = PreparedScene(job_of([ball()], looking_down(), occluders=[plate()]), Reporter())
     points = scene.points(0, textured=False)
     rest = positive_light(3) if light is None else light
     irradiance = np.sqrt(4 * np.pi) * rest[0].mean() * share / (1 - share)
     sky = scene.radiance(points, GREY, SHLighting(rest), directions=2048)[:, 0]
-    beam = lit_by_the_sun(points.position, points.normal, FROM) * irradiance
+    disc = cap_around(FROM, np.radians(half_degrees), 200) if half_degrees else FROM[None]
+    beam = np.mean([lit_by_the_sun(points.position, points.normal, d) for d in disc], 0) * irradiance
     values = (sky + beam[:, None]) * np.random.default_rng(0).normal(1, noise, sky.shape)
     image = np.zeros((96, 96, 3), np.float32)
     image[points.pixels[:, 0], points.pixels[:, 1]] = values
@@ -129,6 +130,13 @@ def test_in_soft_light_there_is_none(light):
     problem, _, _ = photographed(light=light)
     _, key, why = looked_for(problem)
     assert key is None and why.startswith("no ")
+
+
+def test_a_broad_lamp_with_soft_shadows_is_none_and_a_small_one_is():
+    _, key, why = looked_for(photographed(share=0.75, half_degrees=13, noise=0.004, count=2000)[0])
+    assert key is None and why.startswith("no key light: the brightest part of the light is taken to be about")
+    _, key, _ = looked_for(photographed(share=0.5, half_degrees=4)[0])
+    assert key.sun.direction @ FROM > np.cos(np.radians(2)) and 4 < key.sun.size_degrees <= 10
 
 
 def test_a_weak_lamp_is_no_key_light():
