@@ -25,6 +25,11 @@ def estimate_options(function):
             LIBRARY,
             click.option("--preset", default="balanced", show_default=True, help="draft, balanced, accurate or paper."),
             click.option("--classifier", help="svm or nearest."),
+            click.option(
+                "--verify/--no-verify",
+                default=None,
+                help="Compare the likeliest materials with the photo under the light each implies.  [default: verify]",
+            ),
             click.option("--seed", type=int, help="Seed of every random choice."),
         )
     ):

@@ -7,6 +7,7 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.model_file import cached, digest
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import render_samples, train
@@ -83,7 +84,7 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Sett
         *(m.vertices for m in scene.tracer.meshes),
     ]
     key = digest(
-        "training-2",
+        "training-3",
         geometry,
         [camera.fx, camera.fy, camera.cx, camera.cy, np.asarray(camera.to_world)],
         job.metres_per_unit,
@@ -118,15 +119,28 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Sett
 def recognise_object(scene: PreparedScene, index: int, library, settings: Settings) -> Recognition:
     """What an object of the job is made of."""
     recogniser = trained_recogniser(scene, index, library, settings)
-    job = scene.job
+    name = scene.job.objects[index].name
     region = training_region(scene.regions[index], settings.training_pixels)
+    window = bounding_window(region)
     with scene.reporter.stage("recognition"):
-        window = bounding_window(region)
-        radiance = np.where(job.photo.usable[..., None], job.photo.radiance, np.nan)[window]
-        answer = recogniser.recognise(radiance, region[window], what=f"object '{job.objects[index].name}'")
+        verification = Verification(scene, index, region, window, settings) if settings.verify else None
+        answer = recognised(scene.job.photo, region, window, recogniser, library, verification, name=name)
     if answer.unknown:
         scene.reporter.warn(
-            f"object '{job.objects[index].name}' looks like none of the library's materials; "
+            f"object '{name}' looks like none of the library's materials; "
             f"the nearest, {answer.material}, is used (give --material to choose another)"
         )
     return answer
+
+
+def recognised(photo, region, window, recogniser: Recogniser, library, verification, *, name: str) -> Recognition:
+    """The answer for one photograph (job.model.Photo); ``verification`` : Verification, or None for the classifier's.
+
+    ``region`` and ``window`` as in Verification; ``name`` : of the object, for errors.
+    """
+    radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)[window]
+    vectors, boxes = recogniser.describe(radiance, region[window], what=f"object '{name}'")
+    answer = recogniser.judged(vectors, boxes)
+    if verification is None:
+        return answer
+    return verification.verified(answer, recogniser, radiance, vectors[-1], library.load)

@@ -37,6 +37,8 @@ class Settings:
     transport : what makes the basis images: "kernel", or "reference" (the paper's path-traced image for each light)
     samples : paths per pixel and basis light (and sign) of the reference
     classifier : "svm" or "nearest"
+    verify : whether the likeliest materials are compared with the photo under the light each implies (see
+        pipeline/verification.py)
     training_directions : light directions per pixel of the training images
     training_pixels : largest number of pixels of a training image
     training_turns : turns about the vertical in which each training map is used
@@ -57,6 +59,7 @@ class Settings:
     transport: str = "kernel"
     samples: int = 256
     classifier: str = "svm"
+    verify: bool = True
     training_directions: int = 256
     training_pixels: int = 16000
     training_turns: int = 2
@@ -89,7 +92,9 @@ PRESETS = {
     "accurate": Settings(
         "accurate", pixels=16000, tolerance=0.007, training_directions=512, training_pixels=24000, training_turns=4
     ),
-    "paper": Settings("paper", estimator="least-squares", appearance="mean", pixels=0, directions=1024, bounces=1),
+    "paper": Settings(
+        "paper", estimator="least-squares", appearance="mean", pixels=0, directions=1024, bounces=1, verify=False
+    ),
 }
 
 

@@ -81,8 +81,14 @@ class Recogniser:
         InputError
             Where the region is too small, black or without finite pixels.
         """
-        described = dense.extract(radiance, mask, settings=self.settings, what=what)
-        vectors, boxes = self.encoder.encode(described)
+        return self.judged(*self.describe(radiance, mask, what=what))
+
+    def describe(self, radiance, mask, *, what: str = "the region to recognise"):
+        """The VLAD vectors of a region and their boxes, see `vlad.Encoder.encode`; parameters as `recognise`."""
+        return self.encoder.encode(dense.extract(radiance, mask, settings=self.settings, what=what))
+
+    def judged(self, vectors, boxes) -> Recognition:
+        """The material of what `describe` gave."""
         votes = self.model.votes(vectors)
         pooled = scores(votes.mean(0), self.model.sharpness)
         order = np.argsort(-pooled, kind="stable")

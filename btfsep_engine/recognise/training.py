@@ -19,7 +19,7 @@ from btfsep_engine.recognise import vlad
 from btfsep_engine.recognise.recogniser import Recogniser
 
 SAMPLE = 60_000  # descriptors from which a dictionary is learnt
-NOISE = 0.01  # of the region's mean radiance; a photo has some, and so must a training image
+NOISES = (0.0, 0.15)  # of the region's mean radiance; photos have more or less, and so must training images
 BLURS = (0.0, 0.8)  # pixels; photos are a little less sharp than point-sampled renderings
 CLASSIFIERS = {"svm": classifiers.train_svm, "nearest": classifiers.train_nearest}
 
@@ -68,7 +68,7 @@ def render_samples(
 
 
 def as_photo(radiance, mask, rng) -> np.ndarray:
-    """A training image with the faults of a photo: a random slight blur within the mask, and noise.
+    """A training image with the faults of a photo: a random slight blur within the mask, and random noise.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def as_photo(radiance, mask, rng) -> np.ndarray:
         image = cv2.GaussianBlur(image, (0, 0), sigma) / np.maximum(weights, 1e-6)[..., None]
     mean = image[valid].mean() if valid.any() else 0.0
     # shot noise grows with the root of the signal
-    noise = NOISE * np.sqrt(np.maximum(image, 0) * mean) * rng.standard_normal(image.shape, np.float32)
+    noise = rng.uniform(*NOISES) * np.sqrt(np.maximum(image, 0) * mean) * rng.standard_normal(image.shape, np.float32)
     return np.where(valid[..., None], image + noise, np.nan).astype(np.float32)
 
 

@@ -8,9 +8,16 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
+from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import exactly, write_lighting
-from btfsep_engine.pipeline.recognition import bounding_window, training_region
+from btfsep_engine.pipeline.recognition import bounding_window, trained_recogniser, training_region
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.verification import Verification
+from btfsep_engine.progress import Reporter
+from btfsep_engine.recognise.recogniser import Recognition
 from tests.render.scenes import positive_light
 
 CHOSEN = ("leather/brown-grain", "felt/green-coarse", "wood/oak-boards")
@@ -84,3 +91,36 @@ def test_the_bounding_window_holds_just_the_region():
     region[5:9, 12] = region[7, 20] = True
     window = bounding_window(region)
     assert region[window].sum() == region.sum() and region[window].shape == (4, 9)
+
+
+def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
+    sphere_job_folder, small_library, tmp_path, monkeypatch
+):
+    """Where the classifier cannot decide, texture under the photo's own light does; where it is sure, none is asked."""
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+    folder, _ = sphere_job_folder
+    light = tmp_path / "light.json"
+    write_lighting(light, exactly(positive_light(4, seed=5) * [1.0, 0.9, 0.7]))
+    library, settings = open_library(small_library), choose("draft")
+    for right, wrong in ((CHOSEN[0], CHOSEN[2]), (CHOSEN[2], CHOSEN[0])):
+        target = ["--lighting", str(light), "--material", right, "--library", str(small_library), "--preset", "draft"]
+        assert main(["relight", str(folder), *target, "--out", str(folder / "photo.exr")]) == 0
+        scene = PreparedScene(load_job(folder), Reporter())
+        region = training_region(scene.regions[0], settings.training_pixels)
+        window = bounding_window(region)
+        recogniser = trained_recogniser(scene, 0, library, settings)
+        verification = Verification(scene, 0, region, window, settings)
+        radiance = scene.job.photo.radiance[window]
+        described = recogniser.describe(radiance, region[window])[0][-1]
+        ask = (recogniser, radiance, described, library.load)
+        undecided = ((wrong, 0.45), (right, 0.4), ("reference/chrome", 0.15))
+        answer = verification.verified(Recognition(wrong, undecided, False, 0.5, ()), *ask)
+        assert answer.material == right == answer.candidates[0][0]
+        assert sum(score for _, score in answer.candidates) == pytest.approx(1)
+        similar = {n: verification.similarity(library.load(n), *ask[:3]) for n in (right, wrong)}
+        assert similar[right] > similar[wrong] + 0.1
+        scores = dict(answer.candidates)
+        expected = 0.45 / 0.4 * np.exp(10 * (similar[wrong] - similar[right]))
+        assert scores[wrong] / scores[right] == pytest.approx(expected, rel=1e-3)
+        certain = Recognition(wrong, ((wrong, 0.999), (right, 0.001)), False, 0.5, ())
+        assert verification.verified(certain, *ask) is certain
