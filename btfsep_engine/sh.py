@@ -9,6 +9,8 @@ import numpy as np
 
 from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
 
+BLOCK = 1 << 12  # directions evaluated at once: enough that NumPy's calls cost little, few enough for the cache
+
 
 def term_count(order: int) -> int:
     """Number of coefficients up to and with ``order``."""
@@ -78,9 +80,12 @@ def project_map(radiance, order: int) -> np.ndarray:
     weights = pixel_solid_angles(h, w)
     directions = pixel_directions(h, w)
     x = np.zeros((term_count(order), radiance.shape[2]))
-    for row in range(h):
-        basis = evaluate(order, directions[row])
-        x += weights[row] * (basis.T @ np.asarray(radiance[row], np.float64))
+    step = max(1, BLOCK // w)
+    for start in range(0, h, step):
+        rows = slice(start, start + step)
+        part = np.asarray(radiance[rows], np.float64) * weights[rows, None, None]
+        basis = evaluate(order, directions[rows])
+        x += basis.reshape(-1, len(x)).T @ part.reshape(-1, part.shape[2])
     return x
 
 

@@ -11,7 +11,21 @@ from btfsep_engine.cli.command import LIBRARY, command, opened_library
 from btfsep_engine.errors import InputError
 
 
-@click.group()
+class _Library(click.Group):
+    """``measure`` is imported when it is asked for: its defaults come from a module that takes long to import."""
+
+    def list_commands(self, context):
+        return sorted([*super().list_commands(context), "measure"])
+
+    def get_command(self, context, name):
+        if name != "measure":
+            return super().get_command(context, name)
+        from btfsep_engine.cli.measure import measure
+
+        return measure
+
+
+@click.group(cls=_Library)
 def library():
     """The material library."""
 

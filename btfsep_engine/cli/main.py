@@ -11,7 +11,6 @@ from btfsep_engine.cli.batch import batch_command
 from btfsep_engine.cli.chart import chart
 from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
 from btfsep_engine.cli.library import library
-from btfsep_engine.cli.measure import measure
 from btfsep_engine.cli.parameters import NumberOrAuto
 from btfsep_engine.cli.plan import plan
 from btfsep_engine.cli.sequence import sequence
@@ -177,7 +176,6 @@ def compare(*, a, b, job, order, library_folder, material, reporter):
 
 cli.add_command(batch_command(estimate))
 cli.add_command(chart)
-library.add_command(measure)
 cli.add_command(library)
 cli.add_command(plan)
 cli.add_command(sequence)

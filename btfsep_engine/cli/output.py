@@ -5,7 +5,6 @@ import json
 import sys
 
 import click
-from tqdm import tqdm
 
 from btfsep_engine.pipeline.record import plain
 from btfsep_engine.progress import Reporter
@@ -47,6 +46,8 @@ class TextReporter(Reporter):
         if not sys.stderr.isatty():
             return
         if self._bar is None:
+            from tqdm import tqdm  # takes as long to import as click, and programs see no bar
+
             self._bar = tqdm(
                 total=100, file=sys.stderr, leave=False, bar_format="{desc:<32} {percentage:3.0f}% |{bar}|"
             )

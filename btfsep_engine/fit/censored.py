@@ -17,7 +17,7 @@ With nothing clipped this is the plain fit.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.least_squares import Fit
@@ -88,7 +88,7 @@ def solve_censored(
         now = clipped & (predicted < measured)
         spread = np.sqrt(np.square(measured - predicted)[whole].mean(0))
         z = np.minimum((measured - predicted) / np.maximum(spread, 1e-300), FARTHEST)
-        b = np.where(clipped, predicted + spread * np.exp(norm.logpdf(z) - norm.logsf(z)), measured)
+        b = np.where(clipped, predicted + spread * _hazard(z), measured)
         wanted = whole | now.any(1) | (some if partly else False)
         if not np.array_equal(wanted, used):
             used = wanted
@@ -102,6 +102,14 @@ def solve_censored(
             break
         active = now
     return CensoredFit(fit, solver, used, b, active, count)
+
+
+def _hazard(z) -> np.ndarray:
+    """phi(z) / (1 - Phi(z)) of the normal distribution, in logarithms: both run out far above the mean.
+
+    ``scipy.stats`` has both, and takes longer to import than a fit.
+    """
+    return np.exp(-0.5 * np.square(z) - 0.5 * np.log(2 * np.pi) - log_ndtr(-z))
 
 
 def _solved(basis, b, used, blocks, prior, order: int):
