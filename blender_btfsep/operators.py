@@ -117,13 +117,8 @@ def told(result: dict) -> list:
     return [word[:1].upper() + word[1:] if word.split()[0].isalpha() else word for word in words if word.strip()]
 
 
-class BTFSEP_OT_recognise(runs.EngineOperator, bpy.types.Operator):
-    """Recognise the material of each object from the photo"""
-
-    bl_idname = "btfsep.recognise"
-    bl_label = "Recognise"
-    bl_options = {"REGISTER", "UNDO"}
-    task = "Recognising"
+class NeedsScene:
+    """Greyed out, with the reason, until there are a photo, a camera and objects."""
 
     @classmethod
     def poll(cls, context):
@@ -131,6 +126,15 @@ class BTFSEP_OT_recognise(runs.EngineOperator, bpy.types.Operator):
         if reason:
             cls.poll_message_set(reason)
         return not reason
+
+
+class BTFSEP_OT_recognise(NeedsScene, runs.EngineOperator, bpy.types.Operator):
+    """Recognise the material of each object from the photo"""
+
+    bl_idname = "btfsep.recognise"
+    bl_label = "Recognise"
+    bl_options = {"REGISTER", "UNDO"}
+    task = "Recognising"
 
     def begin(self, context):
         folder = write_job(context, context.scene)
@@ -140,20 +144,13 @@ class BTFSEP_OT_recognise(runs.EngineOperator, bpy.types.Operator):
         return ", ".join(take_materials(self.scene(), result.get("objects") or [])) or "Nothing was recognised"
 
 
-class BTFSEP_OT_estimate(runs.EngineOperator, bpy.types.Operator):
+class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     """Estimate the light of the photo and make it the World; recognises materials that are not given"""
 
     bl_idname = "btfsep.estimate"
     bl_label = "Estimate Light"
     bl_options = {"REGISTER", "UNDO"}
     task = "Estimating"
-
-    @classmethod
-    def poll(cls, context):
-        reason = missing(context)
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
 
     def begin(self, context):
         settings = context.scene.btfsep

@@ -5,40 +5,13 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import animation, frames, harmonics, world
+from blender_btfsep import animation, frames, world
 from blender_btfsep.errors import InputError
 from blender_btfsep.sh_nodes import CLAMP_GAIN, GROUP_NAME, coefficient_name
 from btfsep_engine import sh
+from tests.blender.lit import lighting, look_around, positive_coefficients, random_coefficients, white_ball
 
 FRAMES = (3, 4, 9)
-
-
-def lighting(coefficients):
-    return {"order": harmonics.order_of(len(coefficients)), "coefficients": np.asarray(coefficients).tolist()}
-
-
-def random_coefficients(order, seed=0):
-    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
-
-
-def positive_coefficients(order, seed=0):
-    """Random, with enough of Y_00 that the light is nowhere negative."""
-    c = random_coefficients(order, seed)
-    c[0] = 0
-    c[0] = (0.05 - sh.to_map(c, 64, 128).min(axis=(0, 1))) * np.sqrt(4 * np.pi)
-    return c
-
-
-def look_around(scene):
-    """A panoramic camera whose picture is the environment map itself."""
-    data = bpy.data.cameras.new("Panorama")
-    scene.camera = bpy.data.objects.new("Panorama", data)
-    scene.collection.objects.link(scene.camera)
-    data.type = "PANO"
-    (data if hasattr(data, "panorama_type") else data.cycles).panorama_type = "EQUIRECTANGULAR"  # Blender 5 moved it
-    scene.camera.rotation_euler = (np.pi / 2, 0, -np.pi / 2)  # the middle of the picture is +X
-    scene.render.resolution_x, scene.render.resolution_y = 128, 64
-    scene.cycles.samples, scene.cycles.filter_width = 1, 0.01
 
 
 def sequence(order=2, numbers=FRAMES):
@@ -53,30 +26,6 @@ def evaluated(scene, frame):
     return np.array([s.default_value for s in inputs if s.name.startswith("Y ")]), np.array(
         inputs[CLAMP_GAIN].default_value
     )
-
-
-def white_ball(scene, add_camera, colour=1.0):
-    """A white matte ball that fills an orthographic picture of 2.2 units; gives its normals, (h, w, 3), and (h, w)."""
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
-    ball = bpy.context.object
-    ball.data.shade_smooth()
-    matte = bpy.data.materials.new("White")
-    matte.use_nodes = True
-    matte.node_tree.nodes.clear()
-    diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    diffuse.inputs["Color"].default_value = (colour, colour, colour, 1)
-    output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
-    ball.data.materials.append(matte)
-    size = 40
-    scene.render.resolution_x = scene.render.resolution_y = size
-    camera = add_camera(scene, (3.0, -5.0, 2.5))
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 2.2
-    scene.cycles.samples, scene.cycles.max_bounces = 128, 0
-    x = ((np.arange(size) + 0.5) / size - 0.5) * 2.2
-    px, py = np.meshgrid(x, -x)
-    local = np.stack([px, py, np.sqrt(np.maximum(1 - px**2 - py**2, 0))], -1)
-    return local @ np.array(camera.matrix_world)[:3, :3].T, px**2 + py**2 < 0.9**2
 
 
 @pytest.mark.parametrize("clamp", [True, False])

@@ -15,6 +15,7 @@ from blender_btfsep.errors import InputError
 from btfsep_engine import sh
 from btfsep_engine.light.files import Lighting, write_lighting
 from btfsep_engine.light.sun import Sun
+from tests.blender.lit import white_ball
 
 ROOT = Path(__file__).resolve().parents[2]
 DIRECTION = np.array([-0.6, -0.48, 0.64])
@@ -48,32 +49,9 @@ def y_coefficients(made):
     return np.array([tuple(s.default_value) for s in inputs if s.name.startswith("Y ")])
 
 
-def white_sphere(scene, add_camera, size=48):
-    """A white matte sphere, seen by a parallel camera; gives the normals of its pixels and which are inside."""
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
-    sphere = bpy.context.object
-    sphere.data.shade_smooth()
-    matte = bpy.data.materials.new("White")
-    matte.use_nodes = True
-    matte.node_tree.nodes.clear()
-    diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
-    output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
-    sphere.data.materials.append(matte)
-    scene.render.resolution_x = scene.render.resolution_y = size
-    camera = add_camera(scene, (3.0, -5.0, 2.5))
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 2.2
-    scene.cycles.samples, scene.cycles.max_bounces = 256, 0
-    x = ((np.arange(size) + 0.5) / size - 0.5) * 2.2
-    px, py = np.meshgrid(x, -x)
-    local = np.stack([px, py, np.sqrt(np.maximum(1 - px**2 - py**2, 0))], -1)
-    return local @ np.array(camera.matrix_world)[:3, :3].T, px**2 + py**2 < 0.9**2
-
-
 def test_lamp_and_world_light_a_sphere_as_theory_says_and_as_the_whole_does(scene, render, add_camera, sunny):
     path, light = sunny
-    normals, inside = white_sphere(scene, add_camera)
+    normals, inside = white_ball(scene, add_camera, size=48, samples=256)
     lighting = lighting_file.read(path)
     made = world.apply_lighting(scene, lighting)
     assert np.allclose(y_coefficients(made), light.sky, atol=1e-6)

@@ -9,39 +9,7 @@ from mathutils import Matrix
 from blender_btfsep import harmonics, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import conventions, sh
-
-
-def lighting(coefficients):
-    coefficients = np.asarray(coefficients, float)
-    return {"order": harmonics.order_of(len(coefficients)), "coefficients": coefficients.tolist()}
-
-
-def random_coefficients(order, seed=0):
-    return np.random.default_rng(seed).normal(size=((order + 1) ** 2, 3))
-
-
-def positive_coefficients(order, seed=0):
-    """Random, with enough of Y_00 that the light is nowhere negative."""
-    c = random_coefficients(order, seed)
-    c[0] = 0
-    c[0] = (0.05 - sh.to_map(c, 64, 128).min(axis=(0, 1))) * np.sqrt(4 * np.pi)
-    assert sh.to_map(c, 64, 128).min() > 0
-    return c
-
-
-def look_around(scene):
-    """A panoramic camera whose picture is the environment map itself."""
-    data = bpy.data.cameras.new("Panorama")
-    camera = bpy.data.objects.new("Panorama", data)
-    scene.collection.objects.link(camera)
-    data.type = "PANO"
-    owner = data if hasattr(data, "panorama_type") else data.cycles  # Blender 5 moved it
-    owner.panorama_type = "EQUIRECTANGULAR"
-    camera.rotation_euler = (np.pi / 2, 0, -np.pi / 2)  # the middle of the picture is +X
-    scene.camera = camera
-    scene.render.resolution_x, scene.render.resolution_y = 128, 64
-    scene.cycles.samples = 1
-    scene.cycles.filter_width = 0.01
+from tests.blender.lit import lighting, look_around, positive_coefficients, random_coefficients, white_ball
 
 
 def test_recurrence_equals_the_engines():
@@ -130,34 +98,14 @@ def test_white_sphere_under_the_world_is_shaded_as_theory_says(scene, render, ad
     if axis:
         c = sh.rotation_matrix(4, np.array(Matrix.Rotation(1.1, 3, axis))) @ c
     world.apply_lighting(scene, lighting(c), mode=mode)
-    bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
-    sphere = bpy.context.object
-    sphere.data.shade_smooth()
-    matte = bpy.data.materials.new("White")
-    matte.use_nodes = True
-    matte.node_tree.nodes.clear()
-    diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    diffuse.inputs["Color"].default_value = (1, 1, 1, 1)
-    output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
-    sphere.data.materials.append(matte)
-    size = 48
-    scene.render.resolution_x = scene.render.resolution_y = size
-    camera = add_camera(scene, (3.0, -5.0, 2.5))
-    camera.data.type, camera.data.ortho_scale = "ORTHO", 2.2
-    scene.cycles.samples = 256
-    scene.cycles.max_bounces = 0
-
+    normals, inside = white_ball(scene, add_camera, size=48, samples=256)
     picture = render(scene)
-    x = ((np.arange(size) + 0.5) / size - 0.5) * 2.2
-    px, py = np.meshgrid(x, -x)
-    inside = px**2 + py**2 < 0.9**2
-    local = np.stack([px, py, np.sqrt(np.maximum(1 - px**2 - py**2, 0))], -1)
-    normals = local @ np.array(camera.matrix_world)[:3, :3].T
     truth = sh.irradiance(c, normals) / np.pi
     error = (picture - truth)[inside]
     assert np.sqrt((error**2).mean()) < 0.01 * np.sqrt((truth[inside] ** 2).mean())
     # and without bias, region by region: the noise of single pixels averaged away
+    x = np.linspace(-1.1, 1.1, 48)
+    px, py = np.meshgrid(x, -x)
     for part in (px < -0.4, px > 0.4, py < -0.4, py > 0.4):
         where = inside & part
         assert np.abs(picture[where].mean(0) / truth[where].mean(0) - 1).max() < 0.01
