@@ -25,6 +25,7 @@ from btfsep_engine.fit.sun import BeamTest, over_the_sky, split_fit, with_beam
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.light.sun import Sun, beam_shape, cap_around
+from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.together import stacked
 from btfsep_engine.render.beams import beam_radiance
 
@@ -199,6 +200,11 @@ class Search:
             return None, (
                 f"no key light: the strongest single direction has about {100 * part:.0f} % of the light, which stays "
                 "in the spherical harmonics"
+            )
+        if split.fit.residual > THRESHOLDS.residual:
+            return None, (
+                "no key light: with one, too, the light explains the photo poorly "
+                f"(relative residual {split.fit.residual:.2f})"
             )
         widest = HALF_ANGLES[np.flatnonzero(sizes > sizes.max() - CLEARLY).max()]
         sun = Sun(

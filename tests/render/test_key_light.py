@@ -248,3 +248,12 @@ def written(job, folder):
         )
     )
     return folder
+
+
+def test_a_photo_that_is_poorly_explained_with_a_sun_too_shows_none():
+    """The sun is there, but so is noise as large as the photo: nothing of this fit is to be believed."""
+    _, key, _ = looked_for(photographed(share=0.7, noise=0.4, count=4000)[0])
+    assert key is not None
+    problem, _, _ = photographed(share=0.7, noise=0.9, count=4000)
+    _, key, why = looked_for(problem)
+    assert key is None and "explains the photo poorly" in why
