@@ -118,6 +118,7 @@ class Tracer:
             valid, shape, index, u, v, t = (np.array(a) for a in found)
             mesh[part] = np.where(valid, self._numbers[np.where(valid, shape, 0)], MISS)
             face[part] = np.where(valid, index.astype(np.int32), 0)
+            u, v = np.where(valid, u, 0), np.where(valid, v, 0)  # of a miss they are anything
             barycentric[part] = np.stack([1 - u - v, u, v], -1)
             distance[part] = np.where(valid, t.astype(np.float64) * self.radius, np.inf)
         return Hits(mesh, face, barycentric, distance)

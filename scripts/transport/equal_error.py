@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kernel against the path tracer (one Mitsuba render for each basis light and sign) at equal error.
+
+Both look through the centres of the same pixels. Errors are relative L2 over pixels, lights and channels, against long
+renders of some of the pixels; the noise of these is known from the spread of their paths, and taken out.
+"""
+
+import numpy as np
+from matplotlib import pyplot
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.render.reference import Reference
+from scripts.transport.stage import COLOURS, Stage, save, table, timed
+
+ORDER = 4
+FEW = 64  # pixels, of a render that compiles, and of one that shows what a render costs whatever the pixels
+HEAD = (
+    "material", "directions", "kernel, s (processor)", "error", "reference, s (processor)", "its error",
+    "samples that it needs for the kernel's error", "s", "times longer", "by processor time",
+)  # fmt: skip
+
+
+def reference(options) -> str:
+    """Basis images of order 4 for textured materials with self-shadowing; draws transport.png."""
+    lights, library = SHBasis(ORDER), open_library(options.library)
+    stage = Stage(level=5, size=options.size, textured=True)
+    count = len(stage.points)
+    some = np.sort(np.random.default_rng(0).choice(count, min(options.judged, count), replace=False))
+    figure, axes = pyplot.subplots(
+        1, len(options.materials), figsize=(11, 3.6), sharey=True, layout="constrained", squeeze=False
+    )
+    rows = []
+    for name, axis in zip(options.materials, axes[0], strict=True):
+        rows += _material(name, axis, library.load(name), stage, lights, some, options)
+        print(f"  {name}: {rows[-1][-2]} times", flush=True)
+    axes[0, 0].set_ylabel("relative error")
+    axes[0, 0].legend(fontsize=8, frameon=False)
+    save(figure, options.images / "transport.png")
+    return (
+        f"{lights.count} basis images, {options.size} x {options.size}, of which {count} pixels are the object's; the "
+        f"reference with {options.low_samples} samples a pixel, its time for the kernel's error extrapolated by 1 / "
+        f"sqrt(samples). Errors are judged on {len(some)} pixels, against {options.judge_samples} samples.\n\n"
+        + table(HEAD, rows)
+    )
+
+
+def _material(name, axis, material, stage, lights, some, options) -> list:
+    """The table's rows of one material; its curves are drawn."""
+    renderer = Reference(stage.job, stage.tracer, [material], bounces=1, textured=True)
+    pixels = stage.points.pixels
+
+    def render(chosen, samples, seed=0):
+        return timed(lambda: renderer.radiance(chosen, lights, samples=samples, seed=seed, jitter=False))
+
+    judge = render(pixels[some], options.judge_samples, seed=1)[1]
+    power, noise = (judge.radiance.astype(np.float64) ** 2).sum(), judge.variance.astype(np.float64).sum()
+    render(pixels[:FEW], options.low_samples)
+    fixed, _ = render(pixels[:FEW], options.low_samples)
+    low_seconds, low = render(pixels, options.low_samples)
+    low_error = np.sqrt(low.variance[some].astype(np.float64).sum() / power)
+    rows, reached = [], []
+    for directions in options.directions:
+        stage.transport(stage.points.take(slice(0, FEW)), directions).radiance(material, lights)  # compiles
+        seconds, got = timed(lambda d=directions: stage.transport(stage.points, d).radiance(material, lights))
+        squared = ((got[some] - judge.radiance).astype(np.float64) ** 2).sum() - noise
+        error = np.sqrt(max(squared, 0.01 * noise) / power)
+        reached.append((seconds[0], error))
+        share = (low_error / error) ** 2
+        needed = fixed + (low_seconds - fixed) * share
+        times = needed / seconds
+        rows.append(
+            (
+                name, directions, f"{seconds[0]:.2f} ({seconds[1]:.2f})", f"{error:.3f}",
+                f"{low_seconds[0]:.1f} ({low_seconds[1]:.1f})", f"{low_error:.2f}",
+                f"{options.low_samples * share:.0f}", f"{needed[0]:.0f}", f"{times[0]:.0f}", f"{times[1]:.0f}",
+            )
+        )  # fmt: skip
+    reached = np.array(reached)
+    law = np.array([low_error, min(reached[:, 1].min(), low_error)])
+    axis.loglog(fixed[0] + (low_seconds - fixed)[0] * (low_error / law) ** 2, law, "--", color=COLOURS[1])
+    axis.loglog(low_seconds[0], low_error, "s", color=COLOURS[1], label="path tracer;\ndashed: its noise law")
+    axis.loglog(*reached.T, "o-", color=COLOURS[0], label="kernel")
+    for (x, y), directions in zip(reached, options.directions, strict=True):
+        axis.annotate(f"{directions}", (x, y), textcoords="offset points", xytext=(7, 3), fontsize=8)
+    axis.set_title(name, fontsize=10)
+    axis.set_xlabel(f"seconds for {lights.count} basis images")
+    axis.grid(alpha=0.3, which="both", lw=0.4)
+    return rows
