@@ -80,13 +80,18 @@ def test_sphere_by_longitude_and_latitude():
 def test_cut_plane_has_two_charts_their_border_and_the_turn_of_their_grain():
     faces = grid(4, 4)
     p = points(4, 4, (0, 2), (0, 2))
-    uv = p[faces]
-    right = uv[..., 0].mean(1) > 1
-    uv[right] = uv[right] @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + 10  # a quarter turn, elsewhere
+    right = p[faces][..., 0].mean(1) > 1
+
+    def turn(degrees):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        return np.array([[c, s], [-s, c]])
+
+    uv = p[faces] @ turn(20)  # no side of the border has its grain along or across it
+    uv[right] = uv[right] @ turn(50) + 10
     q = quality(np.pad(p, ((0, 0), (0, 1))), faces, uv)
     assert q.charts == 2
     assert q.border == pytest.approx(2 / 2)
-    assert q.jump == pytest.approx(90, abs=1e-3)
+    assert q.jump == pytest.approx(50, abs=1e-3)
     assert q.folded == 0
 
 
