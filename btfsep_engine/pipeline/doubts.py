@@ -26,6 +26,7 @@ class Thresholds:
     contrast : of the light, over what natural light has (`Fit.prior_scale`)
     negative : the darkest radiance of the light, over its brightest
     residual : relative misfit of an object
+    explained : relative misfit of the photo, under which nothing is left that could speak of anything
     condition : of a least-squares fit
     clipped : share of an object's pixels
     unknown : expected error of order 2
@@ -41,6 +42,7 @@ class Thresholds:
     contrast: float = 3.0
     negative: float = -0.45
     residual: float = 0.55
+    explained: float = 0.02
     condition: float = 300.0
     clipped: float = 0.05
 
@@ -66,30 +68,33 @@ def light_is_negative(x) -> float:
     return float(radiance.min() / max(radiance.max(), 1e-300))
 
 
-def structure_doubts(effects: dict[str, Effect], *, contrast: float, negative: float, names, t=THRESHOLDS) -> list[str]:
+def structure_doubts(
+    effects: dict[str, Effect], *, contrast: float, negative: float, residual: float, names, t=THRESHOLDS
+) -> list[str]:
     """What the residual's structure speaks for.
 
     Parameters
     ----------
     effects : of `fit.diagnose.diagnose`
-    contrast : `Fit.prior_scale`; negative : `light_is_negative`
+    contrast : `Fit.prior_scale`; negative : `light_is_negative`; residual : of the fit, relative
     names : of the materials
     """
     out = []
     material = " or ".join(dict.fromkeys(names))
     near, blocked, diffuse = (effects[k] for k in ("near", "blocked", "diffuse"))
-    if near.chi2 > t.near and np.linalg.norm(near.size) > t.near_size:
+    speaks = residual > t.explained
+    if speaks and near.chi2 > t.near and np.linalg.norm(near.size) > t.near_size:
         out.append(
             f"brightness changes with the place by {100 * np.linalg.norm(near.size):.0f} % over the object where its "
             "orientation does not: light from nearby (a lamp, a window, a table), which the method takes to be far away"
         )
-    if blocked.chi2 > t.blocked and blocked.size[0] > 0:
+    if speaks and blocked.chi2 > t.blocked and blocked.size[0] > 0:
         out.append(
             "places that see little of the sky are brighter than they should be: reflections from surfaces that are "
             "not modelled (more --bounces, or the neighbours as objects with a material)"
         )
     reasons = []
-    if diffuse.chi2 > t.diffuse:
+    if speaks and diffuse.chi2 > t.diffuse:
         reasons.append("what is left over looks like shading")
     if contrast > t.contrast:
         reasons.append(f"the light would have {contrast:.1f} times the contrast of natural light")

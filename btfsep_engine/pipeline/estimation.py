@@ -222,7 +222,9 @@ def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting
         )
         names = [m.name for found in materials for m in found]
         negative = light_is_negative(fit.coefficients if fit.free_coefficients is None else fit.free_coefficients)
-        out += structure_doubts(effects, contrast=fit.prior_scale, negative=negative, names=names)
+        out += structure_doubts(
+            effects, contrast=fit.prior_scale, negative=negative, residual=fit.residual, names=names
+        )
     for photo, found in zip(photos, materials, strict=True):
         for obj, m, residual in zip(photo.scene.job.objects, found, photo.residuals, strict=True):
             if residual > THRESHOLDS.residual:

@@ -9,7 +9,8 @@
 4. Discs of several sizes are asked in place of the point.
 
 A key light is what explains the photo better by far (`ENOUGH`), comes from a small disc (`BROADEST`: what is broader
-is light that the series can say, or gloss that the material's model lacks), and is a good part of the light (`LEAST`).
+is light that the series can say, or gloss that the material's model lacks), and is a good part of the light (`LEAST`)
+and of what the photo shows (`LEAST_SEEN`: a beam that hardly reaches the pixels could be as strong as it likes).
 """
 
 from dataclasses import dataclass
@@ -35,6 +36,7 @@ ENOUGH = 10.0  # logarithm of the evidence ratio that is asked for, a beam from 
 HOPELESS = -2.0  # of it in the first pass, below which nothing is looked at from nearby
 BROADEST = np.radians(10.0)  # half of the disc's width
 LEAST = 0.2  # of the light: what is less is no key light
+LEAST_SEEN = 0.05  # of the radiance of the pixels; a rim at the silhouette is where geometry is least to be trusted
 TOO_LITTLE = 0.05  # of the light, as a first look has it, before noise and prior are found anew
 PEAKS, APART = 3, np.cos(np.radians(20))
 NEAR, NEAR_COUNT = np.radians(10), 20
@@ -97,17 +99,21 @@ class Responses:
         return basis[::every] - problem.scene.radiance(points, material, lights, directions=count)
 
     def __call__(self, directions) -> np.ndarray:
-        """(p, n, 3) float32 per unit irradiance from each direction (n, 3)."""
-        out = []
+        """(p, n, 3) float32 per unit irradiance from each direction (n, 3); 0 of one that reaches no point directly.
+
+        Of such a direction only the series' indirect light were left, which is of either sign where it should be none.
+        """
+        out, lit = [], np.zeros(len(directions), bool)
         for scene, points, material, extra in self.parts:
             k = beam_radiance(
                 scene.tracer, points, material, directions, millimetres_per_unit=scene.millimetres_per_unit
             )
+            lit |= k.any((0, 2))
             if extra is not None:
                 shapes = sh.evaluate(sh.order_of(extra.shape[1]), directions).T.astype(np.float32)
                 k = k + np.stack([np.ascontiguousarray(extra[:, :, c]) @ shapes for c in range(3)], 2)
             out.append(k)
-        return np.concatenate(out)
+        return np.concatenate(out) * lit[:, None]
 
 
 def key_light(problems, materials, fit: Fit, solver, exposures, settings) -> tuple[KeyLight | None, str]:
@@ -201,6 +207,9 @@ class Search:
                 f"no key light: the strongest single direction has about {100 * part:.0f} % of the light, which stays "
                 "in the spherical harmonics"
             )
+        beam = images[:, best] * split.irradiance
+        if beam.mean() < LEAST_SEEN * self.b.mean():
+            return None, "no key light: what stands out lights next to nothing of what the photo shows"
         if split.fit.residual > THRESHOLDS.residual:
             return None, (
                 "no key light: with one, too, the light explains the photo poorly "
@@ -215,7 +224,6 @@ class Search:
             widest_degrees=2 * round(float(np.degrees(widest)), 3),
             evidence=float(gain),
         )
-        beam = images[:, best] * split.irradiance
         parts = np.split(beam, np.cumsum(counts)[:-1])
         return KeyLight(sun, split.fit, with_it, split.sky, parts), words(sun, split.fit)
 

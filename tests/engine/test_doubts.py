@@ -64,7 +64,9 @@ def effects(rng, change):
     fit = solver.solve(b)
     found = diagnose(solver, fit, b, blocks=blocks, position=place, normal=n, open_share=opened)
     negative = light_is_negative(fit.coefficients)
-    return found, structure_doubts(found, contrast=fit.prior_scale, negative=max(negative, -0.3), names=["white"])
+    say = dict(contrast=fit.prior_scale, negative=max(negative, -0.3), names=["white"])
+    assert structure_doubts(found, residual=0.9 * THRESHOLDS.explained, **say) == []  # next to nothing is left over
+    return found, structure_doubts(found, residual=fit.residual, **say)
 
 
 def test_a_right_model_is_not_doubted(rng):
@@ -88,7 +90,7 @@ def test_missing_reflections_are_seen_and_missing_light_is_none(rng):
 
 def test_a_light_that_nature_does_not_make_speaks_against_the_material(rng):
     found, _ = effects(rng, lambda b, place, opened: b)
-    say = dict(names=["fabric/a", "wood/b"])
+    say = dict(names=["fabric/a", "wood/b"], residual=0.01)
     assert structure_doubts(found, contrast=1.0, negative=-0.1, **say) == []
     (text,) = structure_doubts(found, contrast=4.0, negative=-0.8, **say)
     assert "fabric/a or wood/b" in text and "4.0 times" in text and "below zero" in text

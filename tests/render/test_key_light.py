@@ -20,14 +20,14 @@ from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting, cap_factors
 from btfsep_engine.light.sun import Sun, cap_around
 from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.key_light import key_light
+from btfsep_engine.pipeline.key_light import Responses, key_light
 from btfsep_engine.pipeline.problem import pose
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.beams import beam_radiance
-from tests.render.prepared import ball
+from tests.render.prepared import ball, bowl
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
 
 GREY = Lambertian("test/grey", np.full(3, 0.3))
@@ -51,14 +51,15 @@ def lit_by_the_sun(positions, normals, direction):
     return 0.3 / np.pi * np.maximum(normals @ direction, 0) * ~shadow
 
 
-def photographed(*, share=0.0, half_degrees=0.0, light=None, noise=0.02, count=1000):
-    """A problem whose photo holds a beam (or a disc) of ``share`` of the light, from `FROM`; the truth; the beam."""
+def photographed(*, share=0.0, half_degrees=0.0, light=None, noise=0.02, count=1000, direction=FROM):
+    """A problem whose photo holds a beam (or a disc) of ``share`` of the light; the truth; the beam."""
+    direction = direction / np.linalg.norm(direction)
     scene = PreparedScene(job_of([ball()], looking_down(), occluders=[plate()]), Reporter())
     points = scene.points(0, textured=False)
     rest = positive_light(3) if light is None else light
     irradiance = np.sqrt(4 * np.pi) * rest[0].mean() * share / (1 - share)
     sky = scene.radiance(points, GREY, SHLighting(rest), directions=2048)[:, 0]
-    disc = cap_around(FROM, np.radians(half_degrees), 200) if half_degrees else FROM[None]
+    disc = cap_around(direction, np.radians(half_degrees), 200) if half_degrees else direction[None]
     beam = np.mean([lit_by_the_sun(points.position, points.normal, d) for d in disc], 0) * irradiance
     values = (sky + beam[:, None]) * np.random.default_rng(0).normal(1, noise, sky.shape)
     image = np.zeros((96, 96, 3), np.float32)
@@ -66,7 +67,7 @@ def photographed(*, share=0.0, half_degrees=0.0, light=None, noise=0.02, count=1
     scene.job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
     truth = np.zeros((100, 3))
     truth[: len(rest)] = rest
-    truth += sh.evaluate(9, FROM)[:, None] * irradiance
+    truth += sh.evaluate(9, direction)[:, None] * irradiance
     chosen = points.take(np.random.default_rng(1).permutation(len(points))[:count])
     return pose(scene, [GREY], [chosen], SETTINGS), truth, irradiance
 
@@ -115,6 +116,32 @@ def test_a_sun_is_found_and_the_whole_light_is_better_for_it(share):
     left = problem.radiance() - problem.predicted(key.sky) - key.images[0]
     assert np.linalg.norm(left) / np.linalg.norm(problem.radiance()) == pytest.approx(key.fit.residual, rel=0.02)
     assert key.fit.residual < 0.6 * plain.residual
+
+
+def test_a_direction_that_reaches_no_point_answers_nothing_though_there_is_light_between_surfaces():
+    """Its part of the series' indirect light is of either sign: a beam as strong as it likes would fit anything."""
+    scene = PreparedScene(job_of([bowl()], looking_down()), Reporter())
+    points = scene.points(0, textured=False)
+    light = SHLighting(positive_light(3))
+    image = np.zeros((96, 96, 3), np.float32)
+    image[points.pixels[:, 0], points.pixels[:, 1]] = scene.radiance(points, GREY, light, directions=2048)[:, 0]
+    scene.job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
+    problem = pose(scene, [GREY], [points.take(slice(None, None, 7))], replace(SETTINGS, bounces=3))
+    answers = Responses([problem], [[GREY]])
+    directions = np.stack([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.6, 0.0, -0.8]])
+    assert answers.parts[0][3] is not None  # what surfaces send each other is in the basis
+    k = answers(directions)
+    assert k[:, 0].min() >= 0 and k[:, 0].max() > 0.05 and not k[:, 1:].any()
+
+
+def test_what_hardly_reaches_the_pixels_is_no_key_light():
+    """From behind the ball the sun lights a rim of it."""
+    behind = np.array([0.95, 0.0, -0.45])
+    problem, _, _ = photographed(share=0.5, noise=0.004, count=4000, direction=behind)
+    seen = lit_by_the_sun(problem.points[0].position, problem.points[0].normal, behind / np.linalg.norm(behind))
+    assert 0.01 < (seen > 0).mean() < 0.2
+    _, key, why = looked_for(problem)
+    assert key is None and "next to nothing of what the photo shows" in why
 
 
 def broad(half_degrees, share=0.6):
