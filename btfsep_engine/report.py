@@ -5,6 +5,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from btfsep_engine.atomic import replacing
+from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.images import linear_to_srgb
 from btfsep_engine.light.files import lighting_map
 from btfsep_engine.light.lightings import SHLighting
@@ -72,13 +73,14 @@ def render_objects(
 ) -> np.ndarray:
     """Images (M, h, w, 3) float32 of a prepared scene's objects, NaN where none is; with a ``sun`` beside each light.
 
-    Large objects are rendered at `PIXELS` pixels and filled from the nearest of them.
+    A material without a texture needs no charts. Large objects are rendered at `PIXELS` pixels and filled from the
+    nearest of them.
     """
     camera = scene.job.camera
     out = np.full((lightings.count, camera.height, camera.width, 3), np.nan, np.float32)
     for index, material in enumerate(materials):
         region = scene.view.mesh == index
-        points = scene.points(index, region=region, textured=textured)
+        points = scene.points(index, region=region, textured=textured and isinstance(material, Tabulated))
         points = points.take(spread(points, PIXELS))
         values = scene.radiance(points, material, lightings, directions=directions, indirect=indirect)
         if sun is not None:
@@ -105,7 +107,7 @@ def write_estimate_report(path, found, settings) -> None:
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
     light = found.lighting
     indirect = scene.indirect(materials, SHLighting(light.coefficients), bounces=settings.reflections)
-    shown = [m if textured or not hasattr(m, "mean_material") else m.mean_material() for m in materials]
+    shown = [m if textured or not isinstance(m, Tabulated) else m.mean_material() for m in materials]
     again = render_objects(
         scene,
         shown,
