@@ -17,7 +17,7 @@ from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.problem import Problem
 
-PHOTOS_OWN = "the photo's own: its exposure and white balance cannot be told from the light's"
+PHOTOS_OWN = "the light's scale is the photo's own: its exposure and white balance cannot be told from the light's"
 
 
 def clipped_channels(scene, points) -> np.ndarray:
@@ -128,5 +128,8 @@ def scale_words(problems) -> str:
         free = [i for i, s in enumerate(problem.scales) if (s != 1).any()]
         held = " and ".join(f"'{n}'" for i, n in enumerate(names) if i not in free)
         each = [f"'{names[i]}' reflects {', '.join(f'{v:.2f}' for v in problem.scales[i])}" for i in free]
-        said.append(f"held by {held}, whose material is given; {'; '.join(each)} times (red, green, blue) its material")
+        said.append(
+            f"the light's scale is held by {held}, whose material is given; "
+            f"{'; '.join(each)} times (red, green, blue) its material"
+        )
     return " | ".join(said) or PHOTOS_OWN
