@@ -162,7 +162,7 @@ def split_fit(plain: Fit, solver: LightSolver, fit: Fit, radiance, *, shapes, we
     root, z = solver.posterior_factor(fit.found), fit.all_coefficients
     free, free_residual = None, None
     if positive:
-        free, free_residual = z[:reported], fit.residual
+        free, free_residual = z[:reported] + shapes[0][:reported, None] * z[terms], fit.residual
         z = positive_light(z, root)
     left = np.diag(f.misfit(measured, z)) * f.response**2
     energy = np.diag(measured.energies) * f.response**2

@@ -22,9 +22,12 @@ class Thresholds:
     ----------
     shift, shift_gain, shift_contrast : pixels; of the silhouette's mean gradient (`fit.misalignment.Shift`)
     near : chi^2 of three degrees of freedom; near_size : change of brightness over the object's radius
-    blocked, diffuse : chi^2 of one degree of freedom, which real shapes and textures raise above 1
+    blocked, diffuse : chi^2 of one degree of freedom, which real shapes and textures raise above 1; blocked_size : of
+        what an even sky would be in the gaps (white without any reflections has 0.66 and more, what radiosity smooths
+        away in narrow gaps up to 0.3)
     contrast : of the light, over what natural light has (`Fit.prior_scale`)
     negative : the darkest radiance of the light, over its brightest
+    clamped : share of the light's power that is negative, where series of a low order end always somewhat below zero
     residual : relative misfit of an object
     explained : relative misfit of the photo, under which nothing is left that could speak of anything
     condition : of a least-squares fit
@@ -38,9 +41,11 @@ class Thresholds:
     near: float = 36.0
     near_size: float = 0.1
     blocked: float = 60.0
+    blocked_size: float = 0.4
     diffuse: float = 40.0
     contrast: float = 3.0
     negative: float = -0.45
+    clamped: float = 0.1
     residual: float = 0.55
     explained: float = 0.02
     condition: float = 300.0
@@ -68,6 +73,13 @@ def light_is_negative(x) -> float:
     return float(radiance.min() / max(radiance.max(), 1e-300))
 
 
+def clamped_share(x) -> float:
+    """The power of a light (terms, 3) where it is negative, over that of where it is not."""
+    radiance = sh.to_map(x, 32, 64)
+    area = np.sin((np.arange(32) + 0.5) / 32 * np.pi)[:, None, None]
+    return float((area * np.maximum(-radiance, 0)).sum() / max((area * np.maximum(radiance, 0)).sum(), 1e-300))
+
+
 def structure_doubts(
     effects: dict[str, Effect], *, contrast: float, negative: float, residual: float, names, t=THRESHOLDS
 ) -> list[str]:
@@ -88,7 +100,7 @@ def structure_doubts(
             f"brightness changes with the place by {100 * np.linalg.norm(near.size):.0f} % over the object where its "
             "orientation does not: light from nearby (a lamp, a window, a table), which the method takes to be far away"
         )
-    if speaks and blocked.chi2 > t.blocked and blocked.size[0] > 0:
+    if speaks and blocked.chi2 > t.blocked and blocked.size[0] > t.blocked_size:
         out.append(
             "places that see little of the sky are brighter than they should be: reflections from surfaces that are "
             "not modelled (more --bounces, or the neighbours as objects with a material)"

@@ -16,7 +16,13 @@ from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.natural import natural_amplitude
-from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, light_is_negative, structure_doubts
+from btfsep_engine.pipeline.doubts import (
+    THRESHOLDS,
+    alignment_doubt,
+    clamped_share,
+    light_is_negative,
+    structure_doubts,
+)
 from btfsep_engine.pipeline.interreflection import open_share, own_light
 from btfsep_engine.pipeline.key_light import key_light
 from btfsep_engine.pipeline.modelling import (
@@ -249,9 +255,11 @@ def uncertainty_doubts(fit: Fit, lighting: Lighting, settings: Settings) -> list
             f"the photo determines {count} of {terms} coefficients, and not all of the first four, which hold the "
             "main direction of the light: the others are natural light's average; see stddev in lighting.json"
         )
-    if light_is_negative(lighting.sky) < -0.1:
+    clamped = clamped_share(lighting.sky)
+    if clamped > THRESHOLDS.clamped:
         out.append(
-            "the estimated light is negative in some directions, as a truncated series can be; the World clamps it at 0"
+            f"the estimated light is negative in some directions ({100 * clamped:.0f} % of its power), as a series of "
+            f"order {lighting.order} can be; the World clamps it at 0"
         )
     return out
 

@@ -8,7 +8,13 @@ from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.map_estimate import LightSolver
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.light.natural import natural_prior
-from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, light_is_negative, structure_doubts
+from btfsep_engine.pipeline.doubts import (
+    THRESHOLDS,
+    alignment_doubt,
+    clamped_share,
+    light_is_negative,
+    structure_doubts,
+)
 from tests.engine.test_map_estimate import drawn, photographed, view_of_a_sphere
 
 
@@ -82,8 +88,11 @@ def test_light_nearby_is_seen(rng):
 
 
 def test_missing_reflections_are_seen_and_missing_light_is_none(rng):
-    found, said = effects(rng, lambda b, place, opened: b * (1 + 0.4 * (1 - opened))[:, None])
+    found, said = effects(rng, lambda b, place, opened: b * (1 + 0.7 * (1 - opened))[:, None])
     assert found["blocked"].chi2 > THRESHOLDS.blocked and any("not modelled" in text for text in said)
+    found, said = effects(rng, lambda b, place, opened: b * (1 + 0.35 * (1 - opened))[:, None])
+    assert found["blocked"].chi2 > THRESHOLDS.blocked and 0.2 < found["blocked"].size[0] < THRESHOLDS.blocked_size
+    assert not any("not modelled" in text for text in said)  # as much as is lost in narrow gaps
     found, said = effects(rng, lambda b, place, opened: b * (1 - 0.4 * (1 - opened))[:, None])
     assert found["blocked"].size[0] < 0 and not any("not modelled" in text for text in said)
 
@@ -94,3 +103,13 @@ def test_a_light_that_nature_does_not_make_speaks_against_the_material(rng):
     assert structure_doubts(found, contrast=1.0, negative=-0.1, **say) == []
     (text,) = structure_doubts(found, contrast=4.0, negative=-0.8, **say)
     assert "fabric/a or wood/b" in text and "4.0 times" in text and "below zero" in text
+
+
+@pytest.mark.parametrize("slope", [0.5, 1.0, 2.0, 3.0])
+def test_the_negative_part_of_a_slanted_light_is_the_closed_form(slope):
+    """L = 1 + slope cos(theta): the integrals over where it is below and above zero are parabolas' in cos(theta)."""
+    x = np.zeros((4, 3))
+    x[0], x[2] = np.sqrt(4 * np.pi), slope * np.sqrt(4 * np.pi / 3)
+    below = (slope - 1) ** 2 / (2 * slope) if slope > 1 else 0.0
+    assert clamped_share(x) == pytest.approx(below / (2 + below), abs=2e-3)
+    assert light_is_negative(x) == pytest.approx((1 - slope) / (1 + slope), abs=0.01)

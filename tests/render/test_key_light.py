@@ -108,6 +108,8 @@ def test_a_sun_is_found_and_the_whole_light_is_better_for_it(share):
     assert (np.abs(key.sun.irradiance - irradiance) < 2 * key.sun.stddev).all()
     assert key.sun.size_degrees <= key.sun.widest_degrees < 12 and key.sun.evidence > 10
     assert order_2(key.fit, truth) < 0.5 * order_2(plain, truth) and order_2(key.fit, truth) < 0.04
+    off = key.fit.free_coefficients - key.fit.coefficients  # both are of all of the light, the sun with the series
+    assert np.linalg.norm(off) < 0.2 * np.linalg.norm(key.fit.coefficients)
     # the parts are the whole, and explain the photo
     shape = sh.evaluate(9, key.sun.direction) * np.repeat(
         cap_factors(9, 2 * np.pi * (1 - np.cos(np.radians(key.sun.size_degrees) / 2))), 2 * np.arange(10) + 1
