@@ -66,11 +66,15 @@ def llvm_version(path: str) -> tuple[int, ...]:
     return tuple(int(part) for part in found.group(1).split(".")) if found else ()
 
 
+def named_library() -> str:
+    """The libLLVM that the environment asks for, "" where it asks for none."""
+    return os.environ.get("DRJIT_LIBLLVM_PATH", "")
+
+
 def candidates() -> list[str]:
     """libLLVM files of this machine, newest first, one for each real file; DRJIT_LIBLLVM_PATH alone if it is set."""
-    named = os.environ.get("DRJIT_LIBLLVM_PATH")
-    if named:
-        return [named]
+    if named_library():
+        return [named_library()]
     by_real = {}
     for pattern in LIBRARY_PATTERNS:
         for path in sorted(glob.glob(pattern)):
@@ -160,11 +164,12 @@ def _try_all() -> Backend:
     if missing:
         remedy = "install it (Debian, Ubuntu: apt-get install libatomic1)"
         raise InputError("the renderer cannot start", f"{missing} is missing", remedy)
+    alone = "DRJIT_LIBLLVM_PATH names the only one that is tried: unset it, or " if failures and named_library() else ""
     raise InputError(
         "the renderer cannot start",
         "no libLLVM was found on this machine" if not failures else "tried " + ", ".join(failures),
-        "install one that works (Debian, Ubuntu: apt-get install libllvm19 or libllvm15; macOS: brew install llvm; "
-        "Windows: the LLVM installer) or set DRJIT_LIBLLVM_PATH to its file",
+        f"{alone}install one that works (Debian, Ubuntu: apt-get install libllvm19 or libllvm15; macOS: brew install "
+        "llvm; Windows: the LLVM installer) or set DRJIT_LIBLLVM_PATH to its file",
     )
 
 
