@@ -118,8 +118,8 @@ class Factorised:
         if c not in self._by_correlation:
             gram = self.gram
             if c > 0:
-                weight = c / (1 + c * self.block_sizes)
-                gram = gram - (self.sums.T * weight) @ self.sums
+                weighted = self.sums * np.sqrt(c / (1 + c * self.block_sizes))[:, None]
+                gram = gram - weighted.T @ weighted  # one matrix with itself: half the work
             blocks = gram.reshape(self.terms, 3, self.terms, 3).transpose(1, 3, 0, 2)
             self._by_correlation[c] = np.ascontiguousarray(blocks).reshape(9, -1)
         return self._by_correlation[c]
@@ -128,11 +128,11 @@ class Factorised:
         """F^T A^T N^-1 A F for the block correlation c and R^-1 (3, 3): (3 terms, 3 terms), channel by channel."""
         weights = np.einsum("ca,db,cd->abcd", self.mix, self.mix, inverse).reshape(9, 9)
         out = (weights @ self.gram_of(c)).reshape(3, 3, self.terms, self.terms)
-        out = np.array(out.transpose(0, 2, 1, 3).reshape(3 * self.terms, 3 * self.terms), order="F")
+        out = out.transpose(0, 2, 1, 3).reshape(3 * self.terms, 3 * self.terms)
         rows = self.special_rows
         out[rows] = self.turn.T @ out[rows]
         out[:, rows] = out[:, rows] @ self.turn
-        return out
+        return out.T  # symmetric: the same matrix, in the order of columns that LAPACK overwrites
 
     def whitened_moments(self, measured: Measured, c: float, inverse) -> np.ndarray:
         """F^T A^T N^-1 b: (3 terms,)."""
@@ -249,8 +249,7 @@ class Factorised:
 
     def singular_values(self, terms: int) -> np.ndarray:
         """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""
-        unit = 1 / np.repeat(self.prior.deviation, 3)
-        plain = (self.gram * unit * unit[:, None]).reshape(self.terms, 3, self.terms, 3)
-        each = [np.linalg.eigvalsh(plain[:terms, c, :terms, c])[::-1] for c in range(3)]
+        unit, gram = 1 / self.prior.deviation[:terms], self.gram.reshape(self.terms, 3, self.terms, 3)
+        each = [np.linalg.eigvalsh(gram[:terms, c, :terms, c] * unit * unit[:, None])[::-1] for c in range(3)]
         worst = min(range(3), key=lambda c: each[c][-1] / each[c][0])
         return np.sqrt(np.maximum(each[worst], 0)) * self.response[worst]

@@ -6,22 +6,21 @@ With the Gaussian posterior N(m, R R^T), x = m + R z, and B the blurred light of
     min |z|^2   subject to   B (m + R z) >= floor     in every direction and channel,
 
 is least-distance programming; by Lawson and Hanson (1974, ch. 23) it is one non-negative least-squares problem. Few of
-the 1,200 inequalities bind, so the problem is solved with those that are broken most in their surroundings, and again
-with those that its solution breaks, until there are none: the same light, as the solution is the only one.
+the 1,200 inequalities bind, so the problem is solved with those that are broken most, and again with those of them that
+bind and those that its solution breaks most, until there are none: the same light, as the solution is the only one, and
+no round goes in a circle, as |z| grows with each.
 """
-
-from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.light.positivity import DIRECTIONS, blurred_basis, darkest_share
+from btfsep_engine.light.positivity import blurred_basis, darkest_share
 
 ITERATIONS = 100  # for each unknown of the non-negative problem; a few for each active direction are enough
-NEIGHBOURS = 5  # directions nearest to one, itself among them
+MOST = 0.4  # of the largest shortfall: what is broken by more enters together
+ROUNDS = 100  # a few are enough
 EXACT = 1e-9  # of the largest shortfall: an inequality broken by less is kept
 
 
@@ -54,19 +53,20 @@ def positive_light(mean, factor, *, floor: float | None = None) -> np.ndarray:
     if scale <= 0:
         return mean
     by_channel = factor.reshape(3, terms, -1)
-    bound = np.zeros((3, len(basis)), bool)
-    columns, now, x = np.empty((factor.shape[1] + 1, 0)), short, mean
-    while True:
-        new = _worst(now, EXACT * scale).T & ~bound
-        if not new.any():
-            return x
-        bound |= new
+    target = np.zeros(factor.shape[1] + 1)
+    target[-1] = 1
+    columns, bound = np.empty((len(target), 0)), np.empty((2, 0), int)  # channel and direction of each column
+    now, x = short, mean
+    for _ in range(ROUNDS):
+        broken = now.T.copy()
+        broken[*bound] = 0
+        if broken.max() <= EXACT * scale:
+            break
+        new = broken > max(MOST * broken.max(), EXACT * scale)
         # a column for each inequality: what z does to it, and what is missing
         added = [(basis[which] @ by_channel[c]).T for c, which in enumerate(new)]
-        missing = np.concatenate([short[which, c] for c, which in enumerate(new)]) / scale
-        columns = np.hstack([columns, np.vstack([np.hstack(added), missing])])
-        target = np.zeros(len(columns))
-        target[-1] = 1
+        columns = np.hstack([columns, np.vstack([np.hstack(added), short.T[new] / scale])])
+        bound = np.hstack([bound, np.nonzero(new)])
         try:
             dual, _ = nnls(columns, target, maxiter=ITERATIONS * len(columns))
         except RuntimeError:  # no convergence
@@ -76,18 +76,5 @@ def positive_light(mean, factor, *, floor: float | None = None) -> np.ndarray:
             return mean
         x = mean + (factor @ (-residual[:-1] / residual[-1] * scale)).reshape(3, terms).T
         now = least - basis @ x
-
-
-@lru_cache(maxsize=1)
-def _neighbours() -> np.ndarray:
-    """The `NEIGHBOURS` nearest of every direction of `light.positivity`: (directions, neighbours) int."""
-    direction = fibonacci_sphere(DIRECTIONS)
-    return np.argsort(-direction @ direction.T, axis=1)[:, :NEIGHBOURS]
-
-
-def _worst(short, least: float) -> np.ndarray:
-    """Where a shortfall (n, 3) over ``least`` is the largest of its surroundings: (n, 3) bool."""
-    out = short > least
-    around = _neighbours()
-    out[: len(around)] &= short[: len(around)] >= short[around].max(1)
-    return out
+        columns, bound = columns[:, dual > 0], bound[:, dual > 0]
+    return x
