@@ -2,6 +2,7 @@
 """A surface from a depth image."""
 
 import numpy as np
+from scipy.ndimage import binary_fill_holes
 
 from btfsep_engine.job.model import Camera, TriangleMesh
 
@@ -10,6 +11,8 @@ JUMP = 4.0  # … if it is also this many times its neighbours' steps
 CLIFF = 25.0  # beyond it, it is one always (88 degrees)
 NOTHING = 1e10  # what Blender's Z pass holds where nothing is, and infinity
 REACH = 2  # pixels; normals come from windows of 5 x 5
+BEHIND = 0.5  # how far the unseen side goes on behind what is seen deepest, of half the surface's diagonal
+GAP = 0.1  # pixel footprints between the surface and what closes it: rays of the camera meet the surface first
 
 
 def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
@@ -27,20 +30,129 @@ def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
     exact normals however noisy steps between single pixels are.
     """
     z = np.asarray(depth, np.float64)
-    h, w = z.shape
     valid = (z > 0) & (z < NOTHING)
     inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
     across = _connected(z, inverse, valid, 1, camera.fx)
     down = _connected(z, inverse, valid, 0, camera.fy)
 
-    x, y = np.meshgrid((np.arange(w) + 0.5 - camera.cx) / camera.fx, -(np.arange(h) + 0.5 - camera.cy) / camera.fy)
-    local = np.where(valid, z, 0)[..., None] * np.stack([x, y, -np.ones_like(x)], -1)
-    normals = _normals(x, y, inverse, valid, across, down)
+    rays = _rays(camera)
+    local = np.where(valid, z, 0)[..., None] * rays
+    normals = _normals(rays[..., 0], rays[..., 1], inverse, valid, across, down)
 
+    faces = _triangles(inverse, across, down)
+    if not len(faces):
+        return None
+    used, faces = _compact(faces)
+    rotation, origin = camera.to_world[:3, :3], camera.to_world[:3, 3]
+    vertices = local.reshape(-1, 3)[used] @ rotation.T + origin
+    normals = normals.reshape(-1, 3)[used] @ rotation.T
+    return TriangleMesh(vertices, faces, normals[faces].astype(np.float32), None)
+
+
+def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
+    """What a surface of `mesh_from_depth` lacks to be a body: all that lies behind what is seen is taken as solid.
+
+    A camera sees one side. Without the other, light that no body lets through comes from behind, through steps in the
+    depth and past the outline, and shines on the back of what is seen. Three parts close it, none of which can hide
+    anything from the camera: triangles over the steps that `mesh_from_depth` cuts; walls from the outline straight away
+    from the camera, to a plane behind everything; and what they enclose of that plane, holes included.
+
+    Parameters
+    ----------
+    depth, camera : as for `mesh_from_depth`
+
+    Returns
+    -------
+    TriangleMesh with the triangles' own normals, or None where there is no surface
+    """
+    z = np.asarray(depth, np.float64)
+    h, w = z.shape
+    valid = (z > 0) & (z < NOTHING)
+    inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
+    across, down = valid[:, 1:] & valid[:, :-1], valid[1:] & valid[:-1]
+    body = _triangles(inverse, across, down)
+    if not len(body):
+        return None
+    outline = _outline(body, h * w)
+    seen = _squares(_connected(z, inverse, valid, 1, camera.fx), _connected(z, inverse, valid, 0, camera.fy))
+    used, faces = _compact(np.concatenate([_triangles(inverse, across, down, without=seen).ravel(), outline.ravel()]))
+    steps, (a, b) = faces[: -outline.size].reshape(-1, 3), faces[-outline.size :].reshape(-1, 2).T
+
+    rays = _rays(camera)
+    corners = (rays * z[..., None])[valid]
+    far = z[valid].max() + BEHIND * np.linalg.norm(np.ptp(corners, 0)) / 2
+    near = z.ravel()[used] * (1 + GAP / np.sqrt(camera.fx * camera.fy))
+    ends = rays.reshape(-1, 3)[used] * far
+    count, back = len(used), _rectangles(binary_fill_holes(_squares_of(body, h, w)))
+    faces = np.concatenate(
+        [
+            steps,
+            np.stack([b, a, a + count], -1),
+            np.stack([b, a + count, b + count], -1),
+            2 * count + np.arange(len(back) * 4).reshape(-1, 4)[:, [0, 1, 2, 1, 3, 2]].reshape(-1, 3),
+        ]
+    ).astype(np.int32)
+    back = rays[back[..., 0], back[..., 1]].reshape(-1, 3) * far
+    local = np.concatenate([rays.reshape(-1, 3)[used] * near[:, None], ends, back])
+    vertices = local @ camera.to_world[:3, :3].T + camera.to_world[:3, 3]
+    p = vertices[faces]
+    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    length = np.linalg.norm(normals, axis=-1)
+    faces, normals = faces[length > 0], normals[length > 0] / length[length > 0, None]
+    return TriangleMesh(vertices, faces, np.repeat(normals[:, None], 3, 1).astype(np.float32), None)
+
+
+def _rays(camera: Camera):
+    """(h, w, 3) camera-space directions through the pixels' centres, of length 1 along the view axis."""
+    x, y = np.meshgrid(
+        (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx,
+        -(np.arange(camera.height) + 0.5 - camera.cy) / camera.fy,
+    )
+    return np.stack([x, y, -np.ones_like(x)], -1)
+
+
+def _squares(across, down):
+    """(h - 1, w - 1) bool: which squares of four neighbours are connected all around."""
+    return across[:-1] & across[1:] & down[:, :-1] & down[:, 1:]
+
+
+def _compact(faces):
+    """The numbers that occur, ascending, and the faces in these (as int32)."""
+    used, small = np.unique(faces, return_inverse=True)
+    return used, small.reshape(faces.shape).astype(np.int32)
+
+
+def _outline(faces, count: int):
+    """(e, 2) edges that belong to one triangle only, in its direction; ``count`` : above every number."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    key = edges.min(1) * count + edges.max(1)
+    _, first, times = np.unique(key, return_index=True, return_counts=True)
+    return edges[first[times == 1]]
+
+
+def _squares_of(faces, h: int, w: int):
+    """(h - 1, w - 1) bool: which squares of four neighbours have a triangle; ``faces`` (f, 3) numbers of pixels."""
+    out = np.zeros((h - 1, w - 1), bool)
+    out[(faces // w).min(1), (faces % w).min(1)] = True
+    return out
+
+
+def _rectangles(squares):
+    """Squares (h - 1, w - 1) bool as rectangles one row high: (n, 4, 2) row and column of their corners' pixels."""
+    edges = np.diff(np.pad(squares, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows, left = np.nonzero(edges > 0)
+    _, right = np.nonzero(edges < 0)
+    corners = [(rows, left), (rows, right), (rows + 1, left), (rows + 1, right)]
+    return np.stack([np.stack(c, -1) for c in corners], 1)
+
+
+def _triangles(inverse, across, down, *, without=None):
+    """(f, 3) numbers of pixels: triangles over squares of connected neighbours, but in squares ``without``."""
+    h, w = inverse.shape
     number = np.arange(h * w).reshape(h, w)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]  # a b over c d
     top, bottom, left, right = across[:-1], across[1:], down[:, :-1], down[:, 1:]
-    whole = top & bottom & left & right
+    whole = _squares(across, down)
     # the diagonal that spans the smaller step in depth
     falling = np.abs(inverse[:-1, :-1] - inverse[1:, 1:]) <= np.abs(inverse[:-1, 1:] - inverse[1:, :-1])
     first, second = ~whole & left & bottom, ~whole & top & right  # of a broken square one triangle at most
@@ -52,16 +164,9 @@ def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
         ((whole & ~falling) | (spare & left & top), (a, c, b)),
         ((whole & ~falling) | (spare & right & bottom), (b, c, d)),
     ):
+        chosen = chosen if without is None else chosen & ~without
         faces.append(np.stack([k[chosen] for k in corners], -1))
-    faces = np.concatenate(faces)
-    if not len(faces):
-        return None
-    used, faces = np.unique(faces, return_inverse=True)
-    faces = faces.reshape(-1, 3).astype(np.int32)
-    rotation, origin = camera.to_world[:3, :3], camera.to_world[:3, 3]
-    vertices = local.reshape(-1, 3)[used] @ rotation.T + origin
-    normals = normals.reshape(-1, 3)[used] @ rotation.T
-    return TriangleMesh(vertices, faces, normals[faces].astype(np.float32), None)
+    return np.concatenate(faces)
 
 
 def _connected(z, inverse, valid, axis: int, focal: float):

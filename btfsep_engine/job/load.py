@@ -8,7 +8,7 @@ import numpy as np
 
 from btfsep_engine import images
 from btfsep_engine.errors import InputError
-from btfsep_engine.job.depth import mesh_from_depth
+from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.meshes import load_mesh
 from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
 from btfsep_engine.job.schema import CameraSchema, JobSchema, parse
@@ -234,9 +234,10 @@ def _depth_object(reader: _Folder, schema: JobSchema, camera: Camera) -> JobObje
     mesh = mesh_from_depth(depth, camera)
     if mesh is None:
         raise InputError(schema.depth, "there is no surface in it", "write the z-depth in world units")
+    unseen = closing_mesh(depth, camera)
     if not schema.objects:
-        return JobObject("surface", mesh)
+        return JobObject("surface", mesh, unseen=unseen)
     o = schema.objects[0]
     if o.to_world is not None or o.uv == "mesh":
         raise InputError(f"object '{o.name}'", "a surface from depth takes no to_world and no uv 'mesh'", "remove them")
-    return JobObject(o.name, mesh, _mask(reader, o, camera), o.material)
+    return JobObject(o.name, mesh, _mask(reader, o, camera), o.material, unseen=unseen)

@@ -65,13 +65,17 @@ class TriangleMesh:
 
 @dataclass(frozen=True)
 class JobObject:
-    """One object to fit. ``mask`` is (h, w) bool or None (all that the camera sees of it)."""
+    """One object to fit. ``mask`` is (h, w) bool or None (all that the camera sees of it).
+
+    ``unseen`` closes a surface that was made from a depth (`depth.closing_mesh`); None: the mesh is all there is.
+    """
 
     name: str
     mesh: TriangleMesh
     mask: np.ndarray | None = None
     material: str | None = None
     uv: str = "xatlas"
+    unseen: TriangleMesh | None = None
 
 
 @dataclass(frozen=True)

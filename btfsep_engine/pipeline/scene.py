@@ -31,6 +31,11 @@ SUN_DIRECTIONS = 12  # over a sun's disc
 MIRRORED = 9  # order of the series as which a mirror shows a sun: a ray never hits it
 
 
+def unseen_meshes(job: Job) -> list:
+    """(number of the object, mesh) of what closes surfaces that were made from a depth."""
+    return [(i, o.unseen) for i, o in enumerate(job.objects) if o.unseen is not None]
+
+
 class PreparedScene:
     """A job's geometry in the ray tracer and the pixels that show each object.
 
@@ -48,7 +53,8 @@ class PreparedScene:
     def __init__(self, job: Job, reporter):
         self.job, self.reporter = job, reporter
         with reporter.stage("geometry"):
-            self.tracer = Tracer([*(o.mesh for o in job.objects), *job.occluders])
+            meshes = [*(o.mesh for o in job.objects), *job.occluders, *(mesh for _, mesh in unseen_meshes(job))]
+            self.tracer = Tracer(meshes)
             self.view = camera_view(self.tracer, job)
             self.regions = [object_region(self.view, job, i) for i in range(len(job.objects))]
 
@@ -112,12 +118,15 @@ class PreparedScene:
     def indirect(self, materials, lightings, *, bounces: int, seed: int = 0) -> Indirect | None:
         """Light between surfaces, or None where one bounce is all that is asked for.
 
-        ``materials`` has one Material (or None, unknown: black) per object; occluders are black.
+        ``materials`` has one Material (or None, unknown: black) per object, its unseen side included; occluders are
+        black.
         """
         if bounces < 2:
             return None
         black = np.zeros(3)
-        albedos = [black if m is None else diffuse_albedo(m) for m in materials] + [black] * len(self.job.occluders)
+        albedos = [black if m is None else diffuse_albedo(m) for m in materials]
+        unseen = [albedos[i] for i, _ in unseen_meshes(self.job)]
+        albedos += [black] * len(self.job.occluders) + unseen
         return Indirect(self.tracer, albedos, lightings, bounces=bounces - 1, seed=seed)
 
     def radiance(self, points: SurfacePoints, material, lightings, *, directions: int, indirect=None) -> np.ndarray:

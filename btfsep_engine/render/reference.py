@@ -18,6 +18,7 @@ from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.mitsuba_bsdf import held, register
 from btfsep_engine.render.parametrise import physical_uv
+from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.tracer import Tracer
 
 LANES = 1 << 20  # paths traced at once
@@ -48,8 +49,8 @@ class Reference:
     Parameters
     ----------
     job : Job
-    tracer : Tracer of the job's meshes (objects first, then occluders); gives the scale of the scene
-    materials : one Material for each object, None: black. Occluders are black
+    tracer : Tracer of the job's meshes, in the order of `PreparedScene`; gives the scale of the scene
+    materials : one Material for each object, None: black. Occluders are black, unseen sides of depths matte
     bounces : reflections followed; 1 is light that comes straight from outside
     textured : true: texels and tangents by the objects' charts (`surface.with_texture`); false: tangents that follow
         the world's vertical (`surface.with_any_tangent`), for materials of one texel
@@ -59,7 +60,12 @@ class Reference:
     def __init__(self, job: Job, tracer: Tracer, materials, *, bounces: int = 1, textured: bool = True, reporter=None):
         self.job, self.tracer, self.mi, self.dr = job, tracer, tracer.mi, tracer.dr
         register(self.mi)
-        materials = [*materials, *[None] * len(job.occluders)]
+        unseen = [
+            m if m is None else Lambertian(diffuse_albedo(m))
+            for m, o in zip(materials, job.objects, strict=True)
+            if o.unseen is not None
+        ]
+        materials = [*materials, *[None] * len(job.occluders), *unseen]
         self._shapes = {}
         for number, (mesh, material) in enumerate(zip(tracer.meshes, materials, strict=True)):
             uv = None

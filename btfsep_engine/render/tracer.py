@@ -37,7 +37,7 @@ class Hits:
 
 
 class Tracer:
-    """Ray queries against a list of triangle meshes (objects first, then occluders).
+    """Ray queries against a list of triangle meshes (objects first, then occluders, then unseen sides).
 
     Parameters
     ----------

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces from depth: shapes whose depth, points and normals are known in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from btfsep_engine.job.depth import mesh_from_depth
+from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.model import Camera
 
 
@@ -156,3 +158,103 @@ def test_triangles_never_overlap(camera, rng, kind):
     area = covered(mesh, camera)
     np.testing.assert_allclose(np.unique(np.round(area, 6)), [0.5, 1])
     assert (area < 0.75).any() and (area > 0.75).any()
+
+
+def met(mesh, origins, directions):
+    """Distance along rays (n, 3) to the nearest triangle, infinite where none; by Moeller and Trumbore.
+
+    Triangles that a ray lies in are not met.
+    """
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+    first, second = b - a, c - a
+    out = []
+    for origin, direction in zip(origins, directions, strict=True):
+        p = np.cross(direction, second)
+        slant = (first * p).sum(1) / np.linalg.norm(first, axis=1) / np.linalg.norm(second, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            scale = np.where(np.abs(slant) < 1e-9, np.nan, 1 / (first * p).sum(1))
+            u = ((origin - a) * p).sum(1) * scale
+            q = np.cross(origin - a, first)
+            v = (q @ direction) * scale
+            t = (second * q).sum(1) * scale
+        hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-9)
+        out.append(t[hit].min(initial=np.inf))
+    return np.array(out)
+
+
+def steps(camera):
+    """A ball before a wall that fills the picture: steps, no outline inside the picture."""
+    sphere = sphere_depth(camera, np.array([0.1, -0.1, -3.0]), 0.7)
+    return np.where(sphere > 0, sphere, plane_depth(camera, (0, 0, 1), 6.0))
+
+
+def two_balls(camera):
+    """One before the other and beyond both nothing: steps, and an outline with two concave corners."""
+    near = sphere_depth(camera, np.array([-0.3, 0.0, -3.0]), 0.5)
+    far = sphere_depth(camera, np.array([0.3, 0.1, -3.8]), 0.7)
+    return np.where(near > 0, near, far)
+
+
+def punched(camera):
+    """A ball with a hole, and pixels missing here and there."""
+    depth = sphere_depth(camera, np.array([0.1, -0.1, -3.0]), 0.8)
+    depth[30:36, 44:52] = 0
+    depth[np.random.default_rng(3).random(depth.shape) < 0.02] = 0
+    return depth
+
+
+@pytest.mark.parametrize("shape", [steps, two_balls, punched])
+def test_from_inside_of_a_closed_surface_no_ray_gets_out(camera, rng, shape):
+    depth = shape(camera)
+    surface, closing = mesh_from_depth(depth, camera), closing_mesh(depth, camera)
+    both = replace(
+        closing,
+        vertices=np.concatenate([surface.vertices, closing.vertices]),
+        faces=np.concatenate([surface.faces, closing.faces + len(surface.vertices)]),
+    )
+    centres = surface.vertices[surface.faces[rng.choice(len(surface.faces), 60)]].mean(1)
+    eye = camera.to_world[:3, 3]
+    inside = centres + 0.02 * (centres - eye)  # 6 cm behind what is seen
+    directions = rng.normal(size=(60, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    assert np.isfinite(met(both, inside, directions)).all()
+    assert np.isinf(met(surface, inside, directions)).sum() > 10  # one side alone lets many out
+
+
+@pytest.mark.parametrize("shape", [steps, two_balls, punched])
+def test_what_closes_a_surface_hides_nothing_from_the_camera(camera, shape):
+    depth = shape(camera)
+    closing = closing_mesh(depth, camera)
+    rows, columns = np.nonzero(depth)
+    some = np.random.default_rng(1).choice(len(rows), 150)
+    rows, columns = rows[some], columns[some]
+    distance = met(closing, *camera.rays(columns + 0.5, rows + 0.5))
+    assert (distance > np.linalg.norm(rays(camera)[rows, columns], axis=1) * depth[rows, columns]).all()
+    assert len(closing.faces) < 0.5 * len(mesh_from_depth(depth, camera).faces)  # no second copy of the surface
+
+
+def test_a_surface_without_steps_is_closed_behind_by_half_its_size(camera):
+    depth = np.zeros((72, 96))
+    depth[20:61, 30:71] = 4.0
+    closing = closing_mesh(depth, camera)
+    local = (closing.vertices - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
+    edge = 40 * 4.0 / camera.fx
+    assert -local[:, 2].min() == pytest.approx(4.0 + 0.5 * edge / np.sqrt(2))
+    normal = closing.corner_normals[:, 0] @ camera.to_world[:3, :3].astype(np.float32)
+    rim = np.abs(normal[:, 2]) < 0.5  # the walls, and the plane behind: all face outwards
+    middle = local[closing.faces].mean(1) - local.mean(0)
+    assert rim.sum() == 2 * 160 and ((normal * middle).sum(1) > 0).all()
+
+
+def test_nothing_to_close(camera):
+    assert closing_mesh(np.zeros((72, 96)), camera) is None
+
+
+def test_a_hole_is_no_opening(camera):
+    """Where a depth is missing inside the outline, no light comes through from behind."""
+    depth = punched(camera)
+    rows, columns = np.mgrid[31:35, 45:51].reshape(2, -1)
+    assert not depth[rows, columns].any()
+    way = camera.rays(columns + 0.7, rows + 0.6)
+    assert np.isfinite(met(closing_mesh(depth, camera), *way)).all()
+    assert np.isinf(met(mesh_from_depth(depth, camera), *way)).all()
