@@ -48,7 +48,8 @@ def silhouette_shift(photo, seen, *, reach: int = REACH) -> Shift | None:
     Parameters
     ----------
     photo : (h, w, 3) float, linear
-    seen : (h, w) bool, where known geometry stands before the background
+    seen : (h, w) bool, where known geometry stands before the background; holes in it are judged as outlines, so those
+        of a depth, which are missing data, have to be filled (rays through them meet `job.depth.closing_mesh`)
     reach : pixels
 
     Returns

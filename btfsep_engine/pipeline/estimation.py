@@ -37,9 +37,14 @@ from btfsep_engine.pipeline.modelling import (
 )
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
-from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import stacked
+
+UNSEEN = (
+    "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
+    "reflections by what the camera does not see, the stated uncertainty knows nothing"
+)
 
 
 @dataclass(frozen=True)
@@ -146,6 +151,8 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
                 settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
         choice["interreflections"] = own.why
     choice.setdefault("appearance", why)
+    if any(unseen_meshes(each.job) for each in scenes):
+        choice["geometry"] = UNSEEN
     if rich is not None and settings.appearance == "textured":
         problems = rich
     used = [[appearance(m.material, settings) for m in found] for found in materials]

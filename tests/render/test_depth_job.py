@@ -1,17 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Jobs with a depth: what the surface receives is what the whole body's visible side receives."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
+from btfsep_engine import images
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.cli import main
+from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
+from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import JobObject
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
+from btfsep_engine.pipeline.doubts import alignment_doubt
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -62,3 +68,54 @@ def test_a_closed_depth_receives_what_the_body_receives(degrees):
             for s in (one_sided, closed)
         )
         assert found < 0.5 * without
+
+
+def highlights(depth, moved):
+    """A photo (h, w, 3) with bright spots, and the depth missing at them, but ``moved`` pixels to the right."""
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    image, missing = np.where(depth > 0, 0.3, 0.25), depth.copy()
+    for row in (30, 44, 58):
+        for column in (30, 44, 58):
+            image[(rows - row) ** 2 + (columns - column) ** 2 < 25] = 1.0
+            missing[(rows - row) ** 2 + (columns - column - moved) ** 2 < 25] = 0
+    return image[..., None] * np.ones(3), missing
+
+
+def test_holes_in_a_depth_are_no_outlines():
+    """A sensor misses highlights, a little beside where they are: that is not how far the camera is off."""
+    sphere = as_mesh(trimesh.creation.icosphere(5))
+    whole = PreparedScene(job_of([sphere], looking_down(focal=160.0)), Reporter())
+    photo, depth = highlights(z_depth(whole), 4)
+    surface = JobObject("surface", mesh_from_depth(depth, whole.job.camera))
+    closed = replace(surface, unseen=closing_mesh(depth, whole.job.camera))
+    one_sided, closed = (PreparedScene(replace(whole.job, objects=(o,)), Reporter()) for o in (surface, closed))
+    doubt = alignment_doubt(silhouette_shift(photo, one_sided.view.mesh >= 0))
+    assert doubt is not None and "4 to the left" in doubt  # were the holes' edges outlines
+    assert alignment_doubt(silhouette_shift(photo, closed.view.mesh >= 0)) is None
+    assert (closed.view.mesh == 0).sum() < 0.9 * (whole.view.mesh == 0).sum()  # and yet nothing is seen in them
+    plain = np.where(z_depth(whole) > 0, 0.5, 0.05)[..., None] * np.ones(3)
+    assert "4 pixels down" in alignment_doubt(silhouette_shift(np.roll(plain, 4, 0), closed.view.mesh >= 0))
+
+
+def test_the_result_says_what_is_taken_for_true(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    command = [
+        "estimate",
+        str(folder),
+        "--material",
+        "reference/white-diffuse",
+        "--pixels",
+        "500",
+        "--no-report",
+        "--json",
+    ]
+
+    def choice():
+        assert main(command) == 0
+        return json.loads(capsys.readouterr().out.splitlines()[-1])["result"]["choice"]
+
+    assert "geometry" not in choice()  # a mesh is all there is
+    job = json.loads((folder / "job.json").read_text())
+    images.write_exr(folder / "z.exr", z_depth(PreparedScene(load_job(folder), Reporter())))
+    (folder / "job.json").write_text(json.dumps(job | {"depth": "z.exr", "objects": []}))
+    assert "one side" in choice()["geometry"]
