@@ -63,6 +63,25 @@ def test_it_is_the_closest_light_that_keeps_the_floor(seed):
     assert z @ z == pytest.approx(other.x @ other.x, rel=1e-4)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_many_inequalities_at_once_are_kept_and_none_binds_without_need(seed):
+    """The conditions of an optimum: z is R^T B^T of weights that are not negative and zero where there is room."""
+    mean, factor = random_posterior(5, seed)
+    basis = blurred_basis(5)
+    least = 0.3 * 0.5 / np.sqrt(np.pi) * mean[0].mean()
+    found = positive_light(mean, factor, floor=0.3)
+    room = (basis @ found - least).T.ravel()
+    size = np.abs(basis @ mean).max()
+    assert room.min() > -1e-8 * size
+    rows = np.concatenate([basis @ factor[c * 36 : (c + 1) * 36] for c in range(3)])
+    tight = rows[room < 1e-7 * size]
+    assert 10 < len(tight) < 108
+    z = np.linalg.solve(factor, (found - mean).T.ravel())
+    weights = np.linalg.lstsq(tight.T, z, rcond=None)[0]
+    assert np.allclose(tight.T @ weights, z, atol=1e-6 * np.abs(z).max())
+    assert weights.min() > -1e-6 * weights.max()
+
+
 def test_a_light_that_keeps_the_floor_is_left_alone():
     mean, factor = random_posterior(3, 0)
     mean[1:] *= 0.05
