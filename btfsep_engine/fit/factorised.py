@@ -8,14 +8,11 @@ term alone, so that whitening a Gram matrix is a product of 9 x 9 by 9 x terms^2
     F^T (R^-1 o G) F = sum over c, d of L[c, a] L[d, b] (R^-1)[c, d] G[c, d],    C = L L^T.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import lapack
-from threadpoolctl import ThreadpoolController
 
 from btfsep_engine.errors import InputError
 
@@ -74,48 +71,24 @@ class Factorised:
                 )
         self.flat = np.ascontiguousarray(basis).reshape(self.pixels, 3 * self.terms)  # term by term
         self.scale = (prior.deviation[:, None] / self.response).ravel()
+        self._rows = self.flat * self.scale if self.pixels <= CHUNK else None
         _, labels, self.block_sizes = np.unique(blocks, return_inverse=True, return_counts=True)
         self.gather = sparse.csr_matrix(
             (np.ones(self.pixels), (labels.reshape(-1), np.arange(self.pixels))),
             shape=(len(self.block_sizes), self.pixels),
         )
-        self._rows = np.empty(self.flat.shape) if self.pixels <= CHUNK else None
-        self._multiply()
+        gram = 0
+        self.sums = 0
+        for part in self._parts():
+            rows = self.rows(part)
+            gram = gram + rows.T @ rows
+            self.sums = self.sums + self.gather[:, part] @ rows
+        self.gram = gram
         self._by_correlation = {}
         self._set_prior()
 
     def _parts(self):
-        """At least two, so that sums are of the same parts whether one thread makes them or two."""
-        size = min(CHUNK, -(-self.pixels // 2))
-        return [slice(i, min(i + size, self.pixels)) for i in range(0, self.pixels, size)]
-
-    def _multiply(self):
-        """The scaled rows, their Gram matrix and block sums; on two threads where the linear algebra may have two.
-
-        Two threads with a half of the pixels each take half the time; two threads of the linear algebra within one
-        product of this size take as long as one.
-        """
-
-        def products(parts):
-            gram, sums = np.zeros((3 * self.terms,) * 2), np.zeros((len(self.block_sizes), 3 * self.terms))
-            for part in parts:
-                rows = np.multiply(self.flat[part], self.scale, out=None if self._rows is None else self._rows[part])
-                gram += rows.T @ rows
-                sums += self.gather[:, part] @ rows
-            return gram, sums
-
-        parts = self._parts()
-        halves, both = (parts[::2], parts[1::2]), blas_threads() > 1
-        with blas().limit(limits=1, user_api="blas"):
-            if both:
-                with ThreadPoolExecutor(1) as other:
-                    second = other.submit(products, halves[1])
-                    found = products(halves[0]), second.result()
-            else:
-                found = products(halves[0]), products(halves[1])
-        (self.gram, self.sums), (gram, sums) = found
-        self.gram += gram
-        self.sums += sums
+        return [slice(i, min(i + CHUNK, self.pixels)) for i in range(0, self.pixels, CHUNK)]
 
     def rows(self, part: slice) -> np.ndarray:
         """Rows of the scaled A, term by term: (pixels of the part, 3 terms) float64."""
@@ -281,14 +254,3 @@ class Factorised:
         each = [np.linalg.eigvalsh(gram[:terms, c, :terms, c] * unit * unit[:, None])[::-1] for c in range(3)]
         worst = min(range(3), key=lambda c: each[c][-1] / each[c][0])
         return np.sqrt(np.maximum(each[worst], 0)) * self.response[worst]
-
-
-@lru_cache(maxsize=1)
-def blas() -> ThreadpoolController:
-    """The linear algebra's threads. Matrices of 300 rows gain nothing from several, and lose much where others run."""
-    return ThreadpoolController()
-
-
-def blas_threads() -> int:
-    """How many threads the linear algebra takes now."""
-    return max((one["num_threads"] for one in blas().info() if one["user_api"] == "blas"), default=1)

@@ -36,13 +36,15 @@ other two.
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import lapack
 from scipy.optimize import minimize_scalar
+from threadpoolctl import ThreadpoolController
 
 from btfsep_engine import sh
-from btfsep_engine.fit.factorised import Factorised, Measured, blas
+from btfsep_engine.fit.factorised import Factorised, Measured
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.fit.positive import positive_light
 from btfsep_engine.fit.tridiagonal import PRECISE, Tridiagonal
@@ -311,6 +313,12 @@ def reported_up_to(fit: Fit, order: int, solver: LightSolver) -> Fit:
         singular_values=singular,
         condition=float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
     )
+
+
+@lru_cache(maxsize=1)
+def blas() -> ThreadpoolController:
+    """The linear algebra's threads. Matrices of 300 rows gain nothing from several, and lose much where others run."""
+    return ThreadpoolController()
 
 
 def cholesky(matrix) -> np.ndarray:

@@ -298,24 +298,6 @@ def test_large_photos_go_through_in_pieces(rng, monkeypatch):
     assert np.allclose(whole.coefficients, pieces.coefficients) and np.allclose(whole.stddev, pieces.stddev)
 
 
-@pytest.mark.parametrize("chunk", [64, 1 << 14])
-def test_one_thread_and_two_make_the_same_numbers(rng, monkeypatch, chunk):
-    """An odd number of parts, and two: the same sums to the last bit, and those of the plain products."""
-    basis, blocks = view_of_a_sphere(rng, pixels=290, order=3)
-    monkeypatch.setattr(factorised, "CHUNK", chunk)
-    made = []
-    for threads in (1, 2):
-        monkeypatch.setattr(factorised, "blas_threads", lambda threads=threads: threads)
-        made.append(Factorised(basis.astype(np.float32), blocks, natural_prior(3)))
-    one, two = made
-    assert np.array_equal(one.gram, two.gram) and np.array_equal(one.sums, two.sums)
-    rows = basis.astype(np.float32).reshape(290, -1) * one.scale
-    for f in made:
-        assert np.allclose(f.gram, rows.T @ rows, rtol=1e-12, atol=1e-12 * np.abs(f.gram).max())
-        assert np.allclose(f.sums, [rows[blocks == i].sum(0) for i in np.unique(blocks)], rtol=1e-9, atol=1e-9)
-        assert np.array_equal(f.all_rows(), rows)
-
-
 def test_natural_light_is_learned(rng):
     """What is drawn from a prior teaches that prior; the shipped lights teach no zonal mean above the level."""
     made = replace(natural_prior(9), log_scale_spread=0.5)
