@@ -11,6 +11,8 @@ JUMP = 4.0  # … if it is also this many times its neighbours' steps
 CLIFF = 25.0  # beyond it, it is one always (88 degrees)
 NOTHING = 1e10  # what Blender's Z pass holds where nothing is, and infinity
 REACH = 2  # pixels; normals come from windows of 5 x 5
+QUIET = 0.25  # pixel footprints of noise in the depth: normals are 2 degrees off; less is not worth the blur
+MOST_PASSES = 8  # of smoothing
 BEHIND = 0.5  # how far the unseen side goes on behind what is seen deepest, of half the surface's diagonal
 GAP = 0.1  # pixel footprints between the surface and what closes it: rays of the camera meet the surface first
 
@@ -27,16 +29,11 @@ def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
     -------
     TriangleMesh without uv, or None where no three neighbouring pixels make a triangle. Normals are those of planes
     fitted to the inverse depth around each pixel: on a plane 1/z is linear in the image, so a slanted plane has
-    exact normals however noisy steps between single pixels are.
+    exact normals however noisy steps between single pixels are. A noisy depth is smoothed before.
     """
-    z = np.asarray(depth, np.float64)
-    valid = (z > 0) & (z < NOTHING)
-    inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
-    across = _connected(z, inverse, valid, 1, camera.fx)
-    down = _connected(z, inverse, valid, 0, camera.fy)
-
+    z, inverse, valid, across, down = _surface(depth, camera)
     rays = _rays(camera)
-    local = np.where(valid, z, 0)[..., None] * rays
+    local = z[..., None] * rays
     normals = _normals(rays[..., 0], rays[..., 1], inverse, valid, across, down)
 
     faces = _triangles(inverse, across, down)
@@ -65,17 +62,15 @@ def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
     -------
     TriangleMesh with the triangles' own normals, or None where there is no surface
     """
-    z = np.asarray(depth, np.float64)
+    z, inverse, valid, *links = _surface(depth, camera)
     h, w = z.shape
-    valid = (z > 0) & (z < NOTHING)
-    inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
     across, down = valid[:, 1:] & valid[:, :-1], valid[1:] & valid[:-1]
     body = _triangles(inverse, across, down)
     if not len(body):
         return None
     outline = _outline(body, h * w)
-    seen = _squares(_connected(z, inverse, valid, 1, camera.fx), _connected(z, inverse, valid, 0, camera.fy))
-    used, faces = _compact(np.concatenate([_triangles(inverse, across, down, without=seen).ravel(), outline.ravel()]))
+    steps = _triangles(inverse, across, down, without=_squares(*links))
+    used, faces = _compact(np.concatenate([steps.ravel(), outline.ravel()]))
     steps, (a, b) = faces[: -outline.size].reshape(-1, 3), faces[-outline.size :].reshape(-1, 2).T
 
     rays = _rays(camera)
@@ -100,6 +95,24 @@ def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
     length = np.linalg.norm(normals, axis=-1)
     faces, normals = faces[length > 0], normals[length > 0] / length[length > 0, None]
     return TriangleMesh(vertices, faces, np.repeat(normals[:, None], 3, 1).astype(np.float32), None)
+
+
+def _surface(depth, camera: Camera):
+    """What both meshes are made of: (h, w) z-depth (0 where nothing is), its inverse (0), where it is, and its links.
+
+    A noisy depth (a sensor's, or one of few bits) is smoothed: rough surfaces shade themselves.
+    """
+    z = np.asarray(depth, np.float64)
+    valid = (z > 0) & (z < NOTHING)
+    z = np.where(valid, z, 0)
+    inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
+    across = _connected(z, inverse, valid, 1, camera.fx)
+    down = _connected(z, inverse, valid, 0, camera.fy)
+    noise = _noise(z, inverse, across, down, np.sqrt(camera.fx * camera.fy))
+    if noise > QUIET:
+        inverse = _smoothed(inverse, valid, across, down, passes=min(int(np.ceil(noise / QUIET)) - 1, MOST_PASSES))
+        z = np.where(valid, 1 / np.where(valid, inverse, 1), 0)
+    return z, inverse, valid, across, down
 
 
 def _rays(camera: Camera):
@@ -190,6 +203,32 @@ def _connected(z, inverse, valid, axis: int, focal: float):
     around = np.where(np.isinf(before), after, np.where(np.isinf(after), before, np.maximum(before, after)))
     sudden = ~np.isinf(around) & (change > JUMP * around)
     return both & (step < CLIFF) & ((step < STEEP) | ~sudden)
+
+
+def _noise(z, inverse, across, down, focal: float) -> float:
+    """Noise of the depth in pixel footprints, from second differences: the shape has next to none of them."""
+    found = []
+    for a, n, links in ((inverse, z, across), (inverse.T, z.T, down.T)):
+        both = links[:, 1:] & links[:, :-1]
+        found.append((np.abs(a[:, 2:] - 2 * a[:, 1:-1] + a[:, :-2]) * n[:, 1:-1])[both])
+    found = np.concatenate(found)
+    return float(np.median(found) / (0.6745 * np.sqrt(6)) * focal) if len(found) else 0.0
+
+
+def _smoothed(inverse, valid, across, down, *, passes: int):
+    """The inverse depth as means over 3 x 3 pixels of one surface, ``passes`` times; a plane stays as it is.
+
+    Neighbours count in opposite pairs: a mean of two that lie on a line with the pixel is right on a slope, too.
+    """
+    ways = [(i, j) for i, j in ((1, 0), (0, 1), (1, 1), (1, -1))]
+    pairs = [_reached(valid, across, down, i, j) & _reached(valid, across, down, -i, -j) for i, j in ways]
+    for _ in range(passes):
+        total, count = inverse.copy(), np.ones_like(inverse)
+        for (i, j), pair in zip(ways, pairs, strict=True):
+            total += np.where(pair, _shifted(inverse, i, j) + _shifted(inverse, -i, -j), 0)
+            count += 2 * pair
+        inverse = total / count
+    return inverse
 
 
 def _normals(x, y, inverse, valid, across, down):

@@ -258,3 +258,34 @@ def test_a_hole_is_no_opening(camera):
     way = camera.rays(columns + 0.7, rows + 0.6)
     assert np.isfinite(met(closing_mesh(depth, camera), *way)).all()
     assert np.isinf(met(mesh_from_depth(depth, camera), *way)).all()
+
+
+@pytest.mark.parametrize("footprints", [0.6, 1.8])
+def test_a_noisy_depth_is_smoothed_and_a_clean_one_is_not(camera, rng, footprints):
+    """Rough triangles would shade each other: their own normals, not only those for shading, have to be right."""
+    centre, radius = np.array([0.0, 0.0, -4.0]), 1.3
+    depth = sphere_depth(camera, centre, radius)
+    clean = mesh_from_depth(depth, camera)
+    local = (clean.vertices - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
+    np.testing.assert_allclose(np.linalg.norm(local - centre, axis=1), radius, atol=1e-6)  # where the depth says
+
+    mesh = mesh_from_depth(depth * (1 + footprints / camera.fx * rng.standard_normal(depth.shape)), camera)
+    local = (mesh.vertices - camera.to_world[:3, 3]) @ camera.to_world[:3, :3]
+    off = np.linalg.norm(local - centre, axis=1) - radius
+    facing = (local[:, 2] - centre[2]) / radius > 0.6
+    assert np.sqrt(np.mean(off[facing] ** 2)) < 0.5 * footprints * 4 / camera.fx
+    middle = local[mesh.faces].mean(1) - centre
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    cosine = ((geometric_normals(mesh) @ camera.to_world[:3, :3]) * middle).sum(1)[middle[:, 2] > 0.6]
+    assert np.degrees(np.arccos(np.median(cosine))) < 10
+
+
+def test_smoothing_leaves_a_slope_where_it_is(camera, rng):
+    """Edges of the picture and of the surface, too: means are over opposite pairs only."""
+    normal = unit((1.0, 0.3, 1))
+    depth = plane_depth(camera, normal, 3.0)
+    depth[(depth < 0) | (depth > 12)] = 0
+    noise = 1 + 1.0 / camera.fx * rng.standard_normal((40, *depth.shape))
+    found = [mesh_from_depth(depth * n, camera) for n in noise]
+    local = [(m.vertices - camera.to_world[:3, 3]) @ camera.to_world[:3, :3] @ normal + 3.0 for m in found]
+    assert abs(np.mean(np.concatenate(local))) < 0.002
