@@ -4,12 +4,16 @@
 The silhouette of what the camera should see is known to the pixel. Moved over the photo's gradient image, its mean
 gradient has a peak where the photo's own outline is. The logarithm of the radiance is used, so that a bright light
 outweighs nothing, and gradients are capped, so that one strong edge of the background does not decide.
+
+The outline of a depth may not be the object's: sensors lose what they see at a grazing angle. The photo's own outline
+then lies outside on all sides, and on the side that lost most it looks like a shift. So of a depth both sides have to
+speak for a shift, the one that it leads to and the one that it leads away from.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_erosion, gaussian_gradient_magnitude
+from scipy.ndimage import binary_erosion, gaussian_filter1d, gaussian_gradient_magnitude
 
 from btfsep_engine.conventions import REC709_LUMINANCE
 
@@ -17,6 +21,8 @@ REACH = 8  # pixels, the largest shift looked for
 BLUR = 1.0  # pixels, of the gradient
 CAP = 95  # percentile of the gradients
 DARK = 0.02  # of the object's median luminance: noise in shadows is no edge
+OUTWARDS = 3.0  # pixels, of the blur in which an outline's direction is found
+FACING = 0.07  # of the blurred outline's slope, half of that of a straight outline across
 LEAST_EDGE = 40  # pixels of silhouette; less says nothing
 
 
@@ -42,7 +48,7 @@ class Shift:
         return float(np.hypot(self.rows, self.columns))
 
 
-def silhouette_shift(photo, seen, *, reach: int = REACH) -> Shift | None:
+def silhouette_shift(photo, seen, *, frayed: bool = False, reach: int = REACH) -> Shift | None:
     """The shift of a photo against the silhouettes of what it should show.
 
     Parameters
@@ -50,6 +56,7 @@ def silhouette_shift(photo, seen, *, reach: int = REACH) -> Shift | None:
     photo : (h, w, 3) float, linear
     seen : (h, w) bool, where known geometry stands before the background; holes in it are judged as outlines, so those
         of a depth, which are missing data, have to be filled (rays through them meet `job.depth.closing_mesh`)
+    frayed : whether the outline may have lost parts, as a depth's: the gain is that of the side that gains less
     reach : pixels
 
     Returns
@@ -74,9 +81,18 @@ def silhouette_shift(photo, seen, *, reach: int = REACH) -> Shift | None:
     score = np.array([[gradient[rows + i, columns + j].mean() for j in shifts] for i in shifts])
     i, j = np.unravel_index(score.argmax(), score.shape)
     best = max(float(score[i, j]), 1e-300)
+    gain = best / max(float(score[reach, reach]), 1e-300)
+    down, right = int(i) - reach, int(j) - reach
+    if frayed and (down or right):
+        outwards = [-gaussian_filter1d(seen.astype(np.float64), OUTWARDS, axis=k, order=1) for k in (0, 1)]
+        along = (down * outwards[0] + right * outwards[1])[rows, columns] / np.hypot(down, right)
+        for side in (along > FACING, along < -FACING):
+            if side.any():
+                r, c = rows[side], columns[side]
+                gain = min(gain, gradient[r + down, c + right].mean() / max(gradient[r, c].mean(), 1e-300))
     return Shift(
-        int(i) - reach,
-        int(j) - reach,
-        best / max(float(score[reach, reach]), 1e-300),
+        down,
+        right,
+        float(gain),
         best / max(float(np.median(score)), 1e-300),
     )

@@ -218,7 +218,8 @@ def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting
     shifted = False
     for problem in problems:
         scene = problem.scene
-        doubt = alignment_doubt(silhouette_shift(scene.job.photo.radiance, scene.view.mesh >= 0))
+        frayed = bool(unseen_meshes(scene.job))
+        doubt = alignment_doubt(silhouette_shift(scene.job.photo.radiance, scene.view.mesh >= 0, frayed=frayed))
         shifted |= doubt is not None
         out += [doubt] if doubt else []
     if solver is not None and not shifted:

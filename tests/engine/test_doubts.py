@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.map_estimate import LightSolver
@@ -35,6 +36,19 @@ def test_a_shift_is_found_to_the_pixel(moved):
     assert (doubt is not None) == (moved != (0, 0))
     if moved == (0, -3):
         assert "to the left" in doubt and "line up" in doubt
+
+
+@pytest.mark.parametrize("lost", [(5, 5), (6, 2), (6, 0)])
+def test_an_outline_that_has_lost_pixels_is_not_shifted(lost):
+    """A depth without what is seen at a grazing angle, more of it to the right: its outline is not the object's."""
+    photo, seen = ball()
+    columns = np.arange(80)[None, :]
+    kept = np.where(columns > 40, binary_erosion(seen, iterations=lost[0]), seen)
+    kept = np.where(columns < 40, binary_erosion(seen, iterations=lost[1]), kept) if lost[1] else kept
+    assert alignment_doubt(silhouette_shift(photo, kept.astype(bool), frayed=True)) is None
+    for moved in ((0, 4), (-3, 0), (3, -4)):  # the whole outline of an object that is elsewhere is still told
+        doubt = alignment_doubt(silhouette_shift(np.roll(photo, moved, (0, 1)), seen, frayed=True))
+        assert "line up" in doubt
 
 
 def test_without_an_outline_nothing_is_said(rng):
