@@ -126,6 +126,7 @@ class StreamingFactoriser:
             end, along = at + y.shape[1], qt @ y
             u[at:end] = along.T @ back
             left = np.einsum("ij,ij->j", y, y) - np.einsum("ij,ij->j", along, along)  # least squares: Pythagoras
+            left = np.maximum(left, 0)  # of exact rank only rounding is left, of either sign
             residual, at = residual + float(left @ scale[at:end].astype(np.float64) ** 2), end
         residual /= max(rows - k, 1) / rows  # the fit took k of the rows' degrees of freedom
         return Factors(
