@@ -124,7 +124,9 @@ def with_own_light(problem, materials, settings):
     settings : Settings, its bounces a number >= 2
     """
     scene = problem.scene
-    indirect = scene.indirect(materials, SHBasis(settings.fit_order), bounces=settings.bounces)
+    indirect = scene.indirect(
+        materials, SHBasis(settings.fit_order), bounces=settings.bounces, samples=settings.surface_samples
+    )
     between = [
         indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), material)
         for material, points in zip(materials, problem.points, strict=True)

@@ -115,8 +115,10 @@ class PreparedScene:
         """The kernel for these points."""
         return Transport(self.tracer, points, directions=directions, millimetres_per_unit=self.millimetres_per_unit)
 
-    def indirect(self, materials, lightings, *, bounces: int, seed: int = 0) -> Indirect | None:
-        """Light between surfaces, or None where one bounce is all that is asked for.
+    def indirect(
+        self, materials, lightings, *, bounces: int, samples: int | None = None, seed: int = 0
+    ) -> Indirect | None:
+        """Light between surfaces (``samples`` of them), or None where one bounce is all that is asked for.
 
         ``materials`` has one Material (or None, unknown: black) per object, its unseen side included; occluders are
         black.
@@ -127,7 +129,7 @@ class PreparedScene:
         albedos = [black if m is None else diffuse_albedo(m) for m in materials]
         unseen = [albedos[i] for i, _ in unseen_meshes(self.job)]
         albedos += [black] * len(self.job.occluders) + unseen
-        return Indirect(self.tracer, albedos, lightings, bounces=bounces - 1, seed=seed)
+        return Indirect(self.tracer, albedos, lightings, bounces=bounces - 1, samples=samples, seed=seed)
 
     def radiance(self, points: SurfacePoints, material, lightings, *, directions: int, indirect=None) -> np.ndarray:
         """Radiance (p, M, 3) float32 of points, interreflections included where ``indirect`` is given."""

@@ -34,6 +34,7 @@ class Settings:
     tolerance : relative error that the number of directions may make in the basis images
     bounces : reflections followed; 1 is light that comes straight from outside; "auto": more than that only where it
         changes the estimate by more than its stated uncertainty (pipeline/interreflection.py)
+    surface_samples : points on the scene's surfaces between which reflected light is followed
     transport : what makes the basis images: "kernel", or "reference" (the paper's path-traced image for each light)
     samples : paths per pixel and basis light (and sign) of the reference
     classifier : "svm" or "nearest"
@@ -56,6 +57,7 @@ class Settings:
     directions: int | str = "auto"
     tolerance: float = 0.02
     bounces: int | str = "auto"
+    surface_samples: int = 3000
     transport: str = "kernel"
     samples: int = 256
     classifier: str = "svm"
@@ -90,7 +92,13 @@ PRESETS = {
     "draft": Settings("draft", pixels=1000, tolerance=0.05, training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
-        "accurate", pixels=16000, tolerance=0.007, training_directions=512, training_pixels=24000, training_turns=4
+        "accurate",
+        pixels=8000,
+        tolerance=0.007,
+        surface_samples=20000,
+        training_directions=512,
+        training_pixels=24000,
+        training_turns=4,
     ),
     "paper": Settings(
         "paper", estimator="least-squares", appearance="mean", pixels=0, directions=1024, bounces=1, verify=False

@@ -55,9 +55,9 @@ class Network:
     gather : (s, s) sparse float32, radiosity to irradiance
     """
 
-    def __init__(self, tracer: Tracer, *, seed: int):
+    def __init__(self, tracer: Tracer, *, samples: int, seed: int):
         self.tracer = tracer
-        position, normal, self.mesh = self._samples(np.random.default_rng(seed))
+        position, normal, self.mesh = self._samples(np.random.default_rng(seed), samples)
         self._tree = cKDTree(self._feature(position, normal))
         self.directions = fibonacci_sphere(DIRECTIONS)
         cosine = np.maximum(normal @ self.directions.T, 0).astype(np.float32) * np.float32(4 * np.pi / DIRECTIONS)
@@ -74,7 +74,7 @@ class Network:
         starts = np.searchsorted(rows, np.arange(count + 1)) * taps.shape[1]
         return csr_matrix((weights.ravel(), taps.ravel(), starts), (count, len(self.mesh)))
 
-    def _samples(self, random):
+    def _samples(self, random, count: int):
         """Points on all triangles by area, each with both sides: positions, normals, mesh numbers."""
         meshes = self.tracer.meshes
         corners = np.concatenate([m.vertices[m.faces] for m in meshes])
@@ -82,9 +82,9 @@ class Network:
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(cross, axis=1)
         cumulative = np.cumsum(area) / area.sum()
-        face = np.searchsorted(cumulative, (np.arange(SAMPLES) + random.random(SAMPLES)) / SAMPLES)
+        face = np.searchsorted(cumulative, (np.arange(count) + random.random(count)) / count)
         face = np.minimum(face, len(area) - 1)
-        a, b = random.random((2, SAMPLES))
+        a, b = random.random((2, count))
         a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
         chosen = corners[face]
         position = (
@@ -128,12 +128,12 @@ class Network:
 _networks = WeakKeyDictionary()
 
 
-def network(tracer: Tracer, *, seed: int) -> Network:
+def network(tracer: Tracer, *, samples: int, seed: int) -> Network:
     """The :class:`Network` of a scene, made when it is first asked for."""
     made = _networks.setdefault(tracer, {})
-    if seed not in made:
-        made[seed] = Network(tracer, seed=seed)
-    return made[seed]
+    if (samples, seed) not in made:
+        made[samples, seed] = Network(tracer, samples=samples, seed=seed)
+    return made[samples, seed]
 
 
 class Indirect:
@@ -145,16 +145,21 @@ class Indirect:
     albedos : one (3,) per mesh of the tracer; zeros for what reflects nothing or is not known
     lightings : light.lightings.Lightings
     bounces : number of reflections between surfaces that are followed, >= 1
+    samples : surface samples over the whole scene
     """
 
-    def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, seed: int = 0):
+    def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, samples: int | None = None, seed: int = 0):
         self.tracer, self.albedos, self.lightings = tracer, np.asarray(albedos, np.float32), lightings
-        self.bounces, self.seed = bounces, seed
+        self.bounces, self.samples, self.seed = bounces, samples or SAMPLES, seed
+
+    @property
+    def _network(self) -> Network:
+        return network(self.tracer, samples=self.samples, seed=self.seed)
 
     @cached_property
     def _radiosity(self) -> list[np.ndarray]:
         """Radiosity of the samples, 1 or 3 channels of (s, M) float32; found when it is first needed."""
-        net = network(self.tracer, seed=self.seed)
+        net = self._network
         light = np.moveaxis(np.asarray(self.lightings.cell_averages(net.directions), np.float32), 2, 0)
         direct = [net.sky @ np.ascontiguousarray(channel) for channel in light]
         grey = (self.albedos == self.albedos[:, :1]).all()
@@ -185,7 +190,7 @@ class Indirect:
             point, direction = np.nonzero(above & ~transport.visible[start : start + step])
             if len(point) == 0:
                 continue
-            net = network(self.tracer, seed=self.seed)
+            net = self._network
             arrived, taps, shares = net.arrivals(some.position[point], some.flat_normal[point], directions[direction])
             pairs = weights.of_pairs(some, point[arrived], direction[arrived])
             received = [net.sparse(point[arrived], taps, shares * w[:, None], len(some)) for w in pairs]
@@ -203,6 +208,6 @@ class Indirect:
             np.multiply(products[min(c, count - 1)], colour[c], out=out[c])
 
     def _mirrored(self, transport) -> list[csr_matrix]:
-        points, net = transport.points, network(self.tracer, seed=self.seed)
+        points, net = transport.points, self._network
         arrived, taps, shares = net.arrivals(points.position, points.flat_normal, transport.reflected_directions())
         return [net.sparse(arrived, taps, shares / np.float32(np.pi), len(points))]
