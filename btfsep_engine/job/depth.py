@@ -11,7 +11,8 @@ JUMP = 4.0  # … if it is also this many times its neighbours' steps
 CLIFF = 25.0  # beyond it, it is one always (88 degrees)
 NOTHING = 1e10  # what Blender's Z pass holds where nothing is, and infinity
 REACH = 2  # pixels; normals come from windows of 5 x 5
-QUIET = 0.25  # pixel footprints of noise in the depth: normals are 2 degrees off; less is not worth the blur
+QUIET = 0.05  # pixel footprints of noise in the depth: what a smooth shape shows itself, and a float's rounding
+NOISE_OF_A_PASS = 0.25  # pixel footprints of noise for each pass of smoothing
 MOST_PASSES = 8  # of smoothing
 BEHIND = 0.5  # how far the unseen side goes on behind what is seen deepest, of half the surface's diagonal
 GAP = 0.1  # pixel footprints between the surface and what closes it: rays of the camera meet the surface first
@@ -110,7 +111,7 @@ def _surface(depth, camera: Camera):
     down = _connected(z, inverse, valid, 0, camera.fy)
     noise = _noise(z, inverse, across, down, np.sqrt(camera.fx * camera.fy))
     if noise > QUIET:
-        inverse = _smoothed(inverse, valid, across, down, passes=min(int(np.ceil(noise / QUIET)) - 1, MOST_PASSES))
+        inverse = _smoothed(inverse, valid, across, down, passes=min(int(np.ceil(noise / NOISE_OF_A_PASS)), MOST_PASSES))
         z = np.where(valid, 1 / np.where(valid, inverse, 1), 0)
     return z, inverse, valid, across, down
 
