@@ -1,20 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Basis images made ready for any number of photographs: their Gram matrix, block sums, and the prior's factor.
 
-The unknowns are scaled, x[m, c] = deviation[m] z[m, c], and channels are brought to unit response. The prior of z is
-then C (x) I, except for the terms that have a mean (the level): `special`. Its factor acts on the three channels of a
-term alone, so that whitening a Gram matrix is a product of 9 x 9 by 9 x terms^2 numbers and not one of full matrices:
-
-    F^T (R^-1 o G) F = sum over c, d of L[c, a] L[d, b] (R^-1)[c, d] G[c, d],    C = L L^T.
+The unknowns are scaled, x[m, c] = deviation[m] z[m, c], and channels are brought to unit response, so that the prior of
+z is almost white; what is left of it is `fit.whitening`'s.
 """
 
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import lapack
 
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.linear_algebra import one_thread
+from btfsep_engine.fit.whitening import whitening
 
 CHANNELS = ("red", "green", "blue")
 FEWEST_BLOCKS = 12  # from which on misfit that pixels share is told from misfit of their own
@@ -30,12 +29,14 @@ class Measured:
     ----------
     level : the light's mean radiance over sqrt(4 pi) of a first fit by even light
     energies : (3, 3), b^T b; moments : (3, terms, 3), A_c^T b_d; sums : (blocks, 3), of b
+    weighted : {c: (energies, moments)} with N^-1 of the block correlation c between the factors, those that were asked
     """
 
     level: float
     energies: np.ndarray
     moments: np.ndarray
     sums: np.ndarray
+    weighted: dict = field(default_factory=dict, compare=False, repr=False)
 
 
 class Factorised:
@@ -60,7 +61,7 @@ class Factorised:
             raise ValueError(f"{self.terms} basis lights for a prior of {len(prior.mean)} terms")
         if self.pixels == 0:
             raise InputError("the fit", "no usable pixels", "use a wider mask or a shorter exposure")
-        self.prior = prior
+        self.prior, self.whitening = prior, whitening(prior)
         self.response = np.sqrt(np.einsum("pc,pc->c", basis[:, 0], basis[:, 0], dtype=np.float64) / self.pixels)
         for c, value in enumerate(self.response):
             if not value > 0:
@@ -71,111 +72,84 @@ class Factorised:
                 )
         self.flat = np.ascontiguousarray(basis).reshape(self.pixels, 3 * self.terms)  # term by term
         self.scale = (prior.deviation[:, None] / self.response).ravel()
-        self._rows = self.flat * self.scale if self.pixels <= CHUNK else None
-        _, labels, self.block_sizes = np.unique(blocks, return_inverse=True, return_counts=True)
-        self.gather = sparse.csr_matrix(
-            (np.ones(self.pixels), (labels.reshape(-1), np.arange(self.pixels))),
-            shape=(len(self.block_sizes), self.pixels),
-        )
-        gram = 0
-        self.sums = 0
-        for part in self._parts():
-            rows = self.rows(part)
-            gram = gram + rows.T @ rows
-            self.sums = self.sums + self.gather[:, part] @ rows
-        self.gram = gram
+        by_block = np.argsort(blocks, kind="stable")
+        labels = np.asarray(blocks)[by_block]
+        place = np.flatnonzero(np.concatenate([[True], labels[1:] != labels[:-1], [True]]))
+        self.block_sizes = np.diff(place)
+        self.gather = sparse.csr_matrix((np.ones(self.pixels), by_block, place), shape=(len(place) - 1, self.pixels))
+        self.gram, self.sums = self._gram_and_sums(by_block)
+        order = np.arange(3 * self.terms).reshape(-1, 3).T.ravel()
+        self._gram_by_channel, self._sums_by_channel = self.gram[order[:, None], order], self.sums[:, order]
         self._by_correlation = {}
-        self._set_prior()
+
+    def _gram_and_sums(self, by_block):
+        """A^T A, (3 terms, 3 terms), and the blocks' sums, (blocks, 3 terms), of the scaled A.
+
+        Each of two threads has half of the pixels, in strips that stay in its cache and are always in the same memory:
+        pages that are new take as long as the numbers in them. ``by_block``: the pixels' numbers, block by block.
+        """
+        labels = np.repeat(np.arange(len(self.block_sizes)), self.block_sizes)
+        columns = 3 * self.terms
+
+        def products(first: int, last: int):
+            strip, gram = np.empty((STRIP, columns)), np.zeros((columns, columns))
+            sums = np.zeros((len(self.block_sizes), columns))
+            for i in range(first, last, STRIP):
+                j = min(i + STRIP, last)
+                rows = np.multiply(self.flat[by_block[i:j]], self.scale, out=strip[: j - i])
+                gram += rows.T @ rows
+                starts = np.flatnonzero(np.diff(labels[i:j], prepend=-1))
+                sums[labels[i:j][starts]] += np.add.reduceat(rows, starts)
+            return gram, sums
+
+        with one_thread(), ThreadPoolExecutor(1) as other:
+            second = other.submit(products, self.pixels // 2, self.pixels)
+            gram, sums = products(0, self.pixels // 2)
+            return gram + second.result()[0], sums + second.result()[1]
 
     def _parts(self):
         return [slice(i, min(i + CHUNK, self.pixels)) for i in range(0, self.pixels, CHUNK)]
 
     def rows(self, part: slice) -> np.ndarray:
         """Rows of the scaled A, term by term: (pixels of the part, 3 terms) float64."""
-        return self._rows[part] if self._rows is not None else self.flat[part] * self.scale
+        return self.flat[part] * self.scale
 
     def all_rows(self) -> np.ndarray:
         """All rows of the scaled A, term by term: (p, 3 terms) float64."""
         return np.concatenate([self.rows(part) for part in self._parts()])
 
-    def _set_prior(self):
-        prior = self.prior
-        channels = np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3)
-        self.mix = np.linalg.cholesky(channels)
-        self.special = np.flatnonzero((prior.mean != 0) | (np.arange(self.terms) == 0))
-        count = len(self.special)
-        # x of the special terms = plain factor times y; y = `turn` times white numbers
-        scaled = prior.covariance().reshape(3, self.terms, 3, self.terms)
-        scaled = scaled[:, self.special][:, :, :, self.special]
-        deviation = prior.deviation[self.special]
-        scaled = scaled / deviation[:, None, None] / deviation
-        back = np.linalg.inv(self.mix)
-        plain = np.einsum("ac,cidj,bd->aibj", back, scaled, back).reshape(3 * count, 3 * count)
-        self.turn = np.linalg.cholesky(plain)
-        self.special_rows = (np.arange(3)[:, None] * self.terms + self.special).ravel()
-
     def gram_of(self, c: float) -> np.ndarray:
         """A_a^T N^-1 A_b for the block correlation c, of the scaled A: (9, terms * terms)."""
         if c not in self._by_correlation:
-            gram = self.gram
-            if c > 0:
-                weighted = self.sums * np.sqrt(c / (1 + c * self.block_sizes))[:, None]
-                gram = gram - weighted.T @ weighted  # one matrix with itself: half the work
-            blocks = gram.reshape(self.terms, 3, self.terms, 3).transpose(1, 3, 0, 2)
+            weighted = self._sums_by_channel * np.sqrt(c / (1 + c * self.block_sizes))[:, None]
+            gram = self._gram_by_channel - weighted.T @ weighted  # one matrix with itself: half the work
+            blocks = gram.reshape(3, self.terms, 3, self.terms).transpose(0, 2, 1, 3)
             self._by_correlation[c] = np.ascontiguousarray(blocks).reshape(9, -1)
         return self._by_correlation[c]
 
     def whitened_gram(self, c: float, inverse) -> np.ndarray:
         """F^T A^T N^-1 A F for the block correlation c and R^-1 (3, 3): (3 terms, 3 terms), channel by channel."""
-        weights = np.einsum("ca,db,cd->abcd", self.mix, self.mix, inverse).reshape(9, 9)
-        out = (weights @ self.gram_of(c)).reshape(3, 3, self.terms, self.terms)
-        out = out.transpose(0, 2, 1, 3).reshape(3 * self.terms, 3 * self.terms)
-        rows = self.special_rows
-        out[rows] = self.turn.T @ out[rows]
-        out[:, rows] = out[:, rows] @ self.turn
-        return out.T  # symmetric: the same matrix, in the order of columns that LAPACK overwrites
+        return self.whitening.gram(self.gram_of(c), inverse)
 
     def whitened_moments(self, measured: Measured, c: float, inverse) -> np.ndarray:
         """F^T A^T N^-1 b: (3 terms,)."""
-        moments = measured.moments
-        if c > 0:
-            weight = c / (1 + c * self.block_sizes)
-            less = ((measured.sums.T * weight) @ self.sums).reshape(3, self.terms, 3)
-            moments = moments - less.transpose(2, 1, 0)
-        out = np.einsum("ca,cd,cmd->am", self.mix, inverse, moments).ravel()
-        out[self.special_rows] = self.turn.T @ out[self.special_rows]
-        return out
+        return self.whitening.moments(self._weighted(measured, c)[1], inverse)
 
     def energy(self, measured: Measured, c: float, inverse) -> float:
         """b^T N^-1 b."""
-        weight = c / (1 + c * self.block_sizes)
-        return float(((measured.energies - (measured.sums.T * weight) @ measured.sums) * inverse).sum())
+        return float((self._weighted(measured, c)[0] * inverse).sum())
+
+    def _weighted(self, measured: Measured, c: float) -> tuple[np.ndarray, np.ndarray]:
+        """b^T N^-1 b (3, 3) and A^T N^-1 b (3, terms, 3) for the block correlation c, but for R."""
+        if c not in measured.weighted:
+            sums = measured.sums * (c / (1 + c * self.block_sizes))[:, None]
+            less = (sums.T @ self.sums).reshape(3, self.terms, 3).transpose(2, 1, 0)
+            measured.weighted[c] = measured.energies - sums.T @ measured.sums, measured.moments - less
+        return measured.weighted[c]
 
     def log_determinant(self, c: float, channels) -> float:
         """log det of the noise's covariance R (x) N."""
         return float(3 * np.log1p(c * self.block_sizes).sum() + self.pixels * np.linalg.slogdet(channels)[1])
-
-    def coefficients(self, white) -> np.ndarray:
-        """x = F white: (terms, 3, …) from (3 terms, …) white numbers, channel by channel."""
-        white = np.array(white, np.float64)
-        white[self.special_rows] = self.turn @ white[self.special_rows]
-        mixed = np.tensordot(self.mix, white.reshape(3, self.terms, -1), 1)  # (3, terms, …)
-        out = mixed.transpose(1, 0, 2) * self.prior.deviation[:, None, None]
-        return out.reshape(self.terms, 3, *white.shape[1:])
-
-    def root(self, factor) -> tuple[np.ndarray, float]:
-        """F K^-T of the lower Cholesky factor K (3 terms, 3 terms), and the trace of (K K^T)^-1.
-
-        Returns
-        -------
-        (3, terms, 3 terms), whose square, R R^T, is F (K K^T)^-1 F^T; float
-        """
-        white = np.ascontiguousarray(lapack.dtrtri(factor, lower=1)[0].T)
-        trace = float(np.vdot(white, white))
-        white[self.special_rows] = self.turn @ white[self.special_rows]
-        mixed = (self.mix @ white.reshape(3, -1)).reshape(3, self.terms, -1)
-        mixed *= self.prior.deviation[:, None]
-        return mixed, trace
 
     @staticmethod
     def variances(root) -> np.ndarray:
@@ -192,8 +166,8 @@ class Factorised:
         """The products of b (p, 3), at unit response, with the basis images."""
         moments = np.zeros((3, 3 * self.terms))
         for i in range(0, self.pixels, STRIP):
-            moments += b[i : i + STRIP].T @ self.rows(slice(i, i + STRIP))
-        moments = moments.reshape(3, self.terms, 3).transpose(2, 1, 0)
+            moments += b[i : i + STRIP].T @ self.flat[i : i + STRIP].astype(np.float64)
+        moments = (moments * self.scale).reshape(3, self.terms, 3).transpose(2, 1, 0)
         level = float(np.trace(moments[:, 0]) / self.prior.deviation[0] / (3 * self.pixels))
         return Measured(level, b.T @ b, moments, self.gather @ b)
 
@@ -231,22 +205,38 @@ class Factorised:
         out = measured.energies - cross - cross.T + columns.T @ (self.gram @ columns)
         return (out + out.T) / 2  # of an exact photo only rounding is left over, which has no symmetry
 
-    def shared_misfit(self, measured: Measured, x) -> float:
+    def shared_misfit(self, measured: Measured, x, misfit=None) -> float:
         """What of the misfit b - A x the pixels of a block share, root mean square over the photo's.
+
+        ``misfit`` is `misfit` of the same, where it is known already.
 
         The variance between blocks that a one-way analysis of variance finds: the spread of the blocks' means, less
         what independent misfits of their pixels give them. All of the misfit where fewer than `FEWEST_BLOCKS` blocks,
         or blocks of one pixel each, cannot say.
         """
-        left, blocks = np.maximum(np.diag(self.misfit(measured, x)), 0), len(self.block_sizes)
-        shared = left
-        if blocks >= FEWEST_BLOCKS and self.pixels > blocks:
-            means = measured.sums - self.sums @ self._columns(x)
-            between = (np.square(means) / self.block_sizes[:, None]).sum(0)
-            alone = np.maximum(left - between, 0) / (self.pixels - blocks)
-            shared = np.maximum(between - blocks * alone, 0)
+        misfit = self.misfit(measured, x) if misfit is None else misfit
+        found = self._between_blocks(measured, x, misfit)
+        shared = np.maximum(np.diag(misfit), 0) if found is None else found[0]
         unit = self.response**2
         return float(np.sqrt(shared @ unit / max(np.diag(measured.energies) @ unit, 1e-300)))
+
+    def block_correlation(self, measured: Measured, x, misfit) -> float | None:
+        """The variance that a block's pixels share of the misfit over a pixel's own; None where blocks cannot say."""
+        found = self._between_blocks(measured, x, misfit)
+        if found is None:
+            return None
+        shared, alone = found
+        return float(shared.sum() / max(self.pixels * alone.sum(), 1e-300))
+
+    def _between_blocks(self, measured: Measured, x, misfit):
+        """One-way analysis of variance: sums of squares that blocks share (3,), and a pixel's own variance (3,)."""
+        blocks = len(self.block_sizes)
+        if blocks < FEWEST_BLOCKS or self.pixels <= blocks:
+            return None
+        means = measured.sums - self.sums @ self._columns(x)
+        between = (np.square(means) / self.block_sizes[:, None]).sum(0)
+        alone = np.maximum(np.diag(misfit) - between, 0) / (self.pixels - blocks)
+        return np.maximum(between - blocks * alone, 0), alone
 
     def singular_values(self, terms: int) -> np.ndarray:
         """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""

@@ -15,7 +15,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.factorised import Factorised
-from btfsep_engine.fit.map_estimate import COARSENING, DETERMINED, FIRST_CORRELATION, REFLECTANCE_SPREAD, cholesky
+from btfsep_engine.fit.map_estimate import DETERMINED, FIRST_CORRELATION, REFLECTANCE_SPREAD, cholesky, coarsening_of
 
 CHANNELS_TOGETHER = 0.8  # correlation of misfit between channels, as texture and shape make it
 LIGHTS = 40  # drawn from the prior, for the expected error
@@ -68,11 +68,11 @@ def foresee(basis, *, blocks, prior, order: int, noise: float, seed: int = 0) ->
     f, terms = Factorised(basis, blocks, prior), sh.term_count(order)
     # under even light of level 1 every channel's root mean square is 1: the responses are brought to that
     v = noise**2
-    q = 1 / (v * COARSENING)
+    q = 1 / (v * coarsening_of(f.pixels))
     channels = np.full((3, 3), CHANNELS_TOGETHER) + (1 - CHANNELS_TOGETHER) * np.eye(3)
     matrix = q * f.whitened_gram(FIRST_CORRELATION, np.linalg.inv(channels))
     matrix[np.diag_indices_from(matrix)] += 1
-    root, unknown = f.root(cholesky(matrix))
+    root, unknown = f.whitening.root(cholesky(matrix))
     freedom = f.terms - unknown / 3
     natural = prior.deviation**2 + prior.mean**2  # the mean square of a coefficient
     shared = noise**2 * FIRST_CORRELATION / (1 + FIRST_CORRELATION)  # of a pixel's misfit, its block's

@@ -18,14 +18,16 @@ blocks' sums. With P = F F^T, F^T A^T N^-1 A F = U diag(d) U^T, h = U^T F^T A^T 
     v = (b^T N^-1 b - sum q h^2 / (1 + q d)) / n,
     -2 log evidence = sum log(1 + q d) + n log v + log det N + (log(sqrt(q v) / s) / spread)^2,
 
-so for each c one tridiagonal reduction (`fit.tridiagonal`) serves every q, and v is closed form: the search goes
-uphill over a few c, each with a one-dimensional search over q. The effective degrees of freedom are
+so for a given c one tridiagonal reduction (`fit.tridiagonal`) serves every q, and v is closed form: the search is
+one-dimensional, over q. c is what a one-way analysis of variance finds in the residuals of the first fit (the evidence
+for each of a few c chooses no better, and takes longer than all the rest). The effective degrees of freedom are
 tr((G + P^-1)^-1 G) = sum q d / (1 + q d). What depends on A alone is kept (`fit.factorised`).
 
 Misfit by a wrong material or shape is also correlated from block to block, and many orders of light can explain it
 away, so that residuals do not show it. Two measures against that. Evidence counts less than its number: the
-likelihood is taken to the power 1 / `COARSENING` (Miller and Dunson 2019, "coarsened" posteriors). And the spread has
-a second part, the misfit that neighbouring pixels share: its relative size times the coefficients' size in each row. A
+likelihood of n pixels is taken to the power 1 / (1 + n / `EVIDENCE`), so that it never counts as more than that many
+(Miller and Dunson 2019, "coarsened" posteriors: a model that is nearly right). And the spread has a second part, the
+misfit that neighbouring pixels share: its relative size times the coefficients' size in each row. A
 model that misses blocks of the image by a tenth is not trusted to know its response to any coefficient better than to
 a tenth; what pixels miss each for itself (texture that the mean ABRDF does not have) is noise, which the posterior
 has already. A third part is
@@ -36,30 +38,29 @@ other two.
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import lapack
 from scipy.optimize import minimize_scalar
-from threadpoolctl import ThreadpoolController
 
 from btfsep_engine import sh
 from btfsep_engine.fit.factorised import Factorised, Measured
 from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.linear_algebra import one_thread
 from btfsep_engine.fit.positive import positive_light
 from btfsep_engine.fit.tridiagonal import PRECISE, Tridiagonal
 
-COARSENING = 5.0
-BLOCK_CORRELATIONS = (0.0, 0.03, 0.1, 0.3)  # c: variance that a block's pixels share over a pixel's own
-FIRST_CORRELATION = 0.1  # c of the first fit, whose residuals show how the channels go together
+EVIDENCE = 2000  # pixels: alpha of a coarsened posterior
+BLOCK_CORRELATIONS = (0.01, 0.03, 0.1, 0.3)  # c: a Gram matrix for each is kept; finer steps change no estimate
+FIRST_CORRELATION = 0.1  # c of the first fit, whose residuals show how channels and blocks go together
 LOG_RATIOS = (-8.0, 30.0)  # of q, for A of unit response to the first basis light
-STEP = 1.0  # of the grid over log q: the evidence is wider than that
+STEP = 2.0  # of the grid over log q: the evidence is wider than that
+FINE = 1e-4  # of log q: so closely its best is found
 PAST = 30.0  # of the logarithm of the evidence: so far below the top, no larger q is tried
-NEAR_TIE = 4.0  # of the logarithm of the evidence: so close, each c is given its own best q
 NEAR = 3.0  # how far from the first fit's log q the others are looked for first
 LEAST_NOISE = 1e-12  # of the photo's energy: noiseless synthetic photos
 CHANNEL_SHRINKAGE = 0.05  # towards channels whose misfits are independent
-REFLECTANCE_SPREAD = 0.15  # of all coefficients together: a material's reflectance differs from piece to piece
+REFLECTANCE_SPREAD = 0.1  # of all coefficients together: a material's reflectance differs from piece to piece
 DETERMINED = 0.25  # of the prior's variance; for the first coefficient, of the level squared
 EXPECTED_ORDER = 2  # up to here the joint covariance is kept
 
@@ -85,7 +86,8 @@ class LightSolver:
     prior : light.natural.NaturalPrior
     order : the order that is reported, at most the prior's; it does not change the numbers
     positive : whether the light is the most probable of those that are nowhere too dark (`fit.positive`)
-    coarsening : 1 where the noise model is exactly true
+    coarsening : 1 over the likelihood's power, 1 where the noise model is exactly true; None: by the number of pixels
+        (`coarsening_of`)
 
     Raises
     ------
@@ -93,9 +95,10 @@ class LightSolver:
         Without pixels, or where the material reflects nothing.
     """
 
-    def __init__(self, basis, *, blocks, prior, order: int, positive: bool = False, coarsening: float = COARSENING):
+    def __init__(self, basis, *, blocks, prior, order: int, positive: bool = False, coarsening: float | None = None):
         self.factorised = Factorised(basis, blocks, prior)
-        self.prior, self.order, self.positive, self.coarsening = prior, order, positive, coarsening
+        self.prior, self.order, self.positive = prior, order, positive
+        self.coarsening = coarsening_of(self.factorised.pixels) if coarsening is None else coarsening
         self._first = None
         self._singular = self.factorised.singular_values(sh.term_count(order))
 
@@ -111,45 +114,22 @@ class LightSolver:
         InputError
             Without light in the photo.
         """
-        with blas().limit(limits=1, user_api="blas"):
+        with one_thread():
             measured = self.factorised.measure(radiance)
             first, reduced = self._search(measured, FIRST_CORRELATION, np.eye(3), None)
-            x = self.factorised.coefficients(reduced.solved(first.q / self.coarsening))
-            channels = misfit_channels(self.factorised.misfit(measured, x), measured.energies)
-            near = self._correlations(measured, channels, first)
-            tried = [self._search(measured, c, channels, first.q)[0] for c in near]
-            return self.fit(measured, max(tried, key=lambda found: found.evidence))
-
-    def _correlations(self, measured: Measured, channels, first: Found) -> list[float]:
-        """The best of `BLOCK_CORRELATIONS` at the first fit's q, uphill from the first one, and its near ties."""
-        tried = {}
-
-        def at(i):
-            if i not in tried:
-                tried[i] = self._evidence_at(measured, BLOCK_CORRELATIONS[i], channels, first.q)
-            return tried[i]
-
-        best = int(np.abs(np.array(BLOCK_CORRELATIONS) - FIRST_CORRELATION).argmin())
-        while True:
-            around = [i for i in (best, best - 1, best + 1) if 0 <= i < len(BLOCK_CORRELATIONS)]
-            winner = max(around, key=at)
-            if winner == best:
-                return [BLOCK_CORRELATIONS[i] for i in tried if tried[i] > tried[best] - NEAR_TIE]
-            best = winner
-
-    def _evidence_at(self, measured: Measured, c: float, channels, q: float) -> float:
-        """The logarithm of the evidence for one c, R and q."""
-        factor, moments = self._system(measured, c, channels, q)
-        half = lapack.dtrtrs(factor, moments, lower=1)[0]
-        explained = q / self.coarsening * float(half @ half)
-        return self._value(measured, c, channels)(q, 2 * float(np.log(np.diag(factor)).sum()), explained)[0]
+            x = self.factorised.whitening.coefficients(reduced.solved(first.q / self.coarsening))
+            misfit = self.factorised.misfit(measured, x)
+            channels = misfit_channels(misfit, measured.energies)
+            shared = self.factorised.block_correlation(measured, x, misfit)
+            c = FIRST_CORRELATION if shared is None else nearest(shared, BLOCK_CORRELATIONS)
+            return self.fit(measured, self._search(measured, c, channels, first.q)[0])
 
     def _system(self, measured: Measured | None, c: float, channels, q: float):
         """The lower Cholesky factor of I + q M, and F^T A^T N^-1 b."""
         inverse = np.linalg.inv(channels)
         matrix = self.factorised.whitened_gram(c, inverse)
         matrix *= q / self.coarsening
-        matrix[np.diag_indices_from(matrix)] += 1
+        np.einsum("ii->i", matrix)[:] += 1
         moments = None if measured is None else self.factorised.whitened_moments(measured, c, inverse)
         return cholesky(matrix), moments
 
@@ -201,7 +181,7 @@ class LightSolver:
     @staticmethod
     def _peak(at, low, high) -> float:
         """The log q of the largest evidence: a grid, uphill from low to well past the top, then Brent's method."""
-        grid = np.linspace(low, high, max(5, int(np.ceil((high - low) / STEP)) + 1))
+        grid = np.linspace(low, high, int(np.ceil((high - low) / STEP)) + 1)
         values = []
         for x in grid:
             values.append(at(x)[0])
@@ -209,28 +189,30 @@ class LightSolver:
                 break
         i = int(np.argmax(values))
         around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
-        found = minimize_scalar(lambda x: -at(x)[0], bounds=around, method="bounded", options={"xatol": 1e-5})
+        found = minimize_scalar(lambda x: -at(x)[0], bounds=around, method="bounded", options={"xatol": FINE})
         return float(found.x)
 
     def fit(self, measured: Measured, found: Found) -> Fit:
         """The posterior at a given point of the evidence."""
         f, terms = self.factorised, sh.term_count(self.order)
         factor, moments = self._system(measured, found.correlation, found.channels, found.q)
-        x = f.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
-        root, unknown = f.root(factor)
+        x = f.whitening.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
+        root, unknown = f.whitening.root(factor)
         freedom = 3 * f.terms - unknown
         scale2 = found.v * found.q
         variance = scale2 * f.variances(root)
         few = min(f.terms, sh.term_count(EXPECTED_ORDER))
         covariance = scale2 * f.covariance(root, few)
         energy = np.diag(measured.energies) * f.response**2
-        left, free, free_residual = np.diag(f.misfit(measured, x)) * f.response**2, None, None
+        misfit, free, free_residual = f.misfit(measured, x), None, None
+        left = np.diag(misfit) * f.response**2
         if self.positive:
             free, free_residual = x[:terms], float(np.sqrt(max(left.sum(), 0) / energy.sum()))
             x = positive_light(x, math.sqrt(scale2) * root.reshape(3 * f.terms, -1))
-            left = np.diag(f.misfit(measured, x)) * f.response**2
+            misfit = f.misfit(measured, x)
+            left = np.diag(misfit) * f.response**2
         residual = float(np.sqrt(max(left.sum(), 0) / energy.sum()))
-        shared = f.shared_misfit(measured, x)
+        shared = f.shared_misfit(measured, x, misfit)
         model = model_variance(x, shared)
         stddev = np.sqrt(variance + model + (REFLECTANCE_SPREAD * x) ** 2)
         covariance += np.diag(np.broadcast_to(model, x.shape)[:few].ravel())
@@ -273,14 +255,14 @@ class LightSolver:
     def smoother(self, found: Found):
         """`left_over` for many columns: a function of ``values : (p, 3)``, factorised once."""
         f, inverse = self.factorised, np.linalg.inv(found.channels)
-        with blas().limit(limits=1, user_api="blas"):
+        with one_thread():
             factor, _ = self._system(None, found.correlation, found.channels, found.q)
 
         def left(values):
             b = np.asarray(values, np.float64)
-            with blas().limit(limits=1, user_api="blas"):
+            with one_thread():
                 moments = f.whitened_moments(f.products(b / f.response), found.correlation, inverse)
-                x = f.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
+                x = f.whitening.coefficients(lapack.dpotrs(factor, found.q / self.coarsening * moments, lower=1)[0])
                 return b - f.predicted(x)
 
         return left
@@ -291,11 +273,21 @@ class LightSolver:
         ``found`` is `Fit.found`.
         """
         factor, _ = self._system(None, found.correlation, found.channels, found.q)
-        root, _ = self.factorised.root(factor)
+        root, _ = self.factorised.whitening.root(factor)
         return math.sqrt(found.q * found.v) * root.reshape(len(factor), -1)
 
 
-def solve_map(basis, radiance, *, blocks, prior, order: int, coarsening: float = COARSENING) -> Fit:
+def coarsening_of(pixels: int) -> float:
+    """1 over the power that the likelihood of so many pixels is taken to (Miller and Dunson 2019, section 2.3)."""
+    return 1 + pixels / EVIDENCE
+
+
+def nearest(value: float, grid) -> float:
+    """The number of a grid, all above 0, whose ratio to a value is closest to 1."""
+    return min(grid, key=lambda each: abs(math.log(each / max(value, 1e-9))))
+
+
+def solve_map(basis, radiance, *, blocks, prior, order: int, coarsening: float | None = None) -> Fit:
     """One photograph: `LightSolver` and its `solve`."""
     return LightSolver(basis, blocks=blocks, prior=prior, order=order, coarsening=coarsening).solve(radiance)
 
@@ -313,12 +305,6 @@ def reported_up_to(fit: Fit, order: int, solver: LightSolver) -> Fit:
         singular_values=singular,
         condition=float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
     )
-
-
-@lru_cache(maxsize=1)
-def blas() -> ThreadpoolController:
-    """The linear algebra's threads. Matrices of 300 rows gain nothing from several, and lose much where others run."""
-    return ThreadpoolController()
 
 
 def cholesky(matrix) -> np.ndarray:

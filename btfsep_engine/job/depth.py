@@ -111,7 +111,9 @@ def _surface(depth, camera: Camera):
     down = _connected(z, inverse, valid, 0, camera.fy)
     noise = _noise(z, inverse, across, down, np.sqrt(camera.fx * camera.fy))
     if noise > QUIET:
-        inverse = _smoothed(inverse, valid, across, down, passes=min(int(np.ceil(noise / NOISE_OF_A_PASS)), MOST_PASSES))
+        inverse = _smoothed(
+            inverse, valid, across, down, passes=min(int(np.ceil(noise / NOISE_OF_A_PASS)), MOST_PASSES)
+        )
         z = np.where(valid, 1 / np.where(valid, inverse, 1), 0)
     return z, inverse, valid, across, down
 

@@ -30,7 +30,7 @@ COLOUR_ALLOWANCE = 2.0
 LEVEL_SPREAD = 5.0  # of the level, relative to a first guess: as good as unknown
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NaturalPrior:
     """Natural light relative to its level.
 

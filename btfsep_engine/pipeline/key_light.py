@@ -21,7 +21,8 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import Fit
-from btfsep_engine.fit.map_estimate import LightSolver, blas
+from btfsep_engine.fit.linear_algebra import one_thread
+from btfsep_engine.fit.map_estimate import LightSolver
 from btfsep_engine.fit.sun import BeamTest, over_the_sky, split_fit, with_beam
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.natural import natural_prior
@@ -135,7 +136,7 @@ def key_light(problems, materials, fit: Fit, solver, exposures, settings) -> tup
     search = Search(basis, blocks, b, fit, solver, settings)
     every = max(1, len(b) // SCREENED)
     sky = fibonacci_sphere(SKY)
-    with blas().limit(limits=1, user_api="blas"):  # as in the fit: the matrices are small
+    with one_thread():
         first = search.screen(Responses(problems, materials, every=every)(sky), problems, every)
         if over_the_sky(first) < HOPELESS:
             return None, NONE
@@ -156,7 +157,7 @@ class Search:
         starts = np.cumsum([0, *(len(points) for p in problems for points in p.points)])
         rows = np.concatenate([np.arange(a, z, every) for a, z in pairwise(starts)])
         solver = LightSolver(self.basis[rows], blocks=self.blocks[rows], prior=self.prior, order=self.order)
-        solver.coarsening *= len(rows) / len(self.b)
+        solver.coarsening = self.solver.coarsening * len(rows) / len(self.b)
         return BeamTest(solver, self.fit.found, self.b[rows]).ask(response).evidence
 
     def found(self, responses, sky, evidence, counts) -> tuple[KeyLight | None, str]:

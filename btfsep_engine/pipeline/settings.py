@@ -53,11 +53,11 @@ class Settings:
     robust: bool = False
     key_light: str = "auto"
     appearance: str = "auto"
-    pixels: int = 4000
+    pixels: int = 2000
     directions: int | str = "auto"
     tolerance: float = 0.02
     bounces: int | str = "auto"
-    surface_samples: int = 3000
+    surface_samples: int = 6000
     transport: str = "kernel"
     samples: int = 256
     classifier: str = "svm"

@@ -106,12 +106,12 @@ def test_priors_with_means_of_higher_orders_are_the_same_formulas(rng):
     for mean_order in (0, 2):
         prior = learn(relative_coefficients(3), mean_order=mean_order)
         f = Factorised(basis, blocks, prior)
-        by_channel = f.coefficients(np.eye(48)).transpose(1, 0, 2).reshape(48, 48)
+        by_channel = f.whitening.coefficients(np.eye(48)).transpose(1, 0, 2).reshape(48, 48)
         assert np.allclose(by_channel @ by_channel.T, prior.covariance(), atol=1e-12)
         white = rng.normal(size=(48, 50))
         white = white @ white.T
         full = (by_channel @ np.linalg.inv(white) @ by_channel.T).reshape(3, 16, 3, 16)
-        root, trace = f.root(np.linalg.cholesky(white))
+        root, trace = f.whitening.root(np.linalg.cholesky(white))
         assert trace == pytest.approx(np.trace(np.linalg.inv(white)), rel=1e-9)
         assert np.allclose(f.variances(root), np.einsum("ctct->tc", full), rtol=1e-9)
         few = full[:, :4, :, :4].transpose(1, 0, 3, 2).reshape(12, 12)
@@ -131,9 +131,27 @@ def test_what_blocks_of_pixels_share_of_the_misfit_is_told_from_what_each_has_fo
     b = b + 0.3 * size * (own + np.sqrt(share) * together)
     left = f.shared_misfit(f.measure(b), x) * np.sqrt((b**2).mean()) / (0.3 * size)
     assert left == pytest.approx(np.sqrt(share), abs=0.06)
+    assert f.block_correlation(f.measure(b), x, f.misfit(f.measure(b), x)) == pytest.approx(share, rel=0.25, abs=0.01)
     few = Factorised(basis, blocks // 30, f.prior)  # five blocks cannot say: all of it
     left = few.shared_misfit(few.measure(b), x) * np.sqrt((b**2).mean()) / (0.3 * size)
     assert left == pytest.approx(np.sqrt(1 + share), rel=0.1)
+    assert few.block_correlation(few.measure(b), x, few.misfit(few.measure(b), x)) is None
+
+
+@pytest.mark.parametrize("pixels", [1, 2, 499, 1001, 2600])
+def test_the_products_of_strips_and_halves_are_those_of_all_pixels(rng, pixels):
+    """Blocks lie across strips and across the two halves, and their numbers have gaps and no order."""
+    basis, prior = rng.normal(size=(pixels, 9, 3)).astype(np.float32), natural_prior(2)
+    blocks = rng.permutation(np.arange(pixels) // 130 * 7 - 3)
+    f = Factorised(basis, blocks, prior)
+    a = basis.astype(np.float64).reshape(pixels, 27) * (prior.deviation[:, None] / f.response).ravel()
+    own = np.unique(blocks)[:, None] == blocks
+    b = rng.normal(size=(pixels, 3))
+    assert np.allclose(f.gram, a.T @ a, rtol=1e-12, atol=1e-12 * pixels)
+    assert np.allclose(f.sums, own @ a) and np.array_equal(f.block_sizes, own.sum(1))
+    found = f.products(b)
+    assert np.allclose(found.sums, own @ b) and np.allclose(found.energies, b.T @ b)
+    assert np.allclose(found.moments, (a.T @ b).reshape(9, 3, 3).transpose(1, 0, 2))
 
 
 def test_a_tridiagonal_reduction_serves_every_q(rng):
@@ -177,7 +195,7 @@ def test_without_a_prior_it_is_least_squares(rng):
 
 def test_the_stated_spread_covers_as_stated(rng, monkeypatch):
     """Lights and noise of the model, its correlated part too: 68 % and 95 % intervals hold what they say."""
-    monkeypatch.setattr(map_estimate, "BLOCK_CORRELATIONS", (0.0, 0.1, 0.3, 1.0))
+    monkeypatch.setattr(map_estimate, "BLOCK_CORRELATIONS", (0.1, 0.3, 1.0))
     basis, blocks = view_of_a_sphere(rng, pixels=400, order=3)
     prior = natural_prior(3)
     inside = []
