@@ -50,7 +50,7 @@ from btfsep_engine.fit.linear_algebra import one_thread
 from btfsep_engine.fit.positive import positive_light
 from btfsep_engine.fit.tridiagonal import PRECISE, Tridiagonal
 
-EVIDENCE = 2000  # pixels: alpha of a coarsened posterior
+EVIDENCE = 1000  # pixels: alpha of a coarsened posterior
 BLOCK_CORRELATIONS = (0.01, 0.03, 0.1, 0.3)  # c: a Gram matrix for each is kept; finer steps change no estimate
 FIRST_CORRELATION = 0.1  # c of the first fit, whose residuals show how channels and blocks go together
 LOG_RATIOS = (-8.0, 30.0)  # of q, for A of unit response to the first basis light

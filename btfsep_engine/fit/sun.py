@@ -112,18 +112,18 @@ def over_the_sky(evidence) -> float:
     return float(top + np.log(np.mean(np.exp(evidence - top)))) if np.isfinite(top) else -np.inf
 
 
-def with_beam(basis, response, *, blocks, prior, order: int) -> LightSolver:
+def with_beam(basis, response, *, blocks, prior, order: int, coarsening: float | None = None) -> LightSolver:
     """The solver with the beam as the last of the unknowns' rows.
 
     Parameters
     ----------
     basis : (p, terms, 3), A; response : (p, 3), K of one direction
-    blocks, prior, order : of `LightSolver`
+    blocks, prior, order, coarsening : of `LightSolver`
     """
     spread = SPREAD * np.pi / LEVEL
     wider = replace(prior, mean=np.append(prior.mean, 0.0), deviation=np.append(prior.deviation, spread))
     rows = np.concatenate([basis, np.asarray(response, basis.dtype)[:, None]], 1)
-    return LightSolver(rows, blocks=blocks, prior=wider, order=order)
+    return LightSolver(rows, blocks=blocks, prior=wider, order=order, coarsening=coarsening)
 
 
 @dataclass(frozen=True)

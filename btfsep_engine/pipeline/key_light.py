@@ -33,6 +33,7 @@ from btfsep_engine.render.beams import beam_radiance
 
 SKY = 400  # directions, 10 degrees apart
 SCREENED = 1000  # pixels that are asked first
+STIFF = 2.0  # times the coarsening of an estimate: a series as sharp as can be imitates a beam, and hides it
 ENOUGH = 10.0  # logarithm of the evidence ratio that is asked for, a beam from anywhere against none
 HOPELESS = -2.0  # of it in the first pass, below which nothing is looked at from nearby
 BROADEST = np.radians(10.0)  # half of the disc's width
@@ -148,16 +149,24 @@ class Search:
 
     def __init__(self, basis, blocks, b, fit: Fit, solver: LightSolver, settings):
         self.basis, self.blocks, self.b = basis, blocks, b
-        self.fit, self.solver, self.settings = fit, solver, settings
+        self.whole, self.settings = fit, settings
         self.prior = natural_prior(settings.fit_order)
         self.order = sh.order_of(len(fit.coefficients))
+        self.coarsening = STIFF * solver.coarsening
+        self.solver = LightSolver(basis, blocks=blocks, prior=self.prior, order=self.order, coarsening=self.coarsening)
+        self.fit = self.solver.solve(b)
 
     def screen(self, response, problems, every: int) -> np.ndarray:
         """The evidence for a beam from each direction, of a part of the pixels that counts for all."""
         starts = np.cumsum([0, *(len(points) for p in problems for points in p.points)])
         rows = np.concatenate([np.arange(a, z, every) for a, z in pairwise(starts)])
-        solver = LightSolver(self.basis[rows], blocks=self.blocks[rows], prior=self.prior, order=self.order)
-        solver.coarsening = self.solver.coarsening * len(rows) / len(self.b)
+        solver = LightSolver(
+            self.basis[rows],
+            blocks=self.blocks[rows],
+            prior=self.prior,
+            order=self.order,
+            coarsening=self.coarsening * len(rows) / len(self.b),
+        )
         return BeamTest(solver, self.fit.found, self.b[rows]).ask(response).evidence
 
     def found(self, responses, sky, evidence, counts) -> tuple[KeyLight | None, str]:
@@ -187,14 +196,15 @@ class Search:
                 "no key light: the brightest part of the light is taken to be about "
                 f"{2 * np.degrees(half):.0f} degrees wide, which the spherical harmonics can say"
             )
-        with_it, beside = self._with(images[:, best])
+        _, beside = self._with(images[:, best])
         gain = beside.found.evidence - self.fit.found.evidence + chance
         if gain < ENOUGH:
             return None, NONE
         size = 2 * round(float(np.degrees(half)), 3)
         shapes = np.stack([beam_shape(d, self.prior.order, size_degrees=size) for d in (direction, *around)])
+        with_it, beside = self._with(images[:, best], stiff=False)
         split = split_fit(
-            self.fit,
+            self.whole,
             with_it,
             beside,
             self.b,
@@ -232,9 +242,16 @@ class Search:
         """How much of the light a beam is, by the fit without it."""
         return float(irradiance.mean() / (ALL_OF_IT * self.fit.coefficients[0].mean()))
 
-    def _with(self, response):
-        """Solver and Fit with a beam."""
-        solver = with_beam(self.basis, response, blocks=self.blocks, prior=self.prior, order=self.order)
+    def _with(self, response, *, stiff: bool = True):
+        """Solver and Fit with a beam, as the search's or, not ``stiff``, as an estimate's."""
+        solver = with_beam(
+            self.basis,
+            response,
+            blocks=self.blocks,
+            prior=self.prior,
+            order=self.order,
+            coarsening=self.coarsening / (1 if stiff else STIFF),
+        )
         return solver, solver.solve(self.b)
 
     @staticmethod
