@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
+from btfsep_engine.cli.commands import main
+
 DIED = 1  # exit status of a command whose process ended without an answer
 STOPPED = 130
 
@@ -31,8 +33,6 @@ def outcome(arguments) -> dict:
     dict : ``exit_code`` (0 done, 2 the input is at fault, 1 a bug), ``message`` (what was at fault, "" when done),
         ``result`` (the command's own, {} when it failed)
     """
-    from btfsep_engine.cli.main import main
-
     said, complained = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complained):
         code = main([*arguments, "--json"])
