@@ -135,6 +135,15 @@ class Factorised:
         """F^T A^T N^-1 b: (3 terms,)."""
         return self.whitening.moments(self._weighted(measured, c)[1], inverse)
 
+    def channels_alone(self, measured: Measured, c: float) -> np.ndarray:
+        """The moments as if no channel knew of another, (3, terms): see `grams_alone`."""
+        return np.einsum("cmc->cm", self._weighted(measured, c)[1]) * self.whitening.alone
+
+    def grams_alone(self, c: float) -> np.ndarray:
+        """F^T A^T N^-1 A F of each channel, were light and noise independent in them: (3, terms, terms)."""
+        own, alone = self.gram_of(c)[::4].reshape(3, self.terms, self.terms), self.whitening.alone
+        return own * alone * alone[:, None]
+
     def energy(self, measured: Measured, c: float, inverse) -> float:
         """b^T N^-1 b."""
         return float((self._weighted(measured, c)[0] * inverse).sum())

@@ -48,7 +48,7 @@ from btfsep_engine.fit.factorised import Factorised, Measured
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.fit.linear_algebra import one_thread
 from btfsep_engine.fit.positive import positive_light
-from btfsep_engine.fit.tridiagonal import PRECISE, Tridiagonal
+from btfsep_engine.fit.tridiagonal import PRECISE, Tridiagonal, TridiagonalBlocks
 
 EVIDENCE = 1000  # pixels: alpha of a coarsened posterior
 BLOCK_CORRELATIONS = (0.01, 0.03, 0.1, 0.3)  # c: a Gram matrix for each is kept; finer steps change no estimate
@@ -116,13 +116,12 @@ class LightSolver:
         """
         with one_thread():
             measured = self.factorised.measure(radiance)
-            first, reduced = self._search(measured, FIRST_CORRELATION, np.eye(3), None)
-            x = self.factorised.whitening.coefficients(reduced.solved(first.q / self.coarsening))
+            near, x = self._first_fit(measured)
             misfit = self.factorised.misfit(measured, x)
             channels = misfit_channels(misfit, measured.energies)
             shared = self.factorised.block_correlation(measured, x, misfit)
             c = FIRST_CORRELATION if shared is None else nearest(shared, BLOCK_CORRELATIONS)
-            return self.fit(measured, self._search(measured, c, channels, first.q)[0])
+            return self.fit(measured, self._search(measured, c, channels, near))
 
     def _system(self, measured: Measured | None, c: float, channels, q: float):
         """The lower Cholesky factor of I + q M, and F^T A^T N^-1 b."""
@@ -145,38 +144,43 @@ class LightSolver:
 
         return value
 
-    def _search(self, measured: Measured, c: float, channels, near: float | None):
-        """The best ratio q of prior to noise for one c and R; ``near`` is a first guess of q.
+    def _first_fit(self, measured: Measured) -> tuple[float, np.ndarray]:
+        """The best log q and the coefficients (terms, 3), light and misfit taken to be independent in the channels.
 
-        Returns
-        -------
-        Found, and the Tridiagonal that has the light
+        Three problems of a third of the size, which are reduced once for all photographs: this fit only serves to find
+        how channels and blocks go together, and where the search for q begins.
         """
-        f, inverse = self.factorised, np.linalg.inv(channels)
-        moments = f.whitened_moments(measured, c, inverse)
-        if near is None and self._first is not None:
-            reduced = self._first.with_vector(moments)
+        f, c = self.factorised, FIRST_CORRELATION
+        moments = f.channels_alone(measured, c)
+        if self._first is None:
+            reduced = self._first = TridiagonalBlocks(f.grams_alone(c), moments)
         else:
-            reduced = Tridiagonal(f.whitened_gram(c, inverse), moments)
-            if near is None:
-                self._first = reduced  # c and R of the first fit are the same for every photograph
+            reduced = self._first.with_vector(moments)
+        near = self._peak(self._evidence(measured, c, np.eye(3), reduced), *LOG_RATIOS)
+        white = reduced.solved(math.exp(near) / self.coarsening).reshape(3, -1)
+        return near, (white * f.whitening.alone * self.prior.deviation).T
 
+    def _evidence(self, measured: Measured, c: float, channels, reduced: Tridiagonal):
+        """log q -> the logarithm of the evidence, and v."""
         value = self._value(measured, c, channels)
 
         def at(log_q):
             q = math.exp(log_q)
             return value(q, *reduced.log_det_and_explained(q / self.coarsening))
 
-        if near is None:
+        return at
+
+    def _search(self, measured: Measured, c: float, channels, near: float) -> Found:
+        """The best ratio q of prior to noise for one c and R; ``near`` is a first guess of log q."""
+        f, inverse = self.factorised, np.linalg.inv(channels)
+        reduced = Tridiagonal(f.whitened_gram(c, inverse), f.whitened_moments(measured, c, inverse))
+        at = self._evidence(measured, c, channels, reduced)
+        low, high = max(LOG_RATIOS[0], near - NEAR), min(LOG_RATIOS[1], near + NEAR)
+        best = self._peak(at, low, high)
+        if min(best - low, high - best) < 0.1 * NEAR:
             best = self._peak(at, *LOG_RATIOS)
-        else:
-            low, high = max(LOG_RATIOS[0], np.log(near) - NEAR), min(LOG_RATIOS[1], np.log(near) + NEAR)
-            best = self._peak(at, low, high)
-            if min(best - low, high - best) < 0.1 * NEAR:
-                best = self._peak(at, *LOG_RATIOS)
         evidence, v = at(best)
-        q = float(np.exp(best))
-        return Found(evidence, q, v, c, channels), reduced
+        return Found(evidence, math.exp(best), v, c, channels)
 
     @staticmethod
     def _peak(at, low, high) -> float:

@@ -74,3 +74,23 @@ class Tridiagonal:
             values, vectors = eigh_tridiagonal(self.diagonal, self.beside)
             self._spectrum = np.maximum(values, 0), vectors
         return *self._spectrum, self._spectrum[1].T @ self.vector
+
+
+class TridiagonalBlocks(Tridiagonal):
+    """The same of a matrix of blocks of one size on its diagonal, each reduced for itself.
+
+    Parameters
+    ----------
+    matrices : (k, n, n) float64, symmetric; vectors : (k, n) float64
+    """
+
+    def __init__(self, matrices, vectors):
+        self._blocks = [Tridiagonal(matrix, vector) for matrix, vector in zip(matrices, vectors, strict=True)]
+        self.diagonal = np.concatenate([block.diagonal for block in self._blocks])
+        self.beside = np.concatenate([np.append(block.beside, 0.0) for block in self._blocks])[:-1]
+        self.vector = np.concatenate([block.vector for block in self._blocks])
+        self._spectrum = None
+
+    def _turned(self, vector, how: str) -> np.ndarray:
+        parts = np.split(np.ravel(vector), len(self._blocks))
+        return np.concatenate([block._turned(part, how) for block, part in zip(self._blocks, parts, strict=True)])

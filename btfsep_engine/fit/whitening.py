@@ -23,6 +23,8 @@ class Whitening:
         channels = np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3)
         self.mix = np.linalg.cholesky(channels)
         self._mixes = np.kron(self.mix.T, self.mix.T)  # row (a, b), column (c, d): mix[c, a] mix[d, b]
+        variance = np.diag(prior.covariance())[: self.terms]
+        self.alone = np.sqrt(variance) / self.deviation  # of the scaled unknowns, a channel for itself
         special = np.flatnonzero((prior.mean != 0) | (np.arange(self.terms) == 0))
         count = len(special)
         # x of the special terms = plain factor times y; y = `turn` times white numbers

@@ -53,7 +53,7 @@ class Settings:
     robust: bool = False
     key_light: str = "auto"
     appearance: str = "auto"
-    pixels: int = 2000
+    pixels: int = 3000
     directions: int | str = "auto"
     tolerance: float = 0.02
     bounces: int | str = "auto"

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.stats import binom
 
 from btfsep_engine import sh
@@ -13,7 +14,7 @@ from btfsep_engine.fit import factorised, map_estimate
 from btfsep_engine.fit.factorised import Factorised
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.map_estimate import Found, LightSolver, solve_map
-from btfsep_engine.fit.tridiagonal import Tridiagonal
+from btfsep_engine.fit.tridiagonal import Tridiagonal, TridiagonalBlocks
 from btfsep_engine.light.natural import held_out, learn, natural_prior, relative_coefficients
 
 
@@ -152,6 +153,44 @@ def test_the_products_of_strips_and_halves_are_those_of_all_pixels(rng, pixels):
     found = f.products(b)
     assert np.allclose(found.sums, own @ b) and np.allclose(found.energies, b.T @ b)
     assert np.allclose(found.moments, (a.T @ b).reshape(9, 3, 3).transpose(1, 0, 2))
+
+
+def test_the_first_fit_is_that_of_three_photos_of_one_channel_each(rng):
+    """Independent in the channels: the Gram matrices, moments and light of dense algebra, channel by channel."""
+    basis, blocks = view_of_a_sphere(rng, pixels=90, order=2)
+    prior, c = natural_prior(2), map_estimate.FIRST_CORRELATION
+    b = photographed(rng, basis, drawn(rng, prior), blocks, noise=0.05)
+    solver = LightSolver(basis, blocks=blocks, prior=prior, order=2)
+    f = solver.factorised
+    measured = f.measure(b)
+    noise = np.linalg.inv(np.eye(90) + c * (blocks[:, None] == blocks))
+    near, x = solver._first_fit(measured)
+    again, same = solver._first_fit(measured)  # with what is kept
+    assert again == pytest.approx(near, abs=1e-9) and np.allclose(same, x)
+    for k in range(3):
+        a = basis[:, :, k] / f.response[k]
+        signal = prior.covariance().reshape(3, 9, 3, 9)[k, :, k]
+        factor = np.diag(np.sqrt(np.diag(signal)))
+        assert np.allclose(f.grams_alone(c)[k], factor @ a.T @ noise @ a @ factor)
+        assert np.allclose(f.channels_alone(measured, c)[k], factor @ a.T @ noise @ (b[:, k] / f.response[k]))
+        q = np.exp(near) / solver.coarsening
+        light = q * signal @ a.T @ np.linalg.solve(np.linalg.inv(noise) + q * a @ signal @ a.T, b[:, k] / f.response[k])
+        assert np.allclose(x[:, k], light, rtol=1e-7, atol=1e-9)
+
+
+def test_blocks_are_reduced_each_for_itself(rng):
+    matrices = rng.normal(size=(3, 20, 30))
+    matrices = matrices @ matrices.transpose(0, 2, 1)
+    vectors, others = rng.normal(size=(3, 20)), rng.normal(size=(3, 20))
+    whole = block_diag(*matrices)
+    reduced = TridiagonalBlocks(matrices, vectors)
+    for mine, h in ((reduced, vectors.ravel()), (reduced.with_vector(others), others.ravel())):
+        for q in (1e-3, 1.0, 1e16):  # the last one by the eigenvalues
+            log_det, explained = mine.log_det_and_explained(q)
+            solved = q * np.linalg.solve(np.eye(60) + q * whole, h)
+            assert log_det == pytest.approx(np.linalg.slogdet(np.eye(60) + q * whole)[1], rel=1e-8)
+            assert explained == pytest.approx(h @ solved, rel=1e-5)
+            assert np.allclose(mine.solved(q), solved, rtol=1e-4, atol=1e-6 * np.abs(solved).max())
 
 
 def test_a_tridiagonal_reduction_serves_every_q(rng):
