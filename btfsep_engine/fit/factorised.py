@@ -70,16 +70,14 @@ class Factorised:
                     f"the material reflects nothing towards the camera in the {CHANNELS[c]} channel",
                     "choose another material",
                 )
-        self.flat = np.ascontiguousarray(basis).reshape(self.pixels, 3 * self.terms)  # term by term
-        self.scale = (prior.deviation[:, None] / self.response).ravel()
+        self.basis = basis
+        self.scale = (prior.deviation / self.response[:, None]).ravel()
         by_block = np.argsort(blocks, kind="stable")
         labels = np.asarray(blocks)[by_block]
         place = np.flatnonzero(np.concatenate([[True], labels[1:] != labels[:-1], [True]]))
         self.block_sizes = np.diff(place)
         self.gather = sparse.csr_matrix((np.ones(self.pixels), by_block, place), shape=(len(place) - 1, self.pixels))
         self.gram, self.sums = self._gram_and_sums(by_block)
-        order = np.arange(3 * self.terms).reshape(-1, 3).T.ravel()
-        self._gram_by_channel, self._sums_by_channel = self.gram[order[:, None], order], self.sums[:, order]
         self._by_correlation = {}
 
     def _gram_and_sums(self, by_block):
@@ -92,11 +90,11 @@ class Factorised:
         columns = 3 * self.terms
 
         def products(first: int, last: int):
-            strip, gram = np.empty((STRIP, columns)), np.zeros((columns, columns))
+            strip, gram = np.empty((STRIP, 3, self.terms)), np.zeros((columns, columns))
             sums = np.zeros((len(self.block_sizes), columns))
             for i in range(first, last, STRIP):
                 j = min(i + STRIP, last)
-                rows = np.multiply(self.flat[by_block[i:j]], self.scale, out=strip[: j - i])
+                rows = self._scaled(by_block[i:j], strip[: j - i])
                 gram += rows.T @ rows
                 starts = np.flatnonzero(np.diff(labels[i:j], prepend=-1))
                 sums[labels[i:j][starts]] += np.add.reduceat(rows, starts)
@@ -110,19 +108,28 @@ class Factorised:
     def _parts(self):
         return [slice(i, min(i + CHUNK, self.pixels)) for i in range(0, self.pixels, CHUNK)]
 
+    def _scaled(self, which, out) -> np.ndarray:
+        """Rows of the scaled A into ``out`` (n, 3, terms), which is given back as (n, 3 terms).
+
+        Channel by channel, because that is how the transport leaves them in memory.
+        """
+        for c in range(3):
+            np.multiply(self.basis[:, :, c][which], self.scale[c * self.terms : (c + 1) * self.terms], out=out[:, c])
+        return out.reshape(len(out), -1)
+
     def rows(self, part: slice) -> np.ndarray:
-        """Rows of the scaled A, term by term: (pixels of the part, 3 terms) float64."""
-        return self.flat[part] * self.scale
+        """Rows of the scaled A, channel by channel: (pixels of the part, 3 terms) float64."""
+        return self._scaled(part, np.empty((len(range(self.pixels)[part]), 3, self.terms)))
 
     def all_rows(self) -> np.ndarray:
-        """All rows of the scaled A, term by term: (p, 3 terms) float64."""
+        """All rows of the scaled A, channel by channel: (p, 3 terms) float64."""
         return np.concatenate([self.rows(part) for part in self._parts()])
 
     def gram_of(self, c: float) -> np.ndarray:
         """A_a^T N^-1 A_b for the block correlation c, of the scaled A: (9, terms * terms)."""
         if c not in self._by_correlation:
-            weighted = self._sums_by_channel * np.sqrt(c / (1 + c * self.block_sizes))[:, None]
-            gram = self._gram_by_channel - weighted.T @ weighted  # one matrix with itself: half the work
+            weighted = self.sums * np.sqrt(c / (1 + c * self.block_sizes))[:, None]
+            gram = self.gram - weighted.T @ weighted  # one matrix with itself: half the work
             blocks = gram.reshape(3, self.terms, 3, self.terms).transpose(0, 2, 1, 3)
             self._by_correlation[c] = np.ascontiguousarray(blocks).reshape(9, -1)
         return self._by_correlation[c]
@@ -152,7 +159,7 @@ class Factorised:
         """b^T N^-1 b (3, 3) and A^T N^-1 b (3, terms, 3) for the block correlation c, but for R."""
         if c not in measured.weighted:
             sums = measured.sums * (c / (1 + c * self.block_sizes))[:, None]
-            less = (sums.T @ self.sums).reshape(3, self.terms, 3).transpose(2, 1, 0)
+            less = (sums.T @ self.sums).reshape(3, 3, self.terms).transpose(1, 2, 0)
             measured.weighted[c] = measured.energies - sums.T @ measured.sums, measured.moments - less
         return measured.weighted[c]
 
@@ -173,10 +180,11 @@ class Factorised:
 
     def products(self, b) -> Measured:
         """The products of b (p, 3), at unit response, with the basis images."""
-        moments = np.zeros((3, 3 * self.terms))
+        moments, strip = np.zeros((3, 3 * self.terms)), np.empty((STRIP, 3, self.terms))
         for i in range(0, self.pixels, STRIP):
-            moments += b[i : i + STRIP].T @ self.flat[i : i + STRIP].astype(np.float64)
-        moments = (moments * self.scale).reshape(3, self.terms, 3).transpose(2, 1, 0)
+            part = b[i : i + STRIP]
+            moments += part.T @ self._scaled(slice(i, i + STRIP), strip[: len(part)])
+        moments = moments.reshape(3, 3, self.terms).transpose(1, 2, 0)
         level = float(np.trace(moments[:, 0]) / self.prior.deviation[0] / (3 * self.pixels))
         return Measured(level, b.T @ b, moments, self.gather @ b)
 
@@ -200,8 +208,9 @@ class Factorised:
 
     def _columns(self, x) -> np.ndarray:
         """Coefficients (terms, 3) as what the scaled A's rows are multiplied with: (3 terms, 3)."""
-        columns = np.zeros((self.terms, 3, 3))
-        columns[:, np.arange(3), np.arange(3)] = x / self.prior.deviation[:, None]
+        columns = np.zeros((3, self.terms, 3))
+        for c in range(3):
+            columns[c, :, c] = x[:, c] / self.prior.deviation
         return columns.reshape(3 * self.terms, 3)
 
     def misfit(self, measured: Measured, x) -> np.ndarray:
@@ -249,7 +258,7 @@ class Factorised:
 
     def singular_values(self, terms: int) -> np.ndarray:
         """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""
-        unit, gram = 1 / self.prior.deviation[:terms], self.gram.reshape(self.terms, 3, self.terms, 3)
-        each = [np.linalg.eigvalsh(gram[:terms, c, :terms, c] * unit * unit[:, None])[::-1] for c in range(3)]
+        unit, gram = 1 / self.prior.deviation[:terms], self.gram.reshape(3, self.terms, 3, self.terms)
+        each = [np.linalg.eigvalsh(gram[c, :terms, c, :terms] * unit * unit[:, None])[::-1] for c in range(3)]
         worst = min(range(3), key=lambda c: each[c][-1] / each[c][0])
         return np.sqrt(np.maximum(each[worst], 0)) * self.response[worst]

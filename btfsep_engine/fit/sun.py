@@ -68,7 +68,7 @@ class BeamTest:
         self._gather = f.gather.astype(np.float32)
         self._back = (f.gather.T @ sparse.diags_array(c / (1 + c * f.block_sizes))).astype(np.float32).tocsr()
         rows = self._weighted(f.all_rows().astype(np.float32))
-        self._rows = np.ascontiguousarray(rows.reshape(len(rows), f.terms, 3).transpose(2, 1, 0))
+        self._rows = np.ascontiguousarray(rows.reshape(len(rows), 3, f.terms).transpose(1, 2, 0))
         root = solver.posterior_factor(found).reshape(3, f.terms, -1)
         self._root = (root / f.prior.deviation[None, :, None]).astype(np.float32)  # of the scaled unknowns
 

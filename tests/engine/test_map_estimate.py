@@ -145,14 +145,15 @@ def test_the_products_of_strips_and_halves_are_those_of_all_pixels(rng, pixels):
     basis, prior = rng.normal(size=(pixels, 9, 3)).astype(np.float32), natural_prior(2)
     blocks = rng.permutation(np.arange(pixels) // 130 * 7 - 3)
     f = Factorised(basis, blocks, prior)
-    a = basis.astype(np.float64).reshape(pixels, 27) * (prior.deviation[:, None] / f.response).ravel()
+    a = basis.astype(np.float64) * prior.deviation[:, None] / f.response
+    a = a.transpose(0, 2, 1).reshape(pixels, 27)
     own = np.unique(blocks)[:, None] == blocks
     b = rng.normal(size=(pixels, 3))
     assert np.allclose(f.gram, a.T @ a, rtol=1e-12, atol=1e-12 * pixels)
     assert np.allclose(f.sums, own @ a) and np.array_equal(f.block_sizes, own.sum(1))
     found = f.products(b)
     assert np.allclose(found.sums, own @ b) and np.allclose(found.energies, b.T @ b)
-    assert np.allclose(found.moments, (a.T @ b).reshape(9, 3, 3).transpose(1, 0, 2))
+    assert np.allclose(found.moments, (a.T @ b).reshape(3, 9, 3))
 
 
 def test_the_first_fit_is_that_of_three_photos_of_one_channel_each(rng):
