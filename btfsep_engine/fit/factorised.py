@@ -180,11 +180,12 @@ class Factorised:
 
     def products(self, b) -> Measured:
         """The products of b (p, 3), at unit response, with the basis images."""
-        moments, strip = np.zeros((3, 3 * self.terms)), np.empty((STRIP, 3, self.terms))
+        moments = np.zeros((3, self.terms, 3))
         for i in range(0, self.pixels, STRIP):
-            part = b[i : i + STRIP]
-            moments += part.T @ self._scaled(slice(i, i + STRIP), strip[: len(part)])
-        moments = moments.reshape(3, 3, self.terms).transpose(1, 2, 0)
+            for c in range(3):
+                rows = self.basis[i : i + STRIP, :, c].astype(np.float64)
+                moments[c] += rows.T @ b[i : i + STRIP]
+        moments *= self.scale.reshape(3, self.terms, 1)
         level = float(np.trace(moments[:, 0]) / self.prior.deviation[0] / (3 * self.pixels))
         return Measured(level, b.T @ b, moments, self.gather @ b)
 

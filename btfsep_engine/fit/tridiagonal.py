@@ -37,7 +37,8 @@ class Tridiagonal:
         """Q^T times a vector for "T", Q times it for "N"."""
         out = np.array(vector, np.float64)
         if len(out) > 1:
-            turned, _, _ = lapack.dormqr("L", how, self._reflectors, self._tau, out[1:, None], lwork=64 * len(out))
+            # one reflector after the other (lwork=1): for one vector, blocks of them take four times as long
+            turned, _, _ = lapack.dormqr("L", how, self._reflectors, self._tau, out[1:, None], lwork=1)
             out[1:] = turned[:, 0]
         return out
 

@@ -209,13 +209,16 @@ def _connected(z, inverse, valid, axis: int, focal: float):
 
 
 def _noise(z, inverse, across, down, focal: float) -> float:
-    """Noise of the depth in pixel footprints, from second differences: the shape has next to none of them."""
+    """Noise of the depth in pixel footprints, from fourth differences: a shape has next to none of them.
+
+    (Of second ones a ball of a dozen pixels has as much as noise of a twentieth of a footprint.)
+    """
     found = []
     for a, n, links in ((inverse, z, across), (inverse.T, z.T, down.T)):
-        both = links[:, 1:] & links[:, :-1]
-        found.append((np.abs(a[:, 2:] - 2 * a[:, 1:-1] + a[:, :-2]) * n[:, 1:-1])[both])
+        joined = links[:, 3:] & links[:, 2:-1] & links[:, 1:-2] & links[:, :-3]
+        found.append((np.abs(np.diff(a, 4, axis=1)) * n[:, 2:-2])[joined])
     found = np.concatenate(found)
-    return float(np.median(found) / (0.6745 * np.sqrt(6)) * focal) if len(found) else 0.0
+    return float(np.median(found) / (0.6745 * np.sqrt(70)) * focal) if len(found) else 0.0
 
 
 def _smoothed(inverse, valid, across, down, *, passes: int):
