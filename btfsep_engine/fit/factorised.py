@@ -18,7 +18,7 @@ from btfsep_engine.fit.whitening import whitening
 CHANNELS = ("red", "green", "blue")
 FEWEST_BLOCKS = 12  # from which on misfit that pixels share is told from misfit of their own
 CHUNK = 1 << 14  # pixels converted at once: the basis images of a large photo are never copied whole
-STRIP = 500  # pixels whose rows stay in the cache while a photograph is multiplied with them
+STRIP = 500  # pixels whose rows stay in the cache while they are multiplied
 
 
 @dataclass(frozen=True)
