@@ -142,7 +142,7 @@ class Factorised:
         """F^T A^T N^-1 b: (3 terms,)."""
         return self.whitening.moments(self._weighted(measured, c)[1], inverse)
 
-    def channels_alone(self, measured: Measured, c: float) -> np.ndarray:
+    def moments_alone(self, measured: Measured, c: float) -> np.ndarray:
         """The moments as if no channel knew of another, (3, terms): see `grams_alone`."""
         return np.einsum("cmc->cm", self._weighted(measured, c)[1]) * self.whitening.alone
 

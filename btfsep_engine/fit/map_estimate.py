@@ -27,13 +27,12 @@ Misfit by a wrong material or shape is also correlated from block to block, and 
 away, so that residuals do not show it. Two measures against that. Evidence counts less than its number: the
 likelihood of n pixels is taken to the power 1 / (1 + n / `EVIDENCE`), so that it never counts as more than that many
 (Miller and Dunson 2019, "coarsened" posteriors: a model that is nearly right). And the spread has a second part, the
-misfit that neighbouring pixels share: its relative size times the coefficients' size in each row. A
-model that misses blocks of the image by a tenth is not trusted to know its response to any coefficient better than to
-a tenth; what pixels miss each for itself (texture that the mean ABRDF does not have) is noise, which the posterior
-has already. A third part is
-`REFLECTANCE_SPREAD`, one factor on all: a piece of a material is lighter or darker than the one that was measured.
-All were chosen on photographs by Cycles with two of four lights; the figures stated in docs/method.md are of the
-other two.
+misfit that neighbouring pixels share: its relative size times the coefficients' size in each row. A model that misses
+blocks of the image by a tenth is not trusted to know its response to any coefficient better than to a tenth; what
+pixels miss each for itself (texture that the mean ABRDF does not have) is noise, which the posterior has already. A
+third part is `REFLECTANCE_SPREAD`, one factor on all: a piece of a material is lighter or darker than the one that was
+measured. All were chosen on photographs by Cycles under four lights; docs/fit.md has the figures under three others,
+too.
 """
 
 import math
@@ -151,7 +150,7 @@ class LightSolver:
         how channels and blocks go together, and where the search for q begins.
         """
         f, c = self.factorised, FIRST_CORRELATION
-        moments = f.channels_alone(measured, c)
+        moments = f.moments_alone(measured, c)
         if self._first is None:
             reduced = self._first = TridiagonalBlocks(f.grams_alone(c), moments)
         else:

@@ -173,7 +173,7 @@ def test_the_first_fit_is_that_of_three_photos_of_one_channel_each(rng):
         signal = prior.covariance().reshape(3, 9, 3, 9)[k, :, k]
         factor = np.diag(np.sqrt(np.diag(signal)))
         assert np.allclose(f.grams_alone(c)[k], factor @ a.T @ noise @ a @ factor)
-        assert np.allclose(f.channels_alone(measured, c)[k], factor @ a.T @ noise @ (b[:, k] / f.response[k]))
+        assert np.allclose(f.moments_alone(measured, c)[k], factor @ a.T @ noise @ (b[:, k] / f.response[k]))
         q = np.exp(near) / solver.coarsening
         light = q * signal @ a.T @ np.linalg.solve(np.linalg.inv(noise) + q * a @ signal @ a.T, b[:, k] / f.response[k])
         assert np.allclose(x[:, k], light, rtol=1e-7, atol=1e-9)
