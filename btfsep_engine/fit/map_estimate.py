@@ -20,7 +20,7 @@ blocks' sums. With P = F F^T, F^T A^T N^-1 A F = U diag(d) U^T, h = U^T F^T A^T 
 
 so for a given c one tridiagonal reduction (`fit.tridiagonal`) serves every q, and v is closed form: the search is
 one-dimensional, over q. c is what a one-way analysis of variance finds in the residuals of the first fit (the evidence
-for each of a few c chooses no better, and takes longer than all the rest). The effective degrees of freedom are
+for each of a few c chooses no better, and takes a third of the time). The effective degrees of freedom are
 tr((G + P^-1)^-1 G) = sum q d / (1 + q d). What depends on A alone is kept (`fit.factorised`).
 
 Misfit by a wrong material or shape is also correlated from block to block, and many orders of light can explain it
