@@ -1,11 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The basis images A of the fit, by the kernel or by the reference."""
+"""The basis images A of the fit, by the kernel or by the reference.
+
+How many light directions: on photographs by Cycles estimates with the usual count err as little as with any larger
+number (docs/sampling.md), because what the model misses of a photo is several times as large as what they miss. Only a
+photo that the light explains to a few per cent asks for more.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.quadrature import enough_directions
+from btfsep_engine.render.quadrature import enough_directions, usual_count
 from btfsep_engine.render.reference import Reference
+
+CLEAN = 0.1  # misfit, relative: below, the error by the usual count could show
+TOLERATED = 0.3  # of the misfit, then
 
 
 def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[list, dict]:
@@ -36,9 +46,11 @@ def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[
 
 
 def shared_directions(scene, materials, chosen, settings: Settings) -> tuple[int, float | None]:
-    """How many light directions, and their estimated error (None where the number was asked for)."""
+    """How many light directions, and their estimated error (None where that was not looked at)."""
     if settings.directions != "auto":
         return settings.directions, None
+    if settings.tolerance is None:
+        return max(map(usual_count, materials)), None
     found = [
         enough_directions(
             lambda p, n: scene.transport(p, directions=n),
@@ -50,6 +62,26 @@ def shared_directions(scene, materials, chosen, settings: Settings) -> tuple[int
         for points, material in zip(chosen, materials, strict=True)
     ]
     return max(n for n, _ in found), max(e for _, e in found)
+
+
+def finer(problems, materials, settings: Settings, residual: float) -> Settings | None:
+    """Settings with more light directions, where a photo is so clean that those which were taken could show; or None.
+
+    Parameters
+    ----------
+    problems : list of pipeline.problem.Problem, as they were fitted
+    materials : for each of them the Material of each object, as in the fit
+    residual : of the fit, relative
+    """
+    if settings.transport == "reference" or settings.directions != "auto":
+        return None
+    if settings.tolerance is not None or residual > CLEAN:
+        return None
+    strict = replace(settings, tolerance=TOLERATED * residual)
+    wanted = max(
+        shared_directions(p.scene, used, p.points, strict)[0] for p, used in zip(problems, materials, strict=True)
+    )
+    return replace(settings, directions=wanted) if wanted > max(p.transport["directions"] for p in problems) else None
 
 
 def _by_reference(scene, materials, chosen, lights, settings):

@@ -16,6 +16,7 @@ from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.pipeline.basis import finer
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
@@ -26,14 +27,12 @@ from btfsep_engine.pipeline.doubts import (
 from btfsep_engine.pipeline.interreflection import open_share, own_light
 from btfsep_engine.pipeline.key_light import key_light
 from btfsep_engine.pipeline.modelling import (
-    TOLERATED,
     all_chosen_points,
     all_with_own_light,
     appearance,
     chosen_fit,
     posed,
     textures_to_try,
-    too_coarse,
 )
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
@@ -129,10 +128,12 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     asked = settings
     with reporter.stage("fit"):
         settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
-    if too_coarse(problems, fit):
-        finer = replace(asked, tolerance=TOLERATED * fit.residual)
-        with reporter.stage("transport"):
-            problems, rich = posed(scenes, materials, chosen, finer, both=tried)
+    with reporter.stage("transport"):
+        used = [[appearance(m.material, settings) for m in found] for found in materials]
+        more = finer(problems, used, asked, fit.residual)
+        if more is not None:
+            problems, rich = posed(scenes, materials, chosen, more, both=tried)
+    if more is not None:
         with reporter.stage("fit"):
             settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
     if decides:

@@ -22,7 +22,7 @@ from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
 from btfsep_engine.render.surface import SurfacePoints
 
-WORTH = 0.5  # stated standard deviations: a bias of that size is not in them; to model it costs a tenth of a second
+WORTH = 0.25  # stated standard deviations: a bias of that size is not in them; to model it costs a tenth of a second
 NEGLIGIBLE = 0.003  # of the sky's light: below any misfit
 PROBE = 400  # pixels of an object at which the scene's own light is found
 MOST = 0.8  # of the photo: if other surfaces would add so much, they are modelled without a trial

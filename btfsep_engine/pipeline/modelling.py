@@ -7,7 +7,6 @@ import numpy as np
 
 from btfsep_engine.btf.model import Material, Tabulated
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.fit.map_estimate import reported_up_to
 from btfsep_engine.pipeline.interreflection import with_own_light
 from btfsep_engine.pipeline.model_choice import (
@@ -21,12 +20,8 @@ from btfsep_engine.pipeline.real_photo import as_real_photos, scale_words, warn_
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
-from btfsep_engine.render.quadrature import MOST
 from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
 from btfsep_engine.render.surface import SurfacePoints
-
-COARSE = 0.7  # of the misfit: error by few directions that is not one of many any more
-TOLERATED = 0.3  # of the misfit: what is asked for then
 
 
 def appearance(material: Material, settings: Settings) -> Material:
@@ -115,12 +110,6 @@ def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
             )
     rich = all_with(textured) if both else None
     return as_real_photos(problems, rich, materials, settings) if settings.estimator == "map" else (problems, rich)
-
-
-def too_coarse(problems, fit: Fit) -> bool:
-    """Whether a clean photo asks for more directions than were taken to be enough before its misfit was known."""
-    errors = [(p.transport.get("direction_error") or 0.0, p.transport.get("directions", MOST)) for p in problems]
-    return any(error > COARSE * fit.residual and count < MOST for error, count in errors)
 
 
 def all_with_own_light(problems, materials, settings: Settings) -> list:

@@ -31,7 +31,8 @@ class Settings:
         (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
     directions : light directions per pixel, or "auto": as many as ``tolerance`` asks for
-    tolerance : relative error that the number of directions may make in the basis images
+    tolerance : relative error that the number of directions may make in the basis images; None: as many as cost little,
+        and more for a photo that the light explains so well that it could show (pipeline/basis.py)
     bounces : reflections followed; 1 is light that comes straight from outside; "auto": more than that only where it
         changes the estimate by more than its stated uncertainty (pipeline/interreflection.py)
     surface_samples : points on the scene's surfaces between which reflected light is followed
@@ -55,7 +56,7 @@ class Settings:
     appearance: str = "auto"
     pixels: int = 3000
     directions: int | str = "auto"
-    tolerance: float = 0.02
+    tolerance: float | None = None
     bounces: int | str = "auto"
     surface_samples: int = 6000
     transport: str = "kernel"
@@ -89,11 +90,11 @@ class Settings:
 
 
 PRESETS = {
-    "draft": Settings("draft", pixels=1000, tolerance=0.05, training_pixels=8000, training_directions=128),
+    "draft": Settings("draft", pixels=1000, training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
         "accurate",
-        pixels=8000,
+        pixels=5000,
         tolerance=0.007,
         surface_samples=20000,
         training_directions=512,
