@@ -12,19 +12,26 @@ Far above the limit this is p, which leaves the channel free. Pixels of which ev
 so that they do not count as evidence; pixels with a channel that is not clipped are used from the start.
 
 With nothing clipped this is the plain fit.
+
+What is clipped is what the brightest light falls on. The pixels that are left look as if the light were more even than
+it is, and a prior whose scale they choose states too little: of photographs by Cycles with 30 and 60 % of the pixels
+clipped, 95 % intervals held 86 and 73 % of the coefficients (under three lights that nothing was chosen on: 72 and 58).
+`with_hidden_light` adds what clipping hides, a part of natural light's variance that grows with the clipped share: then
+they hold 94 and 90 % (85 and 81).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.least_squares import Fit
-from btfsep_engine.fit.map_estimate import LightSolver
+from btfsep_engine.fit.map_estimate import DETERMINED, LightSolver
 
 ROUNDS = 8
 SETTLED = 2e-3  # relative change of the coefficients
+HIDDEN = 0.65  # of natural light's deviation: what stays unknown where every channel is clipped
 FARTHEST = 6.0  # misfits below the limit: a pixel that is farther below is wrong in another way
 
 
@@ -102,6 +109,33 @@ def solve_censored(
             break
         active = now
     return CensoredFit(fit, solver, used, b, active, count)
+
+
+def with_hidden_light(fit: Fit, share: float, prior) -> Fit:
+    """The fit with the uncertainty that clipping leaves.
+
+    Parameters
+    ----------
+    fit : Fit of a light with a prior; share : of the channels of the object's pixels that are clipped, 0 to 1
+    prior : light.natural.NaturalPrior of the fit
+
+    Returns
+    -------
+    Fit with wider ``stddev``, ``covariance``, and fewer of its coefficients ``determined``
+    """
+    if share <= 0:
+        return fit
+    relative = HIDDEN * np.sqrt(share)  # to natural light of the fit's level
+    added = relative * fit.coefficients[0].mean() * prior.deviation[:, None]
+    terms, few = len(fit.coefficients), len(fit.covariance) // 3
+    known = fit.all_determined & (np.square(relative / fit.prior_scale) < DETERMINED)
+    return replace(
+        fit,
+        stddev=np.hypot(fit.stddev, added[:terms]),
+        covariance=fit.covariance + np.diag(np.broadcast_to(added[:few] ** 2, (few, 3)).ravel()),
+        determined=known[:terms],
+        all_determined=known,
+    )
 
 
 def _hazard(z) -> np.ndarray:

@@ -9,13 +9,14 @@ import numpy as np
 
 from btfsep_engine import report, sh
 from btfsep_engine.btf.model import Material
+from btfsep_engine.fit.censored import with_hidden_light
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.least_squares import Fit, determined
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.light.natural import natural_amplitude, natural_prior
 from btfsep_engine.pipeline.basis import finer
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
@@ -161,6 +162,10 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         key, choice["key_light"] = key_light(problems, used, fit, solver, exposures, settings)
     if key is not None:
         fit, solver = key.fit, key.solver
+    if settings.estimator == "map":
+        # what one photograph clips, another of the same light may show
+        hidden = min(p.clipped for p in problems)
+        fit = with_hidden_light(fit, hidden, natural_prior(settings.fit_order))
     measured, photos = [p.radiance() for p in problems], []
     shown = predictions(problems, fit, key)
     for problem, b, exposure, image in zip(problems, measured, exposures, shown, strict=True):

@@ -25,6 +25,7 @@ class Problem:
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
+    clipped : share of the channels of the chosen points that are saturated, 0 to 1
     between : as ``basis``, the part of it that surfaces send each other, where that was added to the rest; or None
     """
 
@@ -35,6 +36,7 @@ class Problem:
     measured: np.ndarray | None = None
     scales: np.ndarray | None = None
     left_out: int | None = None
+    clipped: float = 0.0
     between: list | None = None
 
     @property

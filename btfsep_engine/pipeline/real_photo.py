@@ -78,7 +78,8 @@ def as_real_photos(problems, rich, materials, settings):
             for part in problem.by_object(used):  # views into it: no object may vanish from the fit
                 if not part.any():
                     part[:] = True
-        one = replace(problem, measured=measured).kept(used)
+        problem = replace(problem, measured=measured, clipped=float(clipped.mean()))
+        one = problem.kept(used)
         if settings.robust:
             out_of_line = outliers(
                 one.all_basis,
@@ -90,9 +91,12 @@ def as_real_photos(problems, rich, materials, settings):
             for part in one.by_object(out_of_line):  # views into it: no object may vanish from the fit
                 part &= not part.all()
             used[used] = ~out_of_line
-            one = replace(problem, measured=measured, left_out=int(out_of_line.sum())).kept(used)
+            one = replace(problem, left_out=int(out_of_line.sum())).kept(used)
         scales = scales_of(one, [not m.given for m in found], settings)
-        both = [one] if rich is None else [one, replace(rich[i], measured=measured, left_out=one.left_out).kept(used)]
+        both = [one]
+        if rich is not None:
+            same = replace(rich[i], measured=measured, clipped=problem.clipped, left_out=one.left_out)
+            both.append(same.kept(used))
         out.append([_divided(p, scales) for p in both])
     return [each[0] for each in out], None if rich is None else [each[1] for each in out]
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.censored import with_hidden_light
 from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.map_estimate import LightSolver
 from btfsep_engine.job.load import load_job, read_photo
@@ -89,7 +90,10 @@ class FrameSolver:
         usable = photo.usable[rows, columns]
         lost = int((~usable).sum())
         solver = self._solver(usable) if lost else self.solver
-        return solver.solve(photo.radiance[rows[usable], columns[usable]]), lost
+        fit = solver.solve(photo.radiance[rows[usable], columns[usable]])
+        if photo.clipped is not None:
+            fit = with_hidden_light(fit, float(photo.clipped[rows, columns].mean()), self.prior)
+        return fit, lost
 
 
 def run_sequence(

@@ -4,7 +4,7 @@
 import cv2
 import numpy as np
 
-from btfsep_engine.fit.censored import solve_censored
+from btfsep_engine.fit.censored import solve_censored, with_hidden_light
 from btfsep_engine.fit.compare import relative_l2
 from btfsep_engine.fit.map_estimate import solve_map
 from btfsep_engine.fit.robust import outliers, solve_robust
@@ -19,6 +19,7 @@ EDGES = (1, 2, 3, 4, 6)  # pixels in from the silhouette, from which on they are
 SPECKS = (0.01, 0.02, 0.05, 0.1, 0.2)  # share of the object that something else covers
 SHADES = (1.1, 1.25, 1.5, 2.0, 3.0)  # red of a piece over the library's, and blue of the library's over the piece's
 BRIGHT = 0.8  # of the 99.5th percentile of the object in a well exposed 8-bit photo
+NORMAL_95 = 1.96
 INNER = 2  # pixels nearer to the silhouette are left out, as the engine does
 
 
@@ -68,6 +69,23 @@ def clipping(view, light, rng) -> dict:
                 partly=partly,
             )
             rows[name].append(error(found.fit, truth))
+    return rows
+
+
+def stated(view, light, rng) -> dict:
+    """Shares of the true coefficients in the 95 % intervals, photographs clipped as in :func:`clipping`."""
+    truth, keep, prior = view.truths[light][:9], inner(view), natural_prior(9)
+    b = view.at(view.photos[light]).astype(np.float64)[keep]
+    rows: dict = {"judged by what is left": [], "with what clipping hides": []}
+    for share in (0, *CLIPPED):
+        limit = float(np.quantile(b.max(1), 1 - share)) if share else np.inf
+        clipped = b >= limit
+        found = solve_censored(
+            view.basis["mean"][keep], np.minimum(b, limit), clipped, blocks=view.blocks[keep], prior=prior, order=ORDER
+        )
+        wider = with_hidden_light(found.fit, float(clipped.mean()), prior)
+        for row, fit in zip(rows.values(), (found.fit, wider), strict=True):
+            row.append(float((np.abs(fit.coefficients[:9] - truth) < NORMAL_95 * fit.stddev[:9]).mean()))
     return rows
 
 
@@ -191,6 +209,7 @@ def shades(view, other, light, rng) -> dict:
 
 AXES = {
     "clipping": clipping,
+    "stated": stated,
     "coding": coding,
     "edges": edges,
     "specks": specks,
@@ -198,8 +217,10 @@ AXES = {
     "shades": shades,
 }
 PAIRS = ("shades",)  # of two objects
+SHARES = ("stated",)  # no errors: means of shares, the least in brackets
 SEVERITIES = {
     "clipping": ("none", *(f"{100 * v:.0f} %" for v in CLIPPED)),
+    "stated": ("none", *(f"{100 * v:.0f} %" for v in CLIPPED)),
     "coding": ("linear", *CODED),
     "edges": tuple(f"{v}" for v in EDGES),
     "specks": ("none", *(f"{100 * v:.0f} %" for v in SPECKS)),
@@ -208,6 +229,7 @@ SEVERITIES = {
 }
 TITLES = {
     "clipping": "Clipped: share of the object's pixels",
+    "stated": "Clipped, too: true coefficients in the 95 % intervals",
     "coding": "How the photo is stored",
     "edges": "Pixels used from so many pixels inside the outline",
     "specks": "Covered by other things: share of the object",

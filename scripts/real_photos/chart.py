@@ -5,7 +5,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from scripts.real_photos.axes import SEVERITIES, TITLES
+from scripts.real_photos.axes import SEVERITIES, SHARES, TITLES
 
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")  # Okabe and Ito's
 
@@ -16,7 +16,8 @@ def draw(path, answers: dict) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3).ravel()
     figure.suptitle("Median relative error of the light up to order 2", fontsize=13)
-    for ax, (name, rows) in zip(axes, answers.items(), strict=True):
+    errors = {name: rows for name, rows in answers.items() if name not in SHARES}
+    for ax, (name, rows) in zip(axes, errors.items(), strict=True):
         x = np.arange(len(SEVERITIES[name]))
         for colour, estimator in zip(COLOURS, rows[0], strict=False):
             y = np.median([row[estimator] for row in rows], 0)

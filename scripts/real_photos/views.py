@@ -64,12 +64,12 @@ class View:
         return image[self.pixels[:, 0], self.pixels[:, 1]]
 
 
-def chosen_folders(photos: Path, every: bool) -> dict:
-    """{(object, material): {light: folder}}: two materials of each object, or all."""
+def chosen_folders(photos: Path, lights, every: bool) -> dict:
+    """{(object, material): {light: folder}} under any of ``lights``: two materials of each object, or all."""
     found: dict = {}
     for folder in sorted(p for p in Path(photos).iterdir() if (p / "job.json").exists()):
         name, material, light = folder.name.split("_")
-        if light in LIGHTS and material in MATERIALS:
+        if light in lights and material in MATERIALS:
             found.setdefault(name, {}).setdefault(material, {})[light] = folder
     return {
         (name, material): lights

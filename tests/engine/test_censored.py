@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.censored import solve_censored
+from btfsep_engine.fit.censored import HIDDEN, solve_censored, with_hidden_light
 from btfsep_engine.fit.map_estimate import solve_map
 from btfsep_engine.light.natural import natural_prior
 from tests.engine.half_sphere import ORDER, half_sphere, off, side_light
@@ -78,3 +78,23 @@ def test_a_clipped_channel_enters_as_what_is_expected_of_it(photographed):
     p, c = np.argwhere(clipped & (np.abs(predicted - limit) < spread))[0]
     draws = np.random.default_rng(1).normal(predicted[p, c], spread[c], 400_000)
     assert found.radiance[p, c] == pytest.approx(draws[draws >= limit].mean(), rel=0.01)
+
+
+def test_clipping_widens_what_is_stated_by_a_part_of_natural_light(photographed):
+    basis, b, blocks, prior, _ = photographed
+    limit = np.quantile(b.max(1), 0.4)
+    clipped = b >= limit
+    found = solve_censored(basis, np.minimum(b, limit), clipped, blocks=blocks, prior=prior, order=ORDER).fit
+    share = float(clipped.mean())
+    wider = with_hidden_light(found, share, prior)
+    natural = found.coefficients[0].mean() * prior.deviation
+    grown = wider.stddev**2 - found.stddev**2
+    np.testing.assert_allclose(grown, np.broadcast_to((HIDDEN**2 * share * natural**2)[:, None], grown.shape))
+    few = len(found.covariance) // 3
+    np.testing.assert_allclose(
+        (wider.covariance - found.covariance), np.diag(np.repeat(HIDDEN**2 * share * natural[:few] ** 2, 3)), atol=1e-12
+    )
+    assert np.linalg.eigvalsh(wider.covariance).min() > 0
+    assert wider.determined.sum() < found.determined.sum() and not (wider.determined & ~found.determined).any()
+    np.testing.assert_array_equal(wider.coefficients, found.coefficients)
+    assert with_hidden_light(found, 0.0, prior) is found

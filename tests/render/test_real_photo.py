@@ -7,9 +7,11 @@ import numpy as np
 import trimesh
 
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.fit.censored import with_hidden_light
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.estimation import ObjectMaterial
+from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate
 from btfsep_engine.pipeline.modelling import all_chosen_points, chosen_fit, posed
 from btfsep_engine.pipeline.real_photo import PHOTOS_OWN
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -85,6 +87,21 @@ def test_a_clipped_photo_gives_the_light_of_the_whole_one_as_nearly_as_can_be():
     as_if_measured, _, _ = light_of(scene, given)
     assert off(fit) < off(without) and off(fit) < 0.95 * off(as_if_measured)
     assert problem.radiance().max() > blind.radiance.max()
+
+
+def test_what_clipping_hides_is_in_the_stated_uncertainty():
+    scene = scene_of_balls([(0, 0, 0)], limit=0.5)
+
+    class Library:
+        def load(self, name):
+            return GREY
+
+    found = estimate(scene, Library(), SETTINGS, material="test/grey")
+    judged_by_the_rest, problem, _ = light_of(scene, [ObjectMaterial("test/grey", GREY, True)])
+    assert 0.1 < problem.clipped < 0.8
+    wider = with_hidden_light(judged_by_the_rest, problem.clipped, natural_prior(9))
+    np.testing.assert_allclose(found.lighting.stddev, wider.stddev, rtol=1e-6)
+    assert (found.lighting.stddev[1:] > 1.5 * judged_by_the_rest.stddev[1:]).all()
 
 
 def test_a_recognised_object_of_another_dye_does_not_colour_the_light():
