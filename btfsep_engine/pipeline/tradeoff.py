@@ -24,8 +24,10 @@ TIMED = ("transport", "fit", "key light")
 THOROUGH = {"pixels": 32_000, "directions": 2048, "bounces": 8}
 ONE_BY_ONE = {  # from "balanced", one at a time
     "pixels": [{"pixels": n} for n in (250, 1000, 16_000)],
-    "directions": [{"directions": n} for n in (64, 128, 256, 1024)],
+    "directions": [{"directions": n} for n in (64, 256, 1024)],
     "bounces": [{"bounces": n} for n in (1, 2, 8)],
+    "surface samples": [{"surface_samples": n} for n in (1500, 20_000)],
+    "key light": [{"key_light": "never"}],
     "appearance": [{"appearance": "textured"}],
     "components": [{"appearance": "textured", "components": n} for n in (1, 4, 8)],
     "estimator, order": [{"estimator": "least-squares", "order": n} for n in (2, 3, 4)],
@@ -82,11 +84,21 @@ def variations(*, quick: bool = False) -> list[tuple[str, str, dict]]:
 
 
 def _words(key, value) -> str:
-    return f"order {value}" if key == "order" else str(value) if isinstance(value, str) else f"{value:,} {key}"
+    if key in ("order", "key_light"):
+        return f"{key} {value}".replace("_", " ")
+    return str(value) if isinstance(value, str) else f"{value:,} {key}".replace("_", " ")
 
 
 def measure(
-    scene, library, *, material=None, truth=None, repeats: int = 3, paper_samples: int = 64, quick: bool = False
+    scene,
+    library,
+    *,
+    material=None,
+    truth=None,
+    repeats: int = 3,
+    warm_up: bool = True,
+    paper_samples: int = 64,
+    quick: bool = False,
 ) -> dict:
     """Estimates a job in every way of :func:`variations`.
 
@@ -96,7 +108,8 @@ def measure(
     library : btf.library.Library
     material : a name for all objects, instead of recognition
     truth : (terms, 3) float, the true light, orders 2 or more, or None
-    repeats : timed runs of each way; one more warms up
+    repeats : timed runs of each way; with ``warm_up`` one more before them
+    warm_up : False where this process has compiled everything already, for a job like this one
     paper_samples : paths per pixel and basis light of the paper's way, whose error they limit; 0 leaves it out
     quick : fewer points
 
@@ -111,18 +124,19 @@ def measure(
     scene.job = replace(scene.job, objects=tuple(given))
     reference = truth
     if truth is None:
-        reference, _ = _timed(scene, Fixed(materials, None), choose("accurate", **THOROUGH), repeats=0)
+        reference, _ = _timed(scene, Fixed(materials, None), choose("accurate", **THOROUGH))
     ways = [(*way, repeats) for way in variations(quick=quick)]
     if paper_samples:
         changes = {"preset": "paper", "transport": "reference", "samples": paper_samples}
         # path tracing is as fast the first time, to a few per cent, and takes minutes
         ways.append(("paper", f"paper, path traced, {paper_samples} samples", changes, 0))
+    _timed(scene, Fixed(materials, None), choose())  # what is made once for a scene is no way's own
     points = []
     for number, (axis, name, changes, count) in enumerate(ways):
         reporter.progress("chart", number / len(ways), name)
         changes = dict(changes)
         cut = changes.pop("components", None)
-        x, seconds = _timed(scene, Fixed(materials, cut), choose(**changes), repeats=count)
+        x, seconds = _timed(scene, Fixed(materials, cut), choose(**changes), repeats=count, warm_up=warm_up)
         points.append((axis, name, seconds, *_errors(x, reference), x))
     scene.reporter = reporter
     reporter.progress("chart", 1.0)
@@ -135,14 +149,14 @@ def measure(
     }
 
 
-def _timed(scene, library, settings: Settings, *, repeats: int):
+def _timed(scene, library, settings: Settings, *, repeats: int = 0, warm_up: bool = True):
     """Coefficients and the median seconds of the warm runs (of the only run where ``repeats`` is 0)."""
-    seconds = []
-    for _ in range(repeats + 1):
+    seconds, cold = [], bool(repeats and warm_up)
+    for _ in range(max(repeats, 1) + cold):
         scene.reporter = Reporter()
         found = estimate(scene, library, settings)
         seconds.append(sum(scene.reporter.seconds.get(stage, 0.0) for stage in TIMED))
-    return found.lighting.coefficients, statistics.median(seconds[1:] or seconds)
+    return found.lighting.coefficients, statistics.median(seconds[cold:])
 
 
 def _errors(x, reference):

@@ -17,7 +17,7 @@ from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.render.sampling import spread
 
 FEWEST, MOST = 64, 1024
-MATTE, GLOSSY = 256, 512
+MATTE, GLOSSY = 128, 256
 PEAK = 3.0  # of a view's brightest light over its mean: 1.7 is matte; from about here on highlights show
 PROBE = 150  # pixels of an object
 
@@ -59,8 +59,8 @@ def enough_directions(transport_of, points, material, *, order: int, tolerance: 
 def usual_count(material) -> int:
     """The number of directions for a photo with a real photo's misfit: `MATTE`, or `GLOSSY` for highlights.
 
-    A matter of the material's table alone: no ray is traced. The basis images' error with so many is about 0.03, and
-    0.06 of the glossiest (docs/sampling.md); the misfit of photographs is 0.15 to 0.35.
+    A matter of the material's table alone: no ray is traced. The basis images' error with so many is about 0.07
+    (docs/sampling.md); what the model misses of photographs of textured materials is 0.15 to 0.35.
     """
     if not isinstance(material, Tabulated):
         return MATTE
