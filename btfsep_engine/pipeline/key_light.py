@@ -129,7 +129,7 @@ def key_light(problems, materials, fit: Fit, solver, exposures, settings) -> tup
     settings : Settings
     """
     if settings.key_light == "never":
-        return None, "not looked for: --key-light never"
+        return None, "not looked for: --key-light never, or the preset draft"
     if settings.estimator != "map" or any(p.transport["by"] != "kernel" for p in problems):
         return None, "not looked for: that needs --estimator map and --transport kernel"
     basis, blocks = stacked(problems)

@@ -90,7 +90,7 @@ class Settings:
 
 
 PRESETS = {
-    "draft": Settings("draft", pixels=1000, training_pixels=8000, training_directions=128),
+    "draft": Settings("draft", pixels=2000, key_light="never", training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
         "accurate",

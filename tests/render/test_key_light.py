@@ -34,7 +34,7 @@ GREY = Lambertian("test/grey", np.full(3, 0.3))
 SILVER = Mirror("test/silver", np.ones(3))
 FROM = np.array([0.5, 0.2, 0.84]) / np.linalg.norm([0.5, 0.2, 0.84])
 LOW, HIGH = np.array([0.3, -0.4, 1.2]), np.array([0.9, 0.5, 1.25])  # a plate's corners
-SETTINGS = choose("draft", bounces=1, directions=512)
+SETTINGS = choose("draft", pixels=1000, key_light="auto", bounces=1, directions=512)
 
 
 def plate():
