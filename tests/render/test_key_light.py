@@ -206,7 +206,7 @@ def test_the_estimate_has_it_with_several_photos_and_the_light_between_surfaces(
     x = found.lighting.coefficients
     assert relative_l2(x[:9], truth[:9])["relative_l2_free_scale"] < 0.06
     never = estimate(scene, Library(), replace(settings, key_light="never"), material="grey", others=[brighter])
-    assert never.lighting.sun is None and never.choice["key_light"] == "not looked for: --key-light never"
+    assert never.lighting.sun is None and never.choice["key_light"].startswith("not looked for")
     assert never.photos[0].residuals[0] > 1.3 * found.photos[0].residuals[0]
 
 
