@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.quadrature import enough_directions, usual_count
+from btfsep_engine.render.quadrature import USUAL, enough_directions
 from btfsep_engine.render.reference import Reference
 
 CLEAN = 0.1  # misfit, relative: below, the error by the usual count could show
@@ -50,7 +50,7 @@ def shared_directions(scene, materials, chosen, settings: Settings) -> tuple[int
     if settings.directions != "auto":
         return settings.directions, None
     if settings.tolerance is None:
-        return max(map(usual_count, materials)), None
+        return USUAL, None
     found = [
         enough_directions(
             lambda p, n: scene.transport(p, directions=n),

@@ -10,7 +10,7 @@ ESTIMATORS = ("map", "least-squares")
 TRANSPORTS = ("kernel", "reference")
 LIGHTS = ("positive", "free")
 IMAGE_DIRECTIONS = 512
-MODELLED_BOUNCES = 4  # where interreflections are modelled and no number was asked for
+MODELLED_BOUNCES = 8  # where interreflections are modelled and no number was asked for
 
 
 @dataclass(frozen=True)

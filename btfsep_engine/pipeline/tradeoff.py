@@ -24,7 +24,7 @@ TIMED = ("transport", "fit", "key light")
 THOROUGH = {"pixels": 32_000, "directions": 2048, "bounces": 8}
 ONE_BY_ONE = {  # from "balanced", one at a time
     "pixels": [{"pixels": n} for n in (250, 1000, 16_000)],
-    "directions": [{"directions": n} for n in (64, 256, 1024)],
+    "directions": [{"directions": n} for n in (64, 128, 1024)],
     "bounces": [{"bounces": n} for n in (1, 2, 8)],
     "surface samples": [{"surface_samples": n} for n in (1500, 20_000)],
     "key light": [{"key_light": "never"}],

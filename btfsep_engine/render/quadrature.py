@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How many shared light directions the transport needs: as few as the wanted error allows.
 
-Without a wanted error, as many as no real photo has shown to be too few (`usual_count`). With one, the number is
-doubled, on a few of the pixels, until twice as many directions change their basis images by less than the tolerance.
+Without a wanted error, `USUAL`, as many as no photo of textured or glossy things has shown to be too few. With one, the
+number is doubled, on a few of the pixels, until twice as many change their basis images by less than the tolerance.
 The change is measured as the relative root mean square of an image under natural light: each basis light counts by its
 part in natural light. The error falls so fast (about as 1 / n for shadows, faster without) that the change is the error
 of the coarser set (docs/sampling.md compares the two). Gloss needs more than matte without being told: a lobe that
@@ -11,14 +11,13 @@ falls between two directions shows as a change.
 
 import numpy as np
 
-from btfsep_engine.btf.model import Mirror, Tabulated
+from btfsep_engine.btf.model import Mirror
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.render.sampling import spread
 
 FEWEST, MOST = 64, 1024
-MATTE, GLOSSY = 128, 256
-PEAK = 3.0  # of a view's brightest light over its mean: 1.7 is matte; from about here on highlights show
+USUAL = 256  # with 64 and 128 estimates err 7 and 1 % more, with 1,024 as much (docs/speed-accuracy.md)
 PROBE = 150  # pixels of an object
 
 
@@ -54,15 +53,3 @@ def enough_directions(transport_of, points, material, *, order: int, tolerance: 
         if error < tolerance or count >= MOST:
             return count, error
         count, coarse = 2 * count, fine
-
-
-def usual_count(material) -> int:
-    """The number of directions for a photo with a real photo's misfit: `MATTE`, or `GLOSSY` for highlights.
-
-    A matter of the material's table alone: no ray is traced. The basis images' error with so many is about 0.07
-    (docs/sampling.md); what the model misses of photographs of textured materials is 0.15 to 0.35.
-    """
-    if not isinstance(material, Tabulated):
-        return MATTE
-    weights = material.mean_abrdf.sum(-1) * material.lights[:, 2]
-    return GLOSSY if np.median(weights.max(1) / np.maximum(weights.mean(1), 1e-30)) > PEAK else MATTE
