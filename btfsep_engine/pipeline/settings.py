@@ -94,8 +94,8 @@ PRESETS = {
     "balanced": Settings(),
     "accurate": Settings(
         "accurate",
-        pixels=5000,
-        tolerance=0.007,
+        directions=1024,
+        bounces=8,
         surface_samples=20000,
         training_directions=512,
         training_pixels=24000,

@@ -99,6 +99,7 @@ def measure(
     warm_up: bool = True,
     paper_samples: int = 64,
     quick: bool = False,
+    only=None,
 ) -> dict:
     """Estimates a job in every way of :func:`variations`.
 
@@ -112,6 +113,7 @@ def measure(
     warm_up : False where this process has compiled everything already, for a job like this one
     paper_samples : paths per pixel and basis light of the paper's way, whose error they limit; 0 leaves it out
     quick : fewer points
+    only : names of the ways, or None: all
 
     Returns
     -------
@@ -125,7 +127,7 @@ def measure(
     reference = truth
     if truth is None:
         reference, _ = _timed(scene, Fixed(materials, None), choose("accurate", **THOROUGH))
-    ways = [(*way, repeats) for way in variations(quick=quick)]
+    ways = [(*way, repeats) for way in variations(quick=quick) if only is None or way[1] in only]
     if paper_samples:
         changes = {"preset": "paper", "transport": "reference", "samples": paper_samples}
         # path tracing is as fast the first time, to a few per cent, and takes minutes
