@@ -94,7 +94,6 @@ PRESETS = {
     "balanced": Settings(),
     "accurate": Settings(
         "accurate",
-        directions=1024,
         bounces=8,
         surface_samples=20000,
         training_directions=512,
