@@ -4,13 +4,14 @@
 PRESETS = ("draft", "balanced", "accurate")
 
 
-def page(points, *, count: int, paper: int, samples: int) -> str:
+def page(points, *, count: int, paper: int, samples: int, anew=()) -> str:
     """The Markdown page.
 
     Parameters
     ----------
     points : list of summary.MeanPoint
     count : photographs; paper : how many of them the paper's way was tried on; samples : of its path tracing
+    anew : names of the ways that were measured again, in a later run
     """
     lines = [
         "# Speed against accuracy",
@@ -23,7 +24,8 @@ def page(points, *, count: int, paper: int, samples: int) -> str:
         f'light, {samples} samples a pixel, plain least squares of order 4; "paper\'s time" is its time over this '
         "way's, of the same photo in the same process. Made by `scripts/study_speed_accuracy PHOTOS --count "
         f"{count} --paper {paper}`, `PHOTOS` being what `scripts/figures_table --photos` leaves, here 101 of all seven "
-        "lights of [fit.md](fit.md); for one job: `btfsep chart JOB`.",
+        "lights of [fit.md](fit.md); for one job: `btfsep chart JOB`."
+        + (f" Measured again in a later run, beside `balanced` (`--anew`): {', '.join(anew)}." if anew else ""),
         "",
         "![error against seconds for every setting, with the Pareto front](images/speed-accuracy.png)",
         "",
