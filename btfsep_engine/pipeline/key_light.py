@@ -129,9 +129,9 @@ def key_light(problems, materials, fit: Fit, solver, exposures, settings) -> tup
     settings : Settings
     """
     if settings.key_light == "never":
-        return None, "not looked for: --key-light never, or the preset draft"
+        return None, "a key light was not looked for: the preset draft and --key-light never leave that out"
     if settings.estimator != "map" or any(p.transport["by"] != "kernel" for p in problems):
-        return None, "not looked for: that needs --estimator map and --transport kernel"
+        return None, "a key light was not looked for: that needs --estimator map and --transport kernel"
     basis, blocks = stacked(problems)
     b = np.concatenate([p.radiance() / e for p, e in zip(problems, exposures, strict=True)]).astype(np.float64)
     search = Search(basis, blocks, b, fit, solver, settings)
