@@ -17,7 +17,7 @@ from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.render.sampling import spread
 
 FEWEST, MOST = 64, 1024
-USUAL = 256  # with 64 and 128 estimates err 7 and 1 % more, with 1,024 as much (docs/speed-accuracy.md)
+USUAL = 256  # with 64 estimates err 8 % more, with 128 up to 1 %, with 1,024 as much (docs/speed-accuracy.md)
 PROBE = 150  # pixels of an object
 
 
