@@ -4,27 +4,29 @@
 PRESETS = ("draft", "balanced", "accurate")
 
 
-def page(points, *, count: int, paper: int, samples: int, anew=()) -> str:
+def page(points, *, count: int, total: int, lights, paper: int, samples: int) -> str:
     """The Markdown page.
 
     Parameters
     ----------
     points : list of summary.MeanPoint
-    count : photographs; paper : how many of them the paper's way was tried on; samples : of its path tracing
-    anew : names of the ways that were measured again, in a later run
+    count : photographs; total : of so many; lights : names of the lights that they are under
+    paper : how many of them the paper's way was tried on; samples : of its path tracing
     """
+    anew = [p.name for p in points if p.anew]
     lines = [
         "# Speed against accuracy",
         "",
-        f"Geometric means over {count} photographs by Cycles (256 x 256) of displaced objects under Blender's own "
-        "studio lights; the material given. One setting at a time is changed from `balanced`. Seconds are of "
+        f"Geometric means over {count} of {total} photographs by Cycles of displaced objects under Blender's own "
+        f"studio lights ({', '.join(lights)}); the material given. One setting at a time is changed "
+        "from `balanced`. Seconds are of "
         "transport and fit, warm, all ways of a photo in one process, one after the other; the error is of the "
         'coefficients up to order 2 with one free scale. "Over balanced" is on the same photo, with its standard '
         f"error. The last row is the paper's way, of {paper} of the photos: one path-traced image for each basis "
         f'light, {samples} samples a pixel, plain least squares of order 4; "paper\'s time" is its time over this '
         "way's, of the same photo in the same process. Made by `scripts/study_speed_accuracy PHOTOS --count "
-        f"{count} --paper {paper}`, `PHOTOS` being what `scripts/figures_table --photos` leaves, here 101 of all seven "
-        "lights of [fit.md](fit.md); for one job: `btfsep chart JOB`."
+        f"{count} --paper {paper}`, `PHOTOS` being what `scripts/figures_table --photos` leaves; for one job: "
+        "`btfsep chart JOB`."
         + (f" Measured again in a later run, beside `balanced` (`--anew`): {', '.join(anew)}." if anew else ""),
         "",
         "![error against seconds for every setting, with the Pareto front](images/speed-accuracy.png)",

@@ -22,6 +22,7 @@ class MeanPoint:
     worst : error; direction : degrees, median
     paper_ratio : the path-traced paper's seconds over this way's, of the same photo; None where it was not tried
     front : whether no other point is both faster and more accurate
+    anew : whether it was measured again in a later run, beside balanced
     beaten : whether another is so on the same photos by more than `FIRM` standard errors in both
     """
 
@@ -34,6 +35,7 @@ class MeanPoint:
     worst: float
     direction: float
     paper_ratio: float | None
+    anew: bool
     front: bool
     beaten: bool
 
@@ -43,7 +45,8 @@ def summed_up(found: list) -> list[MeanPoint]:
 
     Parameters
     ----------
-    found : for each photo a list of {axis, name, seconds, error, direction}; "balanced" is among each
+    found : for each photo a list of {axis, name, seconds, error, direction}, and "anew": True of what was measured
+        again; "balanced" is among each
     """
     ways = list(dict.fromkeys((p["axis"], p["name"]) for rows in found for p in rows))
     tables = {key: np.full((len(ways), len(found)), np.nan) for key in ("seconds", "error", "direction")}
@@ -70,6 +73,7 @@ def summed_up(found: list) -> list[MeanPoint]:
             float(np.nanmax(tables["error"][i])),
             float(np.nanmedian(tables["direction"][i])),
             None if slow is None else float(np.exp(np.nanmean(slow - times[i]))),
+            any(p.get("anew", False) for rows in found for p in rows if (p["axis"], p["name"]) == (axis, name)),
             bool(front[i]),
             any(beats(times[j] - times[i], errors[j] - errors[i]) for j in range(len(ways)) if j != i),
         )
