@@ -163,11 +163,21 @@ def relight(*, job, library_folder, preset, lighting, out, material, reporter, *
 @click.option("--order", type=int, default=4, show_default=True, help="Order to which environment maps are projected.")
 @LIBRARY
 @click.option("--material", help="The material of all objects of --job.")
+@click.option(
+    "--protocol",
+    type=click.Choice(["three-spheres"]),
+    help="Instead, the figures of published comparisons: Blender's mirror, matte silver and diffuse sphere.",
+)
 @command
-def compare(*, a, b, job, order, library_folder, material, reporter):
+def compare(*, a, b, job, order, library_folder, material, protocol, reporter):
     """Error measures between two lightings; B is the truth."""
-    from btfsep_engine.pipeline.commands import run_compare
+    from btfsep_engine.pipeline.commands import run_compare, run_three_spheres
 
+    if protocol and job:
+        raise InputError("--protocol", "it goes without --job", "leave one of them out")
+    if protocol:
+        result = run_three_spheres(a, b)
+        return result, words.compare(result)
     library = opened_library(library_folder) if job else None
     result = run_compare(a, b, order=order, job=job, library=library, material=material, reporter=reporter)
     return result, words.compare(result)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far two lightings are apart, in the measures that the field uses. No single one agrees with people: read several.
+"""How far two lightings are apart, up to the order that both have. No single measure agrees with people: read several.
 
 Conventions, the same everywhere:
 
 - Everything is computed up to the smaller order of the two lightings.
 - A free scale is **one** factor for all channels and pixels, the best one in the least-squares sense, >= 0.
-- The three spheres are seen orthographically from the front (Blender's numpad 1), negative radiance cut to 0.
+- The band-limited spheres are seen orthographically from the front (Blender's numpad 1), negative radiance cut to 0.
+  They see the light up to that order only, without a tone map: another quantity than what publications state of three
+  spheres, never to stand beside it. That one is `three_spheres`.
 - si-RMSE: root mean square with a free scale, in units of the reference picture's 99.9th percentile.
 - Angular error: between the RGB vectors of a pixel, mean over the pixels where both pictures have light.
 - Normalised RMSE: each picture first stretched so that its percentiles 0.01 and 99.9 become 0 and 1.
@@ -41,7 +43,7 @@ def compare(estimate: Lighting, reference: Lighting, *, view=FRONT, size: int = 
         main_direction_degrees  angle between the order-1 vectors of the luminance
         within_two_sigma        share of the coefficients whose truth lies within two stated standard deviations,
                                 None where the estimate states none
-        spheres                 {diffuse, silver, mirror: {si_rmse, angular_degrees, normalised_rmse}}
+        band_limited_spheres    {diffuse, silver, mirror: {si_rmse, angular_degrees, normalised_rmse}}
     """
     order = min(estimate.order, reference.order)
     terms = sh.term_count(order)
@@ -56,7 +58,7 @@ def compare(estimate: Lighting, reference: Lighting, *, view=FRONT, size: int = 
         "coefficients": bands,
         "main_direction_degrees": direction_error(a, b),
         "within_two_sigma": float((np.abs(a - b) <= 2 * deviation).mean()) if (deviation > 0).any() else None,
-        "spheres": {kind: image_errors(pictures[0][kind], pictures[1][kind]) for kind in pictures[0]},
+        "band_limited_spheres": {kind: image_errors(pictures[0][kind], pictures[1][kind]) for kind in pictures[0]},
     }
 
 

@@ -16,6 +16,7 @@ from btfsep_engine.light.maps import read_map
 from btfsep_engine.light.sun import Sun
 
 MAX_ORDER = 64
+MAP_SIZE = 256, 512  # of lighting.exr, height and width
 SKY_EXACT = 1e-4  # of the first coefficient: how exactly sky and sun add up to the coefficients
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -192,7 +193,7 @@ def lighting_map(lighting: Lighting, height: int, width: int) -> np.ndarray:
     return image if lighting.sun is None else image + lighting.sun.to_map(height, width)
 
 
-def write_lighting_exr(path, lighting: Lighting, *, height: int = 256, width: int = 512) -> None:
+def write_lighting_exr(path, lighting: Lighting, *, height: int = MAP_SIZE[0], width: int = MAP_SIZE[1]) -> None:
     """Writes `lighting_map`, 32-bit float EXR."""
     images.write_exr(path, lighting_map(lighting, height, width))
 
@@ -203,6 +204,12 @@ def read_any_lighting(path, order: int = 9) -> Lighting:
     if path.suffix.lower() == ".json":
         return read_lighting(path)
     return exactly(sh.project_map(read_map(path), order))
+
+
+def read_any_map(path) -> np.ndarray:
+    """Reads an environment map (EXR, HDR, …) whole, or a ``lighting.json`` as the map of its ``lighting.exr``."""
+    path = Path(path)
+    return lighting_map(read_lighting(path), *MAP_SIZE) if path.suffix.lower() == ".json" else read_map(path)
 
 
 def _read_bytes(path: Path) -> bytes:

@@ -4,8 +4,9 @@
 import numpy as np
 
 from btfsep_engine.fit.compare import compare
+from btfsep_engine.fit.three_spheres import three_spheres
 from btfsep_engine.job.load import load_job
-from btfsep_engine.light.files import read_any_lighting
+from btfsep_engine.light.files import read_any_lighting, read_any_map
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import material_record, object_materials
 from btfsep_engine.pipeline.recognition import trained_recogniser
@@ -64,6 +65,11 @@ def run_compare(a, b, *, order: int, job=None, library=None, material=None, repo
         ]
         result["rendering_psnr_free_scale"] = psnr(images[0], images[1])
     return result
+
+
+def run_three_spheres(a, b) -> dict:
+    """The published comparisons' figures of lighting file ``a`` against ``b``, both taken as whole maps."""
+    return {"protocol": "three-spheres", **three_spheres(read_any_map(a), read_any_map(b))}
 
 
 def psnr(image, truth) -> float:

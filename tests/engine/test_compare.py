@@ -28,7 +28,7 @@ def test_a_light_against_itself(light):
         assert band["relative_l2"] == 0 and band["scale"] == pytest.approx(1)
     assert [b["order"] for b in result["coefficients"]] == [1, 2, 3, 4]
     assert result["main_direction_degrees"] == pytest.approx(0, abs=1e-6)
-    for errors in result["spheres"].values():
+    for errors in result["band_limited_spheres"].values():
         for value in errors.values():
             assert value == pytest.approx(0, abs=1e-6)
     assert json.loads(json.dumps(result)) == result
@@ -40,7 +40,7 @@ def test_a_scale_is_free_where_it_says_so(light):
         assert band["relative_l2"] == pytest.approx(1)
         assert band["relative_l2_free_scale"] == pytest.approx(0, abs=1e-12)
         assert band["scale"] == pytest.approx(0.5)
-    for errors in result["spheres"].values():
+    for errors in result["band_limited_spheres"].values():
         assert max(errors.values()) == pytest.approx(0, abs=1e-6)
 
 
@@ -53,7 +53,7 @@ def test_the_scale_is_one_for_all_channels(light):
     s = cast.sum() / (cast @ cast)
     for band in result["coefficients"]:
         assert band["relative_l2_free_scale"] == pytest.approx(np.linalg.norm(s * cast - 1) / np.sqrt(3))
-    for errors in result["spheres"].values():
+    for errors in result["band_limited_spheres"].values():
         assert errors["angular_degrees"] == pytest.approx(angle, abs=1e-6)
         assert errors["si_rmse"] > 0.1
 
@@ -96,9 +96,16 @@ def test_what_is_undefined_is_none():
     result = c.compare(flat, black)
     assert result["coefficients"] == [{"order": 0, "relative_l2": None, "relative_l2_free_scale": None, "scale": None}]
     assert result["main_direction_degrees"] is None
-    assert result["spheres"]["mirror"] == {"si_rmse": None, "angular_degrees": None, "normalised_rmse": None}
+    assert result["band_limited_spheres"]["mirror"] == {
+        "si_rmse": None,
+        "angular_degrees": None,
+        "normalised_rmse": None,
+    }
     result = c.compare(black, exactly(np.ones((4, 3))))
-    assert result["coefficients"][0]["relative_l2"] == 1 and result["spheres"]["diffuse"]["angular_degrees"] is None
+    assert (
+        result["coefficients"][0]["relative_l2"] == 1
+        and result["band_limited_spheres"]["diffuse"]["angular_degrees"] is None
+    )
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
@@ -115,7 +122,7 @@ def test_a_wrong_light_is_seen_by_every_measure(light):
     other = exactly(sh.rotation_matrix(4, Rotation.from_euler("x", 90, degrees=True).as_matrix()) @ light.coefficients)
     result = c.compare(other, light)
     assert result["main_direction_degrees"] > 45
-    for errors in result["spheres"].values():
+    for errors in result["band_limited_spheres"].values():
         assert errors["si_rmse"] > 0.02 and errors["normalised_rmse"] > 0.2
 
 
