@@ -181,7 +181,7 @@ def _undisturbed(answers) -> str:
         "psnr": "PSNR, dB",
     }
     lines = [
-        "Undisturbed, median / worst (spheres: si-RMSE):",
+        "Undisturbed, median / worst (spheres: si-RMSE; band-limited, not those of publications):",
         "",
         "| method | " + " | ".join(measures.values()) + " |",
     ]

@@ -101,7 +101,7 @@ class Answers:
 
 
 def spheres(record: dict):
-    """The mean si-RMSE of the three spheres, None where one is undefined."""
+    """The mean si-RMSE of the three band-limited spheres, None where one is undefined."""
     from scripts.studies.measures import SPHERES
 
     found = [record.get(f"{kind}_si_rmse") for kind in SPHERES]
