@@ -27,11 +27,13 @@ WINDOWS = os.name == "nt"
 
 @dataclass(frozen=True)
 class Progress:
-    """A stage stands at ``fraction`` (0 to 1)."""
+    """A stage stands at ``fraction``, and the run at ``whole`` (0 to 1). ``title``: the stage in words for people."""
 
     stage: str
     fraction: float
     message: str = ""
+    whole: float = 0.0
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -155,8 +157,9 @@ def parse(line: str):
     kind = data.get("type")
     try:
         if kind == "progress":
-            fraction = min(max(float(data.get("fraction", 0)), 0.0), 1.0)
-            return Progress(str(data.get("stage", "")), fraction, str(data.get("message", "")))
+            fraction, whole = (min(max(float(data.get(key, 0)), 0.0), 1.0) for key in ("fraction", "whole"))
+            stage = str(data.get("stage", ""))
+            return Progress(stage, fraction, str(data.get("message", "")), whole, str(data.get("title", stage)))
         if kind == "warning":
             return Notice(str(data["message"]))
         if kind == "failed":

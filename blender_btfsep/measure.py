@@ -15,8 +15,6 @@ from .errors import InputError
 CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
 RESOLUTION = 512  # pixels along an edge of the baked maps
 
-runs.STAGES |= {"maps": ("Reading the maps", 0.0, 0.02), "measure": ("Measuring", 0.02, 0.97)}
-
 
 def material_of(thing):
     """The active material of an object. Raises InputError."""

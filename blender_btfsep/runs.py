@@ -16,24 +16,6 @@ from .errors import InputError
 
 INTERVAL = 0.15  # seconds between polls
 
-STAGES = {
-    "reading": ("Reading the job", 0.0, 0.03),
-    "geometry": ("Preparing the geometry", 0.03, 0.08),
-    "training": ("Learning the materials", 0.08, 0.55),
-    "training rays": ("Learning the materials: rays", 0.08, 0.12),
-    "training images": ("Learning the materials: images", 0.12, 0.35),
-    "dictionaries": ("Learning the materials: words", 0.35, 0.45),
-    "classifier": ("Learning the materials: classes", 0.45, 0.55),
-    "recognition": ("Recognising", 0.55, 0.6),
-    "transport": ("Light transport", 0.6, 0.8),
-    "factorising": ("Solving for the light", 0.8, 0.81),
-    "fit": ("Solving for the light", 0.8, 0.85),
-    "key light": ("Looking for a key light", 0.84, 0.85),
-    "report": ("Making the report", 0.85, 0.97),
-    "writing": ("Writing the results", 0.97, 1.0),
-}
-"""Stage of the engine -> words for people, and which part of a whole run it is (from, to); a rough guide only."""
-
 current = None
 """The EngineProcess that runs now, if any: one at a time."""
 
@@ -152,9 +134,7 @@ class EngineOperator:
     def _heard(self, message) -> None:
         state = run_state()
         if isinstance(message, engine_process.Progress):
-            words, begin, end = STAGES.get(message.stage, (message.stage.capitalize(), 0.0, 1.0))
-            state.stage, state.message = words, message.message
-            state.fraction = max(state.fraction, begin + message.fraction * (end - begin))  # never runs backwards
+            state.stage, state.message, state.fraction = message.title, message.message, message.whole
         elif isinstance(message, engine_process.Notice):
             state.warnings.add().name = message.message
             self.report({"WARNING"}, message.message)

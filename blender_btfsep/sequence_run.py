@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 from bpy.props import IntProperty, StringProperty
 
-from . import animation, engine_process, frames, lighting_file, operators, photo, runs
+from . import animation, frames, lighting_file, operators, photo, runs
 from .errors import InputError
 
 OUT = "sequence"  # the results' folder in that of the job
@@ -131,13 +131,6 @@ class BTFSEP_OT_estimate_sequence(runs.EngineOperator, bpy.types.Operator):
         folder = operators.write_job(context, context.scene, image_path=self._files[0])
         arguments = engine_arguments(folder, self._files, folder / OUT, pattern=pattern, order=settings.order)
         return [*arguments, *operators.engine_options(context)]
-
-    def _heard(self, message):
-        # Reading, solving and writing begin and end with every photo; how many are done is in those with a name.
-        if isinstance(message, engine_process.Progress) and not message.message:
-            if message.stage in {"reading", "fit", "writing"}:
-                return
-        super()._heard(message)
 
     def finish(self, context, result):
         scene = self.scene()

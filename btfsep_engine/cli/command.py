@@ -27,7 +27,7 @@ def command(function):
     @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, for programs.")
     @functools.wraps(function)
     def run(as_json, **options):
-        reporter = JsonReporter() if as_json else TextReporter()
+        reporter = (JsonReporter if as_json else TextReporter)(command=function.__name__)
         try:
             result, text = function(reporter=reporter, **options)
         except InputError as error:

@@ -7,14 +7,21 @@ import sys
 import click
 
 from btfsep_engine.pipeline.record import plain
-from btfsep_engine.progress import Reporter
+from btfsep_engine.progress import TITLES, Reporter
 
 
 class JsonReporter(Reporter):
     """One JSON object a line on standard output, flushed at once (the protocol of docs/formats.md)."""
 
     def progress(self, stage, fraction, message=""):
-        self._line(type="progress", stage=stage, fraction=round(float(fraction), 4), message=message)
+        self._line(
+            type="progress",
+            stage=stage,
+            title=TITLES.get(stage, stage.capitalize()),
+            fraction=round(float(fraction), 4),
+            whole=round(self.advance(stage, float(fraction)), 4),
+            message=message,
+        )
 
     def warn(self, message):
         if message not in self.warnings:
@@ -38,8 +45,8 @@ class JsonReporter(Reporter):
 class TextReporter(Reporter):
     """A progress bar on standard error, where that is a terminal; warnings as they come."""
 
-    def __init__(self):
-        super().__init__()
+    def __init__(self, **fields):
+        super().__init__(**fields)
         self._bar = None
 
     def progress(self, stage, fraction, message=""):

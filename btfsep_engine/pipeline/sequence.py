@@ -138,14 +138,14 @@ def run_sequence(
         solver = FrameSolver(problem.all_basis, problem.blocks, problem.pixels, settings)
     lights, solving = [], []
     for i, file in enumerate(files):
-        with reporter.stage("reading"):
+        with reporter.timed("reading"):
             photo = read_photo(file, job.camera, colorspace=job.image_colorspace) if i else job.photo
         begun = time.perf_counter()
-        with reporter.stage("fit"):
+        with reporter.timed("fit"):
             fit, lost = solver.solve(photo)
         solving.append(time.perf_counter() - begun)
         lighting = Lighting(settings.order, fit.coefficients, fit.stddev, fit.determined, job.exposure_ev)
-        with reporter.stage("writing"):
+        with reporter.timed("writing"):
             write_lighting(out / f"{file.stem}.json", lighting)
             if with_exr:
                 write_lighting_exr(out / f"{file.stem}.exr", lighting)
@@ -160,7 +160,7 @@ def run_sequence(
                 "milliseconds": round(1000 * solving[-1], 2),
             }
         )
-        reporter.progress("fit", (i + 1) / len(files), file.name)
+        reporter.progress("photos", (i + 1) / len(files), file.name)
     result = {
         "format": "btfsep-sequence",
         "version": 1,

@@ -126,6 +126,19 @@ def test_an_estimate_that_is_not_to_be_applied_leaves_the_world(photographed, fa
     assert photographed.world == mine
 
 
+def test_the_bar_is_where_the_engine_says(photographed, fake_engine, monkeypatch):
+    """The real operator and a real child; what it heard is looked at after each message."""
+    from blender_btfsep import runs
+
+    state, seen = bpy.context.window_manager.btfsep, []
+    monkeypatch.setattr(runs, "redraw", lambda: seen.append((state.stage, state.message, round(state.fraction, 3))))
+    line = {"type": "progress", "stage": "a stage of tomorrow", "title": "Tomorrow", "fraction": 1.0, "message": "oak"}
+    done = {"type": "done", "result": FOUND}
+    fake_engine(lines=[line | {"whole": 0.25}, line | {"whole": 0.75, "message": ""}, done])
+    assert bpy.ops.btfsep.recognise() == {"FINISHED"}
+    assert [s for s in seen if s[0]] == [("Tomorrow", "oak", 0.25), ("Tomorrow", "", 0.75)]
+
+
 def test_recognise_fills_the_list(photographed, fake_engine):
     fake_engine(lines=[{"type": "done", "result": FOUND}])
     assert bpy.ops.btfsep.recognise() == {"FINISHED"}

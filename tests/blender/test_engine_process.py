@@ -46,7 +46,14 @@ def test_messages_come_in_order_and_noise_is_skipped(tmp_path):
         "job folder",
         log=str(tmp_path / "arguments"),
         lines=[
-            {"type": "progress", "stage": "transport", "fraction": 0.25, "message": "wood"},
+            {
+                "type": "progress",
+                "stage": "transport",
+                "title": "Rays",
+                "fraction": 0.25,
+                "whole": 0.7,
+                "message": "wood",
+            },
             "a library that prints",
             "[1, 2]",
             {"type": "news", "message": "from a newer engine"},
@@ -58,7 +65,11 @@ def test_messages_come_in_order_and_noise_is_skipped(tmp_path):
     )
     heard = []
     assert process.wait(heard.append) == Done({"order": 4})
-    assert heard == [Progress("transport", 0.25, "wood"), Notice("half of it is saturated"), Progress("fit", 1.0)]
+    assert heard == [
+        Progress("transport", 0.25, "wood", 0.7, "Rays"),
+        Notice("half of it is saturated"),
+        Progress("fit", 1.0, title="fit"),
+    ]
     assert json.loads((tmp_path / "arguments").read_text()) == ["estimate", "job folder", "--json"]
     assert process.poll() == []
 

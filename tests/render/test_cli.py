@@ -11,6 +11,7 @@ import pytest
 from btfsep_engine import images, sh
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import exactly, read_lighting, write_lighting
+from tests.render.progress_lines import assert_whole_run
 
 WHITE = ["--material", "reference/white-diffuse"]
 
@@ -37,7 +38,10 @@ def test_estimate_gives_back_the_light_of_a_white_sphere(sphere_job_folder, caps
     assert main(["estimate", str(folder), *WHITE, "--order", "2", "--json"]) == 0
     lines = json_lines(capsys.readouterr().out)
     result = lines[-1]["result"]
-    assert lines[-1]["type"] == "done" and {line["type"] for line in lines} >= {"progress", "done"}
+    assert lines[-1]["type"] == "done"
+    assert_whole_run(lines, "estimate")
+    report = next(line for line in lines if line.get("stage") == "report")
+    assert report["whole"] < 0.9, "the bar is full before the report is made"
     found = read_lighting(result["lighting"])
     assert np.linalg.norm(found.coefficients - truth) < 0.03 * np.linalg.norm(truth)
     assert result["objects"][0]["material"] == "reference/white-diffuse" and not result["objects"][0]["recognised"]

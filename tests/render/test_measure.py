@@ -20,6 +20,7 @@ from btfsep_engine.images import write_exr
 from btfsep_engine.pipeline import measuring
 from btfsep_engine.pipeline.measuring import MeasureSettings, measure_maps
 from btfsep_engine.progress import Reporter
+from tests.render.progress_lines import assert_whole_run
 
 N = 24
 DIRECTIONS = local_direction(
@@ -228,6 +229,7 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     assert [line["fraction"] for line in lines if line["type"] == "progress" and line["message"]] == [
         round((i + 1) / 9, 4) for i in range(9)
     ]
+    assert_whole_run(lines, "measure")
     result = lines[-1]["result"]
     speed = result["speed"]
     assert speed["rays"] > 9 * 9 * 144 and speed["rays_per_second"] == pytest.approx(

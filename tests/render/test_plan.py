@@ -9,6 +9,7 @@ import pytest
 from btfsep_engine import images
 from btfsep_engine.cli.main import main
 from btfsep_engine.light.files import read_lighting
+from tests.render.progress_lines import assert_whole_run
 
 WHITE = ["--material", "reference/white-diffuse"]
 QUICK = ["--pixels", "800", "--directions", "128", "--bounces", "1"]
@@ -60,7 +61,11 @@ def test_a_sequence_gives_each_frame_what_it_gives_alone(sphere_job_folder, caps
         images.write_exr(frames / f"f{i + 8}.exr", photo * np.float32(factor))
     command = ["sequence", str(folder), "--images", str(frames / "*.exr"), *WHITE, "--order", "2", *QUICK, "--exr"]
     assert main([*command, "--json"]) == 0
-    result = last(capsys)
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert_whole_run(lines, "sequence")
+    photos = [(line["message"], line["fraction"]) for line in lines if line.get("stage") == "photos"]
+    assert photos == [("f8.exr", 0.3333), ("f9.exr", 0.6667), ("f10.exr", 1)]
+    result = lines[-1]["result"]
     assert [f["image"] for f in result["frames"]] == ["f8.exr", "f9.exr", "f10.exr"]
     for frame, factor in zip(result["frames"], (1.0, 3.0, 0.5), strict=True):
         light = read_lighting(folder / "sequence" / frame["lighting"]).coefficients

@@ -18,6 +18,7 @@ from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.recogniser import Recognition
+from tests.render.progress_lines import assert_whole_run
 from tests.render.scenes import positive_light
 
 CHOSEN = ("leather/brown-grain", "felt/green-coarse", "wood/oak-boards")
@@ -60,7 +61,9 @@ def test_the_material_of_a_photo_is_recognised_and_used(
         assert main([*relit, *common]) == 0
         capsys.readouterr()
         assert main(["recognise", str(folder), *common, "--classifier", classifier, "--json"]) == 0
-        result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+        lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert_whole_run(lines, "recognise")
+        result = lines[-1]["result"]
         (found,) = result["objects"]
         assert found["material"] == name and found["recognised"]
         scores = [c["score"] for c in found["candidates"]]
