@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from .errors import InputError
+from .scratch import scratch
 
 SAMPLES = 16  # within a pixel, against jagged edges
 NOT_MEASURED = ("Transmission Weight", "Subsurface Weight", "Coat Weight", "Sheen Weight")
@@ -176,38 +177,29 @@ class _Stage:
 def _stage(material, size: float, resolution: int, uv_names):
     if material.node_tree is None:
         raise InputError(f"material '{material.name}'", "it has no nodes", DO)
-    made = []
-    try:
-        scene = bpy.data.scenes.new("BTFsep bake")
-        made.append((bpy.data.scenes, scene))
+    with scratch() as own:
+        scene = own(bpy.data.scenes.new("BTFsep bake"))
         scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", SAMPLES
         scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
         scene.render.bake.use_selected_to_active = False
-        mesh = bpy.data.meshes.new("BTFsep bake")
-        made.append((bpy.data.meshes, mesh))
+        mesh = own(bpy.data.meshes.new("BTFsep bake"))
         half = size / 2
         mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
         for name in uv_names or ("UVMap",):
             mesh.uv_layers.new(name=name).data.foreach_set("uv", [0, 0, 1, 0, 1, 1, 0, 1])
-        thing = bpy.data.objects.new("BTFsep bake", mesh)
-        made.append((bpy.data.objects, thing))
+        thing = own(bpy.data.objects.new("BTFsep bake", mesh))
         scene.collection.objects.link(thing)
         scene.view_layers[0].objects.active = thing
         thing.select_set(True, view_layer=scene.view_layers[0])
-        copy = material.copy()
-        made.append((bpy.data.materials, copy))
+        copy = own(material.copy())
         copy.displacement_method = "BUMP"
         mesh.materials.append(copy)
-        image = bpy.data.images.new("BTFsep bake", resolution, resolution, float_buffer=True, is_data=True)
-        made.append((bpy.data.images, image))
+        image = own(bpy.data.images.new("BTFsep bake", resolution, resolution, float_buffer=True, is_data=True))
         if copy.node_tree.get_output_node("CYCLES") is None:
             raise InputError(f"material '{material.name}'", "it has no Material Output", DO)
         stage = _Stage(scene, thing, copy, image)
         stage.name = material.name
         yield stage
-    finally:
-        for collection, data in reversed(made):
-            collection.remove(data)
 
 
 def _source(socket):
@@ -299,14 +291,11 @@ def _write_exr(path: Path, values) -> None:
     n = len(values)
     rgba = np.ones((n, n, 4), np.float32)
     rgba[..., :3] = values if values.ndim == 3 else values[..., None]
-    image = bpy.data.images.new(path.stem, n, n, float_buffer=True, is_data=True)
-    scene = bpy.data.scenes.new("BTFsep bake")
-    try:
+    with scratch() as own:
+        image = own(bpy.data.images.new(path.stem, n, n, float_buffer=True, is_data=True))
+        scene = own(bpy.data.scenes.new("BTFsep bake"))
         image.pixels.foreach_set(rgba.ravel())
         settings = scene.render.image_settings
         settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
         scene.view_settings.view_transform = "Raw"
         image.save_render(str(path), scene=scene)
-    finally:
-        bpy.data.scenes.remove(scene)
-        bpy.data.images.remove(image)

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 from .errors import InputError
+from .scratch import scratch
 
 READABLE = {".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp"}
 FLOAT = {".exr", ".hdr"}
@@ -157,13 +158,12 @@ def _copy(source, folder: Path, suffix: str | None = None, stem: str = "photo") 
 
 def _save(image, folder: Path) -> str:
     """Saves what Blender shows of ``image``, in scene-linear colours, through a scene of its own settings."""
-    scene = bpy.data.scenes.new("BTFsep photo")
-    try:
+    with scratch() as own:
+        scene = own(bpy.data.scenes.new("BTFsep photo"))
         settings = scene.render.image_settings
         settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
-        image.save_render(str(folder / "photo.exr"), scene=scene)
-    except RuntimeError as error:
-        raise InputError(f"the photo {image.name}", str(error), "save it as a file and choose that") from error
-    finally:
-        bpy.data.scenes.remove(scene)
+        try:
+            image.save_render(str(folder / "photo.exr"), scene=scene)
+        except RuntimeError as error:
+            raise InputError(f"the photo {image.name}", str(error), "save it as a file and choose that") from error
     return "photo.exr"

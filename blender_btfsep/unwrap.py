@@ -5,6 +5,7 @@ import bpy
 import numpy as np
 
 from .errors import InputError
+from .scratch import scratch
 
 ANGLE = np.radians(66)  # between the normals of a chart, for the seams: Blender's own default
 
@@ -29,40 +30,37 @@ def angle_based(positions, vertex, name: str) -> np.ndarray:
     """
     faces = len(vertex)
     _, first, index = np.unique(vertex, return_index=True, return_inverse=True)
-    mesh = bpy.data.meshes.new("btfsep unwrap")
-    stage = bpy.data.scenes.new("btfsep unwrap")
-    thing = bpy.data.objects.new("btfsep unwrap", mesh)
-    try:
-        points = np.asarray(positions, np.float64).reshape(-1, 3)[first]
-        points -= points.mean(0)  # float32 from here on
-        mesh.vertices.add(len(points))
-        mesh.vertices.foreach_set("co", points.astype(np.float32).ravel())
-        mesh.loops.add(3 * faces)
-        mesh.loops.foreach_set("vertex_index", index.reshape(-1).astype(np.int32))
-        mesh.polygons.add(faces)
-        mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * faces, 3, dtype=np.int32))
-        mesh.update(calc_edges=True)
-        mesh.uv_layers.new(name="UVMap")
-        stage.collection.objects.link(thing)
-        layer = stage.view_layers[0]
-        layer.objects.active = thing
-        thing.select_set(True, view_layer=layer)
-        layer.update()
-        with _editing(stage, thing):
-            bpy.ops.uv.smart_project(angle_limit=ANGLE, island_margin=0.0)
-        mesh.edges.foreach_set("use_seam", _seams(mesh, _corner_uv(mesh)))
-        with _editing(stage, thing):
-            bpy.ops.uv.unwrap(method="ANGLE_BASED", margin=0.0)
-            bpy.ops.uv.average_islands_scale()
-        uv = _corner_uv(mesh)
-    except RuntimeError as error:
-        raise InputError(
-            f"object '{name}'", f"Blender cannot unwrap it ({error})", "take the mapping 'Charts'"
-        ) from error
-    finally:
-        bpy.data.objects.remove(thing)
-        bpy.data.meshes.remove(mesh)
-        bpy.data.scenes.remove(stage)
+    with scratch() as own:
+        mesh = own(bpy.data.meshes.new("btfsep unwrap"))
+        stage = own(bpy.data.scenes.new("btfsep unwrap"))
+        thing = own(bpy.data.objects.new("btfsep unwrap", mesh))
+        try:
+            points = np.asarray(positions, np.float64).reshape(-1, 3)[first]
+            points -= points.mean(0)  # float32 from here on
+            mesh.vertices.add(len(points))
+            mesh.vertices.foreach_set("co", points.astype(np.float32).ravel())
+            mesh.loops.add(3 * faces)
+            mesh.loops.foreach_set("vertex_index", index.reshape(-1).astype(np.int32))
+            mesh.polygons.add(faces)
+            mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * faces, 3, dtype=np.int32))
+            mesh.update(calc_edges=True)
+            mesh.uv_layers.new(name="UVMap")
+            stage.collection.objects.link(thing)
+            layer = stage.view_layers[0]
+            layer.objects.active = thing
+            thing.select_set(True, view_layer=layer)
+            layer.update()
+            with _editing(stage, thing):
+                bpy.ops.uv.smart_project(angle_limit=ANGLE, island_margin=0.0)
+            mesh.edges.foreach_set("use_seam", _seams(mesh, _corner_uv(mesh)))
+            with _editing(stage, thing):
+                bpy.ops.uv.unwrap(method="ANGLE_BASED", margin=0.0)
+                bpy.ops.uv.average_islands_scale()
+            uv = _corner_uv(mesh)
+        except RuntimeError as error:
+            raise InputError(
+                f"object '{name}'", f"Blender cannot unwrap it ({error})", "take the mapping 'Charts'"
+            ) from error
     if len(uv) != faces or not np.isfinite(uv).all():
         raise InputError(f"object '{name}'", "Blender's unwrap failed on it", "take the mapping 'Charts'")
     return uv

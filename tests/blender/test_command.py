@@ -2,6 +2,7 @@
 """The command line inside Blender, in processes of its own: exit status, words, the saved file."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -175,3 +176,40 @@ def test_depth_exposure_and_options_of_the_estimate(blend, fake_engine, tmp_path
     assert arguments[arguments.index("--appearance") + 1] == "mean"
     done = blender(blend, "export", "--depth", tmp_path / "z.exr", "--object", "Cube")
     assert done.returncode == 2 and "objects are named, too" in done.stderr
+
+
+def test_no_scene_is_removed_in_a_way_that_needs_a_window():
+    """Blender 4.3 dies of it in ``--command``, the wheel does not."""
+    sources = {path.name: path.read_text() for path in (ROOT / "blender_btfsep").glob("*.py")}
+    assert [n for n, text in sources.items() if ".scenes.remove(" in text] == []
+
+
+@pytest.mark.skipif("BTFSEP_BLENDER" not in os.environ, reason="BTFSEP_BLENDER names no Blender with the add-on")
+def test_a_real_blender_measures_and_exports_from_a_saved_file(blend, fake_engine, tmp_path):
+    """As a user runs it: it ends well and leaves nothing in the temporary folder."""
+    material = bpy.data.materials.new("Paint")
+    material.use_nodes = True
+    bpy.data.objects["Cube"].active_material = material
+    bpy.context.scene.btfsep.mapping = "UNWRAP"
+    bpy.context.scene.btfsep.image.pack()
+    bpy.context.scene.btfsep.image.pixels[0] = 1  # painted: it is saved through a scene of its own
+    bpy.context.scene.btfsep.image.pack()
+    bpy.ops.wm.save_mainfile()
+    said = {"name": "paint", "file": "paint.btf", "measured": True, "library": "", "relief_mm": 0}
+    engine = fake_engine(log=str(tmp_path / "log"), lines=[{"type": "done", "result": said}])
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    measure = ("measure", "--object", "Cube", "--class", "wallpaper", "--size-mm", "30", "--library", tmp_path / "lib")
+    for arguments in ((*measure, "--engine", engine), ("export", "--job", tmp_path / "job")):
+        done = subprocess.run(
+            [os.environ["BTFSEP_BLENDER"], "--background", blend, "--command", "btfsep", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+            env={**os.environ, "TMPDIR": str(temporary)},
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert not [p.name for p in temporary.iterdir() if "btfsep" in p.name or "crash" in p.name]
+    assert json.loads((tmp_path / "log").read_text())[:2] == ["library", "measure"]
+    assert (tmp_path / "job" / "job.json").is_file()
