@@ -116,7 +116,10 @@ class EngineOperator:
         if is_running():
             self.report({"ERROR"}, "the engine is running already; wait for it or cancel it")
             return False
-        self._scene = context.scene.name
+        self._scene, self._scene_name = (
+            context.scene.session_uid,
+            context.scene.name,
+        )  # the id survives undo and renaming
         state.error = state.summary = state.message = state.stage = ""
         state.fraction = 0.0
         state.warnings.clear()
@@ -171,9 +174,9 @@ class EngineOperator:
 
     def scene(self):
         """The scene that the run was started for; it may have been deleted meanwhile. Raises InputError."""
-        scene = bpy.data.scenes.get(self._scene)
+        scene = next((each for each in bpy.data.scenes if each.session_uid == self._scene), None)
         if scene is None:
-            raise InputError(f"scene '{self._scene}'", "it is gone", "run it again in the scene you want")
+            raise InputError(f"scene '{self._scene_name}'", "it is gone", "run it again in the scene you want")
         return scene
 
 

@@ -126,6 +126,57 @@ def test_an_estimate_that_is_not_to_be_applied_leaves_the_world(photographed, fa
     assert photographed.world == mine
 
 
+def during_the_run(monkeypatch, change):
+    """Has ``change()`` called once while the real operator waits for a real child."""
+    from blender_btfsep import runs
+
+    heard = runs.EngineOperator._heard
+
+    def hearing(self, message):
+        heard(self, message)
+        if changes:
+            changes.pop()()
+
+    changes = [change]
+    monkeypatch.setattr(runs.EngineOperator, "_heard", hearing)
+
+
+LINE = {"type": "progress", "stage": "fit", "fraction": 0.5, "message": ""}
+
+
+def test_a_scene_renamed_or_undone_during_the_run_gets_the_light(photographed, fake_engine, monkeypatch):
+    photographed.name = "Mine"
+    bpy.ops.ed.undo_push(message="before")
+    photographed.btfsep.objects[0].object.location.z = 1
+    bpy.ops.ed.undo_push(message="moved")
+
+    def change():
+        bpy.ops.ed.undo()  # all of the file's data stand elsewhere in memory now
+        bpy.context.scene.name = "Another name"
+        bpy.data.scenes.new("Mine")
+
+    during_the_run(monkeypatch, change)
+    fake_engine(lighting=LIGHTING, lines=[LINE])
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+    renamed, other = bpy.data.scenes["Another name"], bpy.data.scenes["Mine"]
+    assert coefficients(renamed.world) == [tuple(row) for row in LIGHTING["coefficients"]] and other.world is None
+
+
+def test_a_scene_deleted_during_the_run_is_named(photographed, fake_engine, monkeypatch):
+    photographed.name = "Mine"
+    other = bpy.data.scenes.new("Other")
+
+    def change():
+        bpy.data.scenes.remove(bpy.data.scenes["Mine"])
+        bpy.data.scenes.new("Mine")  # of the same name, but not the same
+
+    during_the_run(monkeypatch, change)
+    fake_engine(lighting=LIGHTING, lines=[LINE])
+    with pytest.raises(RuntimeError, match="scene 'Mine'; it is gone"):
+        bpy.ops.btfsep.estimate()
+    assert other.world is None
+
+
 def test_the_bar_is_where_the_engine_says(photographed, fake_engine, monkeypatch):
     """The real operator and a real child; what it heard is looked at after each message."""
     from blender_btfsep import runs
