@@ -70,7 +70,7 @@ def export_job(
     folder = _prepare(folder)
 
     touched = set(objects) | {o for o in scene.objects if occluders is None or o in occluders}
-    with meshes.render_modifiers(touched):
+    with meshes.as_rendered(view_layer, touched, chosen={*objects, *(occluders or ())}):
         view_layer.update()
         depsgraph = view_layer.depsgraph
         size_name = photo.put(image_path, folder)
@@ -78,7 +78,7 @@ def export_job(
         evaluated = camera.evaluated_get(depsgraph)
         lens = pinhole.for_photo(scene, evaluated, size)
         lens["to_world"] = pinhole.to_world(evaluated).tolist()
-        shadowing = meshes.render_occluders(scene, depsgraph, objects) if occluders is None else list(occluders)
+        shadowing = meshes.render_occluders(view_layer, depsgraph, objects) if occluders is None else list(occluders)
         shadowing = [thing for thing in shadowing if thing not in objects]
         gathered = meshes.gather(depsgraph, objects + shadowing)
 
@@ -90,7 +90,9 @@ def export_job(
     for name in parts if depth is None else [SURFACE]:
         if depth is None and parts[name] is None:
             raise InputError(
-                f"object '{name}'", "it has no faces that the view layer shows", "unhide it or choose another"
+                f"object '{name}'",
+                "it has no faces, or the view layer excludes it",
+                "include its collection, or choose another",
             )
         file = names.of(name)
         mask = (masks or {}).get(name)

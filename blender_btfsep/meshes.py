@@ -101,31 +101,69 @@ def gather(depsgraph, owners) -> dict:
     return {name: joined(list_of) for name, list_of in parts.items()}
 
 
-def render_occluders(scene, depsgraph, excluded) -> list:
+def rendered_objects(view_layer) -> set:
+    """The objects of ``view_layer`` that a render shows, whatever the viewport hides.
+
+    A collection that is excluded or not rendered hides what is in it, below it too; an object that is also elsewhere is
+    shown. Holdout and indirect-only collections count: what is in them casts shadows.
+    """
+    found = set()
+
+    def walk(layer):
+        if layer.exclude or layer.collection.hide_render:
+            return
+        found.update(thing for thing in layer.collection.objects if not thing.hide_render)
+        for child in layer.children:
+            walk(child)
+
+    walk(view_layer.layer_collection)
+    return found
+
+
+def render_occluders(view_layer, depsgraph, excluded) -> list:
     """The objects that a render shows and that cast shadows, without those in ``excluded``. Original objects."""
-    excluded = set(excluded)
+    rendered = {thing.name_full for thing in rendered_objects(view_layer) - set(excluded) if thing.visible_shadow}
     found = {}
     for instance in depsgraph.object_instances:
         owner = (instance.parent if instance.is_instance else instance.object).original
-        if owner in excluded or owner.hide_render or not owner.visible_shadow:
-            continue
-        if instance.object.type in SURFACE_TYPES:
+        if owner.name_full in rendered and instance.object.type in SURFACE_TYPES:
             found[owner.name_full] = owner
     return [found[name] for name in sorted(found)]
 
 
 @contextmanager
-def render_modifiers(objects):
-    """While it lasts, the viewport shows the modifiers of ``objects`` as a render would: switches and levels."""
+def as_rendered(view_layer, objects, *, chosen=()):
+    """While it lasts, the viewport shows what a render would: what is hidden, and the modifiers of ``objects``.
+
+    ``chosen`` are shown in any case: what the photo shows may be hidden in the render, as a stand-in is.
+    """
     changed = []
 
-    def put(modifier, name, value):
-        old = getattr(modifier, name)
+    def put(owner, name, value):
+        old = getattr(owner, name)
         if old != value:
-            changed.append((modifier, name, old))
-            setattr(modifier, name, value)
+            changed.append((owner, name, old))
+            setattr(owner, name, value)
 
+    def show(layer):
+        """Lifts what hides a collection in the viewport; gives whether a chosen object is in it."""
+        put(layer, "hide_viewport", False)
+        below = [show(child) for child in layer.children]
+        holds = any(below) or any(thing in chosen for thing in layer.collection.objects)
+        if holds:
+            put(layer.collection, "hide_viewport", False)
+        return holds
+
+    hidden = [thing for thing in view_layer.objects if thing.hide_get(view_layer=view_layer)]
     try:
+        for collection in bpy.data.collections:  # all of them: instances show those that the scene has not
+            put(collection, "hide_viewport", collection.hide_render)
+        for thing in bpy.data.objects:
+            put(thing, "hide_viewport", thing.hide_render and thing not in chosen)
+            put(thing, "show_instancer_for_viewport", thing.show_instancer_for_render)
+        show(view_layer.layer_collection)
+        for thing in hidden:
+            thing.hide_set(False, view_layer=view_layer)
         for thing in objects:
             if thing.library is not None:
                 continue  # linked from another file: as that file shows it
@@ -135,5 +173,7 @@ def render_modifiers(objects):
                     put(modifier, "levels", modifier.render_levels)
         yield
     finally:
-        for modifier, name, old in reversed(changed):
-            setattr(modifier, name, old)
+        for owner, name, old in reversed(changed):
+            setattr(owner, name, old)
+        for thing in hidden:
+            thing.hide_set(True, view_layer=view_layer)
