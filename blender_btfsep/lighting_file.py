@@ -9,7 +9,7 @@ from .errors import InputError
 from .harmonics import term_count
 
 FORMAT, VERSION = "btfsep-lighting", 1
-MAX_ORDER = 32
+MAX_ORDER = 64
 MAX_BYTES = 8 << 20
 _REMEDY = "export the lighting again with BTFsep"
 
