@@ -7,8 +7,8 @@ from pathlib import Path
 
 import bpy
 
+from . import atomic, meshes, photo, ply, unwrap
 from . import camera as pinhole
-from . import meshes, photo, ply, unwrap
 from .errors import InputError
 
 JOB_FILE = "job.json"
@@ -124,7 +124,7 @@ def export_job(
         "depth": None if depth is None else photo.put_depth(depth, folder),
         "metres_per_unit": 1.0 if units.system == "NONE" else units.scale_length,
     }
-    ply.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
+    atomic.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
     return folder / JOB_FILE
 
 

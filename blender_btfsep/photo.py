@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from .atomic import replacing, write_bytes
 from .errors import InputError
 from .scratch import scratch
 
@@ -111,10 +112,9 @@ def put_mask(image, folder, name: str, size) -> str:
         pixels[:] = inside[:, None]
         pixels[:, 3] = 1
         copy.pixels.foreach_set(pixels.ravel())
-        copy.filepath_raw, copy.file_format = str(Path(folder) / name), "PNG"
-        copy.save()
-    except RuntimeError as error:
-        raise InputError(f"cannot write {Path(folder) / name}", str(error).strip(), "free space") from None
+        with replacing(Path(folder) / name) as file:
+            copy.filepath_raw, copy.file_format = str(file), "PNG"
+            copy.save()
     finally:
         bpy.data.images.remove(copy)
     return name
@@ -146,13 +146,11 @@ def _size(image) -> tuple[int, int]:
 
 def _copy(source, folder: Path, suffix: str | None = None, stem: str = "photo") -> str:
     name = stem + (suffix or source.suffix.lower())
-    try:
-        if isinstance(source, bytes):
-            (folder / name).write_bytes(source)
-        elif source.resolve() != (folder / name).resolve():
-            shutil.copyfile(source, folder / name)
-    except OSError as error:
-        raise InputError(f"cannot write {folder / name}", error.strerror or str(error), "free space") from error
+    if isinstance(source, bytes):
+        write_bytes(folder / name, source)
+    elif source.resolve() != (folder / name).resolve():
+        with replacing(folder / name) as file:
+            shutil.copyfile(source, file)
     return name
 
 
@@ -162,8 +160,12 @@ def _save(image, folder: Path) -> str:
         scene = own(bpy.data.scenes.new("BTFsep photo"))
         settings = scene.render.image_settings
         settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
-        try:
-            image.save_render(str(folder / "photo.exr"), scene=scene)
-        except RuntimeError as error:
-            raise InputError(f"the photo {image.name}", str(error), "save it as a file and choose that") from error
+        if image.colorspace_settings.name in LINEAR and not image.is_float:
+            # save_render would take the codes for sRGB
+            pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
+            image.pixels.foreach_get(pixels)
+            image = own(bpy.data.images.new("BTFsep photo", *image.size, float_buffer=True, is_data=True))
+            image.pixels.foreach_set(pixels)
+        with replacing(folder / "photo.exr") as file:
+            image.save_render(str(file), scene=scene)
     return "photo.exr"

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes triangles with their shading normals and texture coordinates as a binary PLY."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 
-from .errors import InputError
+from . import atomic
 
 
 def write(path, corner_positions, corner_normals, corner_vertex, *, corner_uv=None) -> int:
@@ -47,20 +44,5 @@ def write(path, corner_positions, corner_normals, corner_vertex, *, corner_uv=No
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
     header += [f"property float {name}" for name in names]
     header += [f"element face {faces}", "property list uchar int vertex_indices", "end_header", ""]
-    write_bytes(path, "\n".join(header).encode() + table.tobytes() + records.tobytes())
+    atomic.write_bytes(path, "\n".join(header).encode() + table.tobytes() + records.tobytes())
     return len(table)
-
-
-def write_bytes(path, data: bytes) -> None:
-    """Writes ``data`` to ``path`` whole or not at all. Raises InputError."""
-    path = Path(path)
-    scratch = path.with_name(f".writing-{path.name}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.write_bytes(data)
-        os.replace(scratch, path)
-    except OSError as error:
-        scratch.unlink(missing_ok=True)
-        raise InputError(
-            f"cannot write {path}", error.strerror or str(error), "choose a folder that can be written"
-        ) from error

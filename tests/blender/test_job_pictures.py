@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Masks and depths that the add-on puts into a job, as the engine reads them."""
 
+import json
+import os
+import resource
+
 import bpy
 import numpy as np
 import pytest
@@ -102,3 +106,84 @@ def test_depths_that_are_no_exr_file_are_refused(scene, ball, tmp_path):
             export_job(scene, tmp_path / "job", depth=depth, **given)
     with pytest.raises(InputError, match="none is chosen"):
         export_job(scene, tmp_path / "job", **given)
+
+
+def decoded(codes):
+    """IEC 61966-2-1: linear values of codes from 0 to 1."""
+    return np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+
+
+@pytest.mark.parametrize("space", ["sRGB", "Non-Color", "Linear Rec.709"])
+@pytest.mark.parametrize("kind", ["path", "file", "packed", "sequence", "painted"])
+def test_the_engine_sees_the_colours_that_blender_sees(scene, ball, tmp_path, kind, space):
+    """A PNG however it is handed over and whatever colours it is said to hold."""
+    codes = np.round(np.random.default_rng(0).uniform(0.1, 0.9, (HEIGHT, WIDTH, 4)) * 255) / 255
+    codes[..., 3] = 1
+    photo = make_image("ramp", codes, save=tmp_path / "ramp_0001.png")
+    photo.colorspace_settings.name = space
+    if kind == "sequence":
+        photo.source = "SEQUENCE"
+    if kind == "packed":
+        photo.pack()
+        (tmp_path / "ramp_0001.png").unlink()
+    if kind == "painted":
+        photo.pixels[0] = codes[-1, 0, 0]  # the same, but Blender cannot know
+        assert photo.is_dirty
+    given = photo if kind != "path" else tmp_path / "ramp_0001.png"
+    folder = export_job(scene, tmp_path / "job", image_path=given, objects=[ball], occluders=[]).parent
+    seen = load_job(folder).photo.radiance
+    truth = decoded(codes[..., :3]) if space == "sRGB" or kind == "path" else codes[..., :3]
+    assert np.abs(seen - truth).max() < 1e-3
+
+
+def listing(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_no_file_of_a_job_is_written_in_place(scene, ball, tmp_path):
+    """A second name of each file of an earlier job keeps the earlier content: the new one is another file."""
+    depth = tmp_path / "z.exr"
+    image = bpy.data.images.new("z", WIDTH, HEIGHT, float_buffer=True)
+    image.filepath_raw, image.file_format = str(depth), "OPEN_EXR"
+    image.save()
+    mask = make_image("mask", np.ones((HEIGHT, WIDTH, 4)))
+    painted = make_image("painted", np.ones((HEIGHT, WIDTH, 4)))
+    jobs = [
+        {"image_path": tmp_path / "photo.png", "objects": [ball], "masks": {ball.name: mask}},
+        {"image_path": painted, "objects": [], "depth": str(depth)},
+    ]
+    for turn in range(2):
+        for given in jobs:
+            export_job(scene, tmp_path / "job", occluders=[], **given)
+        if turn == 0:
+            (tmp_path / "kept").mkdir()
+            for path in (tmp_path / "job").iterdir():
+                os.link(path, tmp_path / "kept" / path.name)
+            before = listing(tmp_path / "kept")
+            assert set(before) == {"job.json", "photo.png", "photo.exr", "depth.exr", f"mask_{ball.name}.png"} | {
+                f"{ball.name}.ply"
+            }
+            ball.location.x = 0.5
+            mask.pixels[:] = [0, 0, 0, 1] * (WIDTH * HEIGHT // 2) + [1] * (2 * WIDTH * HEIGHT)
+            painted.pixels[:] = [0.5] * (4 * WIDTH * HEIGHT)
+            for file in (tmp_path / "photo.png", depth):
+                os.utime(file)
+            bpy.context.view_layer.update()
+    assert listing(tmp_path / "kept") == before
+    same = [name for name in before if os.path.samefile(tmp_path / "job" / name, tmp_path / "kept" / name)]
+    assert same == []
+
+
+def test_a_job_for_which_the_disk_has_no_room_leaves_no_half_of_it(scene, ball, tmp_path):
+    given = {"image_path": tmp_path / "photo.png", "objects": [ball], "occluders": []}
+    folder = export_job(scene, tmp_path / "job", **given).parent
+    job = json.loads((folder / "job.json").read_text())
+    room = max(path.stat().st_size for path in folder.iterdir()) + 1000
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+    try:
+        with pytest.raises(InputError, match=r"cannot write .*job\.json; File too large"):
+            export_job(scene, folder, **given, materials={ball.name: "x" * room})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert job["objects"] and sorted(listing(folder)) == sorted([job["image"], job["objects"][0]["mesh"]])
