@@ -15,8 +15,8 @@ INTERPOLATIONS = (
 def apply_sequence(scene, frames, *, clamp: bool = True, interpolation: str = "LINEAR"):
     """Makes the lights of a sequence the World of ``scene``, one keyframe each.
 
-    Keyed are the coefficients and Clamp Gain, which depends on them. All else of the node group (Strength, Rotation) is
-    free to be changed or keyed by hand.
+    Keyed are the coefficients, and Clamp Negative and Clamp Gain, which depend on them. All else of the node group
+    (Strength, Rotation) is free to be changed or keyed by hand.
 
     Parameters
     ----------
@@ -50,7 +50,8 @@ def apply_sequence(scene, frames, *, clamp: bool = True, interpolation: str = "L
         for l in range(order + 1)
         for m in range(-l, l + 1)
     }
-    values[sh_nodes.CLAMP_GAIN] = np.array([world.clamp_gain(c) for c in coefficients])
+    clamping = [world.clamping(c, clamp) for c in coefficients]
+    values |= {name: np.array([[one[name]] for one in clamping]) for name in clamping[0]}
     paths = {}
     for name, rows in values.items():
         socket = group.inputs[name]

@@ -5,9 +5,15 @@ The convention is the engine's (``docs/conventions.md``): index l^2 + l + m, ort
 included, so that Y_1 = (-0.4886 y, 0.4886 z, -0.4886 x). A test compares every term with the engine's.
 """
 
+from functools import lru_cache
 from math import isqrt, pi, sqrt
 
 import numpy as np
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # linear Rec.709
+FLOOR = 0.5  # of the blurred luminance: no place of a light that was negative somewhere is darker
+ROUNDING = 1e-6  # of the brightest radiance: less below zero than that is none
+BLOCK = 400_000  # basis values computed at once
 
 
 def term_count(order: int) -> int:
@@ -57,6 +63,23 @@ def terms(order: int, x, y, z):
                 yield l, -m, sin_m * current
 
 
+@lru_cache(maxsize=8)
+def positive_window(order: int) -> np.ndarray:
+    """Factors (order + 1,) of the orders: the engine's window that keeps a light from being negative.
+
+    The narrowest blur p(cos t)^2 with p of order // 2 (``docs/method.md``); a test compares it with the engine's.
+    """
+    half = order // 2
+    node, weight = np.polynomial.legendre.leggauss(order + 2)
+    legendre = np.polynomial.legendre.legvander(node, order)
+    k = np.arange(half)
+    beside = (k + 1) / np.sqrt((2 * k + 1) * (2 * k + 3))
+    _, vectors = np.linalg.eigh(np.diag(beside, 1) + np.diag(beside, -1))
+    polynomial = (legendre[:, : half + 1] * np.sqrt(np.arange(half + 1) + 0.5)) @ vectors[:, -1]
+    moments = legendre.T @ (weight * polynomial**2)
+    return moments / moments[0]
+
+
 def evaluate(order: int, directions) -> np.ndarray:
     """All basis functions, (..., (order + 1)^2) float64, at ``directions : (..., 3) float, unit, world, z up``."""
     d = np.asarray(directions, np.float64)
@@ -67,17 +90,58 @@ def evaluate(order: int, directions) -> np.ndarray:
 
 
 def to_map(coefficients, height: int, width: int) -> np.ndarray:
-    """The environment map of ``coefficients : ((L + 1)^2, 3)``; may be negative.
+    """The environment map of ``coefficients : ((L + 1)^2, n)``; may be negative.
 
     Returns
     -------
-    (height, width, 3) float64, equirectangular as Blender reads it, u = 1/2 - atan2(y, x) / 2 pi, row 0 is **up**
+    (height, width, n) float64, equirectangular as Blender reads it, u = 1/2 - atan2(y, x) / 2 pi, row 0 is **up**
     """
     coefficients = np.asarray(coefficients, np.float64)
     azimuth = 2 * np.pi * (0.5 - (np.arange(width) + 0.5) / width)
     elevation = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
-    c = np.cos(elevation)[:, None]
-    directions = np.stack(
-        [c * np.cos(azimuth), c * np.sin(azimuth), np.broadcast_to(np.sin(elevation)[:, None], (height, width))], -1
-    )
-    return evaluate(order_of(len(coefficients)), directions) @ coefficients
+    out = np.empty((height, width, coefficients.shape[1]))
+    step = max(1, BLOCK // (width * len(coefficients)))
+    for start in range(0, height, step):
+        c, s = (f(elevation[start : start + step])[:, None] for f in (np.cos, np.sin))
+        directions = np.stack([c * np.cos(azimuth), c * np.sin(azimuth), s + 0 * azimuth], -1)
+        out[start : start + step] = evaluate(order_of(len(coefficients)), directions) @ coefficients
+    return out
+
+
+def positive_map(coefficients, height: int, width: int) -> np.ndarray:
+    """As :func:`to_map`, for a light that is to be nowhere negative: the rule of ``docs/method.md``."""
+    share, gain = positive_share(coefficients)
+    series, windowed = _both(coefficients, height, width)
+    return np.maximum((1 - share) * series + share * gain * _positive(series, windowed), 0)
+
+
+def positive_share(coefficients) -> tuple[float, float]:
+    """How far :func:`positive_map` puts another light in the place of the series (0 to 1), and that light's gain."""
+    height = max(64, 4 * order_of(len(coefficients)))
+    series, windowed = _both(coefficients, height, 2 * height)
+    negative = series < -ROUNDING * np.abs(series).max()
+    if not negative.any():
+        return 0.0, 1.0
+    positive = _positive(series, windowed)
+    edges = np.sin(np.pi * (0.5 - np.arange(height + 1) / height))
+    area = (edges[:-1] - edges[1:])[:, None]
+    whole, other = ((area * (values @ LUMINANCE)).sum() for values in (series, positive))
+    gain = max(whole, 0.0) / max(other, 1e-300)
+    depth = -series[negative]
+    return min(1.0, 2 * float((depth / (depth + gain * positive[negative])).max())), float(gain)
+
+
+def _both(coefficients, height: int, width: int):
+    """The map of the series, and that of the series blurred: (height, width, 3) each."""
+    x = np.asarray(coefficients, np.float64)
+    order = order_of(len(x))
+    per_term = np.repeat(positive_window(order), 2 * np.arange(order + 1) + 1)
+    both = to_map(np.concatenate([x, per_term[:, None] * x], 1), height, width)
+    return both[..., :3], both[..., 3:]
+
+
+def _positive(series, windowed) -> np.ndarray:
+    colour = np.maximum(windowed, 0)
+    y = (colour @ LUMINANCE)[..., None]
+    level = np.maximum((series @ LUMINANCE)[..., None], FLOOR * y)
+    return colour * np.divide(level, y, out=np.zeros_like(y), where=y > 0)

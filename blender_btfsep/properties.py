@@ -109,7 +109,9 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
     )
     world_mode: EnumProperty(name="World", description="How the light is put into the scene", items=WORLD_MODES)
     clamp: BoolProperty(
-        name="Clamp Negative", description="Black where the sum of the harmonics is negative", default=True
+        name="Clamp Negative",
+        description="Dark, in the colour of what is around, where the sum of the harmonics is negative",
+        default=True,
     )
     sun_lamp: BoolProperty(
         name="Sun Lamp",

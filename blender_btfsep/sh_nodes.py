@@ -48,6 +48,13 @@ class _Builder:
             self.feed(socket, operand)
         return _Scalar(self, node.outputs[0])
 
+    def luminance(self, vector):
+        node = self.node("ShaderNodeVectorMath", "luminance")
+        node.operation = "DOT_PRODUCT"
+        self.feed(node.inputs[0], vector)
+        node.inputs[1].default_value = harmonics.LUMINANCE
+        return _Scalar(self, node.outputs["Value"])
+
     def vector(self, operation: str, *operands, scale=None, label: str = ""):
         node = self.node("ShaderNodeVectorMath", label)
         node.operation = operation
@@ -78,7 +85,7 @@ class _Scalar:
         return self.builder.math("SUBTRACT", self, other)
 
 
-CLAMP_GAIN = "Clamp Gain"
+CLAMP, CLAMP_GAIN = "Clamp Negative", "Clamp Gain"
 
 
 def coefficient_name(l: int, m: int) -> str:
@@ -90,8 +97,9 @@ def build_group(order: int) -> bpy.types.ShaderNodeTree:
     """A new node group of ``order`` (0 to MAX_NODE_ORDER).
 
     Inputs: Strength; Rotation (radians, turns the light counter-clockwise about +Z as seen from above); Clamp
-    Negative; Clamp Gain (what the clamped light is multiplied by); one vector a coefficient (red, green, blue; may be
-    negative). Output: Color, linear radiance along the direction in which the World is looked at.
+    Negative and Clamp Gain (as harmonics.positive_share gives them; 0: the sum of the harmonics as it is); one vector a
+    coefficient (red, green, blue; may be negative). Output: Color, linear radiance along the direction in which the
+    World is looked at.
     """
     if not 0 <= order <= MAX_NODE_ORDER:
         raise ValueError(f"order {order} is not in 0 to {MAX_NODE_ORDER}")
@@ -112,21 +120,27 @@ def build_group(order: int) -> bpy.types.ShaderNodeTree:
     build.feed(separate.inputs[0], rotate.outputs[0])
     x, y, z = (_Scalar(build, socket) for socket in separate.outputs)
 
-    total = None
+    total = blurred = None
+    window = harmonics.positive_window(order)
     for l, m, value in harmonics.terms(order, x, y, z):
         name = coefficient_name(l, m)
         if isinstance(value, _Scalar):
             value.socket.node.label = name
         term = build.vector("SCALE", inputs.outputs[name], scale=value)
         total = term if total is None else build.vector("ADD", total, term)
+        blurred = term if blurred is None else build.vector("MULTIPLY_ADD", term, (float(window[l]),) * 3, blurred)
 
-    above = build.vector("MAXIMUM", total, (0.0, 0.0, 0.0), label="not negative")
+    colour = build.vector("MAXIMUM", blurred, (0.0, 0.0, 0.0), label="blurred, not negative")
+    y = build.luminance(colour)
+    level = build.math("MAXIMUM", build.luminance(total), y * harmonics.FLOOR, label="not too dark")
+    level = build.math("DIVIDE", level, y) * _Scalar(build, inputs.outputs[CLAMP_GAIN])
+    positive = build.vector("SCALE", colour, scale=level, label="same light")
     clamp = build.node("ShaderNodeMix", "clamp negative")
     clamp.data_type = "VECTOR"
     by_kind = {(socket.name, socket.type): socket for socket in clamp.inputs}
-    build.feed(by_kind["Factor", "VALUE"], inputs.outputs["Clamp Negative"])
+    build.feed(by_kind["Factor", "VALUE"], inputs.outputs[CLAMP])
     build.feed(by_kind["A", "VECTOR"], total)
-    build.feed(by_kind["B", "VECTOR"], build.vector("MULTIPLY", above, inputs.outputs[CLAMP_GAIN], label="same light"))
+    build.feed(by_kind["B", "VECTOR"], positive)
     mixed = next(socket for socket in clamp.outputs if socket.type == "VECTOR")
     strong = build.vector("SCALE", mixed, scale=inputs.outputs["Strength"], label="strength")
     build.feed(build.node("NodeGroupOutput").inputs["Color"], strong)
@@ -142,12 +156,12 @@ def _interface(tree, order: int) -> None:
     rotation = face.new_socket("Rotation", in_out="INPUT", socket_type="NodeSocketFloat")
     rotation.subtype = "ANGLE"
     rotation.description = "Turns the light about the vertical, counter-clockwise as seen from above"
-    clamp = face.new_socket("Clamp Negative", in_out="INPUT", socket_type="NodeSocketBool")
-    clamp.default_value = True
-    clamp.description = "Black where the sum of the harmonics is negative: no surface gets negative light"
-    gain = face.new_socket(CLAMP_GAIN, in_out="INPUT", socket_type="NodeSocketVector")
-    gain.default_value = (1.0, 1.0, 1.0)
-    gain.description = "Factor on red, green and blue where negative light is clamped: keeps the light's whole amount"
+    clamp = face.new_socket(CLAMP, in_out="INPUT", socket_type="NodeSocketFloat")
+    clamp.subtype, clamp.default_value, clamp.min_value, clamp.max_value = "FACTOR", 1.0, 0.0, 1.0
+    clamp.description = "How far the light is kept from being negative. 0: the sum of the harmonics as it is"
+    gain = face.new_socket(CLAMP_GAIN, in_out="INPUT", socket_type="NodeSocketFloat")
+    gain.default_value, gain.min_value = 1.0, 0.0
+    gain.description = "Factor on the light that is clamped: keeps its whole amount"
     for l in range(order + 1):
         panel = face.new_panel(f"Order {l}", default_closed=l > 1)
         panel.description = "Coefficients of the real spherical harmonics: red, green and blue of each"

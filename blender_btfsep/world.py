@@ -39,7 +39,7 @@ def apply_lighting(
     scene : bpy.types.Scene
     lighting : dict, as lighting_file.read returns it; "coefficients" are ((L + 1)^2, 3), linear Rec.709 radiance
     mode : "NODES" (a node group with the coefficients as inputs; up to order 9) or "TEXTURE" (a packed map)
-    clamp : black where the sum is negative; what is left is dimmed to the same amount of light (`clamp_gain`)
+    clamp : a light that is negative somewhere is made positive (`harmonics.positive_map`)
     lamp : whether a key light becomes a Sun lamp, and the World the rest; else the World is all of the light
 
     Returns
@@ -135,16 +135,10 @@ def _remove_orphans() -> None:
         bpy.data.images.remove(image)
 
 
-def clamp_gain(coefficients) -> np.ndarray:
-    """What clamped light has to be multiplied by to keep its amount: (3,), 1 where nothing was negative.
-
-    The negative lobes of a truncated series take light away; cutting them off without a word would leave a World that
-    is brighter than the one that was estimated, up to twice with few coefficients.
-    """
-    radiance = harmonics.to_map(coefficients, MAP_HEIGHT // 4, MAP_HEIGHT // 2)
-    weight = np.cos((0.5 - (np.arange(len(radiance)) + 0.5) / len(radiance)) * np.pi)[:, None, None]
-    whole, clamped = (weight * radiance).sum((0, 1)), (weight * np.maximum(radiance, 0)).sum((0, 1))
-    return np.where(radiance.min((0, 1)) < 0, np.clip(whole, 0, None) / np.maximum(clamped, 1e-30), 1.0)
+def clamping(coefficients, clamp: bool) -> dict:
+    """Values of the node group's inputs that keep ``coefficients`` from being negative, if ``clamp`` and they are."""
+    share, gain = harmonics.positive_share(coefficients) if clamp else (0.0, 1.0)
+    return {sh_nodes.CLAMP: share, sh_nodes.CLAMP_GAIN: gain}
 
 
 def _write_nodes(tree, coefficients, order: int, clamp: bool) -> None:
@@ -152,8 +146,8 @@ def _write_nodes(tree, coefficients, order: int, clamp: bool) -> None:
     group.node_tree = sh_nodes.build_group(order)
     group.name = group.label = sh_nodes.GROUP_NAME
     group.width = 240
-    group.inputs["Clamp Negative"].default_value = clamp
-    group.inputs[sh_nodes.CLAMP_GAIN].default_value = clamp_gain(coefficients)
+    for name, value in clamping(coefficients, clamp).items():
+        group.inputs[name].default_value = value
     for l in range(order + 1):
         for m in range(-l, l + 1):
             group.inputs[sh_nodes.coefficient_name(l, m)].default_value = coefficients[l * l + l + m]
@@ -162,9 +156,7 @@ def _write_nodes(tree, coefficients, order: int, clamp: bool) -> None:
 
 
 def _write_texture(tree, coefficients, clamp: bool) -> None:
-    radiance = harmonics.to_map(coefficients, MAP_HEIGHT, 2 * MAP_HEIGHT)
-    if clamp:
-        radiance = np.maximum(radiance, 0) * clamp_gain(coefficients)
+    radiance = (harmonics.positive_map if clamp else harmonics.to_map)(coefficients, MAP_HEIGHT, 2 * MAP_HEIGHT)
     image = bpy.data.images.new(IMAGE_NAME, 2 * MAP_HEIGHT, MAP_HEIGHT, float_buffer=True, alpha=False, is_data=True)
     image[WORLD_TAG] = True
     image.use_half_precision = False

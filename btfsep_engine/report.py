@@ -7,8 +7,7 @@ from scipy.spatial import cKDTree
 from btfsep_engine.atomic import replacing
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.images import linear_to_srgb
-from btfsep_engine.light.files import lighting_map
-from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.light.files import lighting_map, seen_lighting
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.render.sampling import spread
 
@@ -106,12 +105,13 @@ def write_estimate_report(path, found, settings) -> None:
     textured = settings.appearance == "textured"
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
     light = found.lighting
-    indirect = scene.indirect(materials, SHLighting(light.coefficients), bounces=settings.reflections)
+    whole, sky = seen_lighting(light)
+    indirect = scene.indirect(materials, whole, bounces=settings.reflections)
     shown = [m if textured or not isinstance(m, Tabulated) else m.mean_material() for m in materials]
     again = render_objects(
         scene,
         shown,
-        SHLighting(light.sky),
+        sky,
         textured=textured,
         directions=DIRECTIONS,
         indirect=indirect,

@@ -2,7 +2,7 @@
 """``lighting.json`` and ``lighting.exr``: the estimated light as files (``docs/formats.md``)."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,9 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from btfsep_engine import atomic, images, sh
+from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.schema import Strict, parse
+from btfsep_engine.light.lightings import EnvironmentMaps, SHLighting
 from btfsep_engine.light.maps import read_map
+from btfsep_engine.light.positivity import positive_radiance, positive_share
 from btfsep_engine.light.sun import Sun
 
 MAX_ORDER = 64
@@ -185,12 +188,26 @@ def sun_record(sun: Sun) -> dict:
 
 
 def lighting_map(lighting: Lighting, height: int, width: int) -> np.ndarray:
-    """The lighting as an equirectangular map (height, width, 3); spherical harmonics may dip below zero.
+    """The lighting as an equirectangular map (height, width, 3), nowhere negative (`positivity.positive_radiance`).
 
     A sun is a disc of its irradiance, so that its shadows are sharp when the map lights a scene.
     """
-    image = sh.to_map(lighting.sky, height, width)
+    image = positive_radiance(lighting.sky, pixel_directions(height, width))
     return image if lighting.sun is None else image + lighting.sun.to_map(height, width)
+
+
+def seen_lighting(lighting: Lighting):
+    """All of the light, and the light without its sun, as surfaces are to see it: nowhere negative.
+
+    Returns
+    -------
+    two Lightings of one light; a series that is nowhere negative stays one, so that it is exact
+    """
+    if positive_share(lighting.sky)[0] == 0:
+        return SHLighting(lighting.coefficients), SHLighting(lighting.sky)
+    without = replace(lighting, sun=None, coefficients=lighting.sky)
+    whole, sky = (EnvironmentMaps(lighting_map(each, 128, 256)[None], ("light",)) for each in (lighting, without))
+    return whole, sky
 
 
 def write_lighting_exr(path, lighting: Lighting, *, height: int = MAP_SIZE[0], width: int = MAP_SIZE[1]) -> None:

@@ -9,6 +9,9 @@ up to L. Of these kernels the narrowest is the one whose mean cosine is largest,
 
 the eigenvector of the Legendre polynomials' Jacobi matrix with the largest eigenvalue (as in Gauss's quadrature).
 At order 9 its mean cosine is 0.906, 25 degrees.
+
+Where only a series is given and it is negative somewhere, :func:`positive_radiance` makes light of it
+(``docs/method.md``).
 """
 
 from functools import lru_cache
@@ -16,10 +19,13 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
+from btfsep_engine.images import luminance
 from btfsep_engine.light.maps import training_lights
 
 DIRECTIONS = 400  # 10 degrees apart, finer than the kernel is wide
+FLOOR = 0.5  # of the blurred luminance: no place is darker
+ROUNDING = 1e-6  # of the brightest radiance: less below zero than that is none
 
 
 @lru_cache(maxsize=10)
@@ -53,3 +59,67 @@ def darkest_share(order: int) -> float:
     mean = x[:, 0].mean(-1) * sh.evaluate(0, np.array([[0.0, 0.0, 1.0]]))[0, 0]
     blurred = np.einsum("dt,mtc->mdc", blurred_basis(order), x)
     return float(max(0.0, (blurred.min((1, 2)) / mean).min()))
+
+
+def positive_radiance(coefficients, directions) -> np.ndarray:
+    """The light that a series x stands for: x itself, or as far as it is negative somewhere, in its place
+
+        g max(Y, FLOOR Y_w) W / Y_w
+
+    with Y the luminance of x, W the series blurred by :func:`positive_window` and clamped at 0, Y_w its luminance. The
+    colour is that of the blurred light, which does not ring, so that what rings is brightness and no hue.
+
+    Parameters
+    ----------
+    coefficients : ((L + 1)^2, 3) float, linear Rec.709
+    directions : (..., 3) float, unit, world
+
+    Returns
+    -------
+    (..., 3) float64, >= 0
+    """
+    x = np.asarray(coefficients, np.float64)
+    share, gain = positive_share(x)
+    series, windowed = _both(x, directions)
+    return np.maximum((1 - share) * series + share * gain * _positive(series, windowed), 0)
+
+
+def positive_share(coefficients) -> tuple[float, float]:
+    """How far :func:`positive_radiance` puts another light in the place of a series, and its gain g.
+
+    Returns
+    -------
+    share : 0 for a series that is nowhere negative; else twice the least at which nothing is negative, at most 1
+    gain : gives the whole the luminance that the series has, one number for all channels
+    """
+    x = np.asarray(coefficients, np.float64)
+    height = max(64, 4 * sh.order_of(len(x)))
+    series, windowed = _both(x, pixel_directions(height, 2 * height))
+    negative = series < -ROUNDING * np.abs(series).max()
+    if not negative.any():
+        return 0.0, 1.0
+    positive = _positive(series, windowed)
+    area = pixel_solid_angles(height, 2 * height)[:, None]
+    whole, other = ((area * luminance(values)).sum() for values in (series, positive))
+    gain = max(whole, 0.0) / max(other, 1e-300)
+    depth = -series[negative]
+    return min(1.0, 2 * float((depth / (depth + gain * positive[negative])).max())), float(gain)
+
+
+def _both(x, directions):
+    """The series, and the series blurred: (..., 3) each."""
+    order = sh.order_of(len(x))
+    per_term = np.repeat(positive_window(order), 2 * np.arange(order + 1) + 1)
+    both = np.concatenate([x, per_term[:, None] * x], 1)
+    d = np.asarray(directions, np.float64)
+    flat, step = d.reshape(-1, 3), max(1, sh.BLOCK * 100 // len(x))
+    values = [sh.evaluate(order, flat[i : i + step]) @ both for i in range(0, len(flat), step)]
+    out = np.concatenate(values).reshape(*d.shape[:-1], 6)
+    return out[..., :3], out[..., 3:]
+
+
+def _positive(series, windowed) -> np.ndarray:
+    colour = np.maximum(windowed, 0)
+    y = luminance(colour)[..., None]
+    level = np.maximum(luminance(series)[..., None], FLOOR * y)
+    return colour * np.divide(level, y, out=np.zeros_like(y), where=y > 0)

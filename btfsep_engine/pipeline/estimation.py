@@ -273,7 +273,7 @@ def uncertainty_doubts(fit: Fit, lighting: Lighting, settings: Settings) -> list
     if clamped > THRESHOLDS.clamped:
         out.append(
             f"the estimated light is negative in some directions ({100 * clamped:.0f} % of its power), as a series of "
-            f"order {lighting.order} can be; the World clamps it at 0"
+            f"order {lighting.order} can be; the World shows it dark there"
         )
     return out
 

@@ -9,8 +9,8 @@ import numpy as np
 from btfsep_engine import images
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
-from btfsep_engine.light.files import read_lighting
-from btfsep_engine.light.lightings import EnvironmentMaps, SHLighting
+from btfsep_engine.light.files import read_lighting, seen_lighting
+from btfsep_engine.light.lightings import EnvironmentMaps
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.estimation import object_materials
 from btfsep_engine.pipeline.record import run_record
@@ -29,7 +29,7 @@ def lighting_of(path):
     path = Path(path)
     if path.suffix.lower() == ".json":
         light = read_lighting(path)
-        return SHLighting(light.coefficients), SHLighting(light.sky), light.sun
+        return *seen_lighting(light), light.sun
     light = EnvironmentMaps(read_map(path)[None], (path.stem,))
     return light, light, None
 

@@ -7,8 +7,9 @@ import pytest
 
 from blender_btfsep import animation, frames, world
 from blender_btfsep.errors import InputError
-from blender_btfsep.sh_nodes import CLAMP_GAIN, GROUP_NAME, coefficient_name
+from blender_btfsep.sh_nodes import CLAMP, CLAMP_GAIN, GROUP_NAME, coefficient_name
 from btfsep_engine import sh
+from btfsep_engine.light.positivity import positive_share
 from tests.blender.lit import lighting, look_around, positive_coefficients, random_coefficients, white_ball
 
 FRAMES = (3, 4, 9)
@@ -19,13 +20,12 @@ def sequence(order=2, numbers=FRAMES):
 
 
 def evaluated(scene, frame):
-    """Coefficients, and Clamp Gain, as Blender evaluates them at a frame."""
+    """Coefficients, and what keeps them from being negative, as Blender evaluates them at a frame."""
     scene.frame_set(frame)
     tree = scene.world.evaluated_get(bpy.context.evaluated_depsgraph_get()).node_tree
     inputs = tree.nodes[GROUP_NAME].inputs
-    return np.array([s.default_value for s in inputs if s.name.startswith("Y ")]), np.array(
-        inputs[CLAMP_GAIN].default_value
-    )
+    clamping = {name: inputs[name].default_value for name in (CLAMP, CLAMP_GAIN)}
+    return np.array([s.default_value for s in inputs if s.name.startswith("Y ")]), clamping
 
 
 @pytest.mark.parametrize("clamp", [True, False])
@@ -33,10 +33,11 @@ def test_each_frame_has_its_own_light(scene, clamp):
     lights = sequence()
     animation.apply_sequence(scene, lights, clamp=clamp)
     for number, light in lights:
-        found, gain = evaluated(scene, number)
+        found, clamping = evaluated(scene, number)
         assert np.allclose(found, light["coefficients"], atol=1e-6)
-        assert np.allclose(gain, world.clamp_gain(light["coefficients"]), atol=1e-6)
-    assert scene.world.node_tree.nodes[GROUP_NAME].inputs["Clamp Negative"].default_value is clamp
+        share, gain = positive_share(light["coefficients"]) if clamp else (0, 1)
+        assert clamping == {CLAMP: pytest.approx(share, abs=1e-5), CLAMP_GAIN: pytest.approx(gain, abs=1e-5)}
+        assert share > 0.1 or not clamp
 
 
 def test_between_the_photos(scene):
@@ -90,7 +91,7 @@ def test_keys_can_be_edited_and_go_with_the_next_light(scene):
 
     animation.apply_sequence(scene, sequence(2, (1, 2)))  # another sequence: no key of the first is left
     curves = animation.fcurves(made.node_tree.animation_data)
-    assert len(bpy.data.actions) == 1 and len(curves) == 3 * 10
+    assert len(bpy.data.actions) == 1 and len(curves) == 3 * 9 + 2
     assert {len(c.keyframe_points) for c in curves} == {2}
     world.apply_lighting(scene, lighting(random_coefficients(1)))  # a still light stays as it is at all frames
     assert not bpy.data.actions

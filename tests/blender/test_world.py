@@ -9,6 +9,7 @@ from mathutils import Matrix
 from blender_btfsep import harmonics, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import conventions, sh
+from btfsep_engine.light import positivity
 from tests.blender.lit import lighting, look_around, positive_coefficients, random_coefficients, white_ball
 
 
@@ -33,24 +34,41 @@ def test_nodes_show_every_term(scene, render, order):
     assert np.abs(sh.to_map(wrong, 64, 128) - truth).max() > 0.02 * np.abs(truth).max()
 
 
-def test_texture_equals_nodes(scene, render):
+def lamp_and_sky(order):
+    """A warm lamp on a blue sky, cut off at ``order``: it rings."""
+    d = conventions.pixel_directions(64, 128)
+    lamp = np.exp(((d @ [0.48, -0.6, 0.64]) - 1) / 0.02)[..., None] * [30.0, 22.0, 15.0]
+    return sh.project_map(lamp + (0.6 + 0.4 * d[..., 2:]) * [0.6, 0.8, 1.0], order)
+
+
+def test_what_keeps_a_light_from_being_negative_is_the_engines():
+    assert np.array_equal(harmonics.LUMINANCE, conventions.REC709_LUMINANCE)
+    for order in (0, 1, 2, 4, 9, 12):
+        assert np.allclose(harmonics.positive_window(order), positivity.positive_window(order), atol=1e-12)
+        for c in (lamp_and_sky(order), random_coefficients(order, seed=order)):
+            assert np.allclose(harmonics.positive_share(c), positivity.positive_share(c), rtol=1e-9)
+            theirs = positivity.positive_radiance(c, conventions.pixel_directions(32, 64))
+            assert np.allclose(harmonics.positive_map(c, 32, 64), theirs, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 4, 9])
+def test_nodes_and_texture_show_the_light_that_the_engine_makes_of_a_series(scene, render, order):
+    """Rendered by Cycles: the node group, the baked map, and the engine's own function."""
     look_around(scene)
-    c = random_coefficients(4, seed=7)
-    c[0] = 1.5
+    c = lamp_and_sky(order)
+    assert sh.to_map(c, 64, 128).min() < 0 < positivity.positive_share(c)[0]
+    truth = positivity.positive_radiance(c, conventions.pixel_directions(64, 128))
     world.apply_lighting(scene, lighting(c), mode="NODES")
     nodes = render(scene)
+    assert nodes.min() >= 0 and np.abs(nodes - truth).max() < 1e-3 * truth.max()
     world.apply_lighting(scene, lighting(c), mode="TEXTURE")
     texture = render(scene)
-    assert nodes.min() == 0 and texture.min() == 0  # clamped
-    # Where the clamp makes a kink, the texture's interpolation rounds it off by part of a texel.
-    assert np.abs(texture - nodes).max() < 0.01 * nodes.max()
-    assert np.abs(texture - nodes).mean() < 5e-4 * nodes.max()
-    # clamping keeps the shape of what is positive, and the whole amount of light in each channel
-    positive = np.maximum(sh.to_map(c, 64, 128), 0)
-    gain = c[0] / sh.project_map(positive, 0)[0]
-    assert gain.max() < 0.9
-    assert np.abs(nodes - gain * positive).max() < 5e-3 * nodes.max()
-    assert np.allclose(sh.project_map(nodes, 0)[0], c[0], rtol=5e-3)
+    assert texture.min() >= 0 and np.abs(texture - truth).max() < 5e-3 * truth.max()
+    # the amount of light is that of the series, not that of the series with its negative part cut off
+    whole = c[0] @ conventions.REC709_LUMINANCE
+    assert sh.project_map(nodes, 0)[0] @ conventions.REC709_LUMINANCE == pytest.approx(whole, rel=5e-3)
+    cut = sh.project_map(np.maximum(sh.to_map(c, 64, 128), 0), 0)[0] @ conventions.REC709_LUMINANCE
+    assert order == 9 or cut > 1.015 * whole
 
 
 def test_texture_above_the_order_of_the_nodes(scene, render):

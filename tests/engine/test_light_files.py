@@ -8,6 +8,7 @@ import OpenEXR
 import pytest
 
 from btfsep_engine import sh
+from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import (
     Lighting,
@@ -17,6 +18,7 @@ from btfsep_engine.light.files import (
     write_lighting,
     write_lighting_exr,
 )
+from btfsep_engine.light.positivity import positive_radiance
 
 
 @pytest.fixture
@@ -102,10 +104,16 @@ def test_shapes_have_to_agree():
 
 
 def test_the_map_is_the_light(tmp_path, lighting):
-    write_lighting_exr(tmp_path / "l.exr", lighting, height=64, width=128)
-    planes = OpenEXR.File(str(tmp_path / "l.exr"), separate_channels=True).channels()
-    pixels = np.stack([planes[c].pixels for c in "RGB"], -1)
-    np.testing.assert_allclose(pixels, sh.to_map(lighting.coefficients, 64, 128), rtol=1e-5, atol=1e-6)
+    def written():
+        write_lighting_exr(tmp_path / "l.exr", lighting, height=64, width=128)
+        planes = OpenEXR.File(str(tmp_path / "l.exr"), separate_channels=True).channels()
+        return np.stack([planes[c].pixels for c in "RGB"], -1)
+
+    assert sh.to_map(lighting.coefficients, 64, 128).min() < 0
+    positive = positive_radiance(lighting.coefficients, pixel_directions(64, 128))
+    np.testing.assert_allclose(written(), positive, rtol=1e-5, atol=1e-6)
+    lighting.coefficients[0] = 20
+    np.testing.assert_allclose(written(), sh.to_map(lighting.coefficients, 64, 128), rtol=1e-5, atol=1e-6)
     back = read_any_lighting(tmp_path / "l.exr", 2)
     np.testing.assert_allclose(back.coefficients, lighting.coefficients, atol=5e-3)
     assert back.determined.all()

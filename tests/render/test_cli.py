@@ -10,7 +10,7 @@ import pytest
 
 from btfsep_engine import images, sh
 from btfsep_engine.cli import main
-from btfsep_engine.light.files import exactly, read_lighting, write_lighting
+from btfsep_engine.light.files import exactly, read_lighting, write_lighting, write_lighting_exr
 from tests.render.progress_lines import assert_whole_run
 
 WHITE = ["--material", "reference/white-diffuse"]
@@ -96,6 +96,24 @@ def test_the_estimator_is_the_presets_or_as_told(sphere_job_folder, capsys, how,
     else:
         assert 8 < result["effective_degrees_of_freedom"] < 100 and result["noise"] < 0.05
         assert 0.02 < result["prior_scale"] < 10 and result["block_correlation"] >= 0
+
+
+@pytest.mark.parametrize("material", ["reference/chrome", "reference/white-diffuse"])
+def test_a_series_that_rings_relights_as_its_map_does(sphere_job_folder, tmp_path, material):
+    """lighting.json and lighting.exr are one light, nowhere negative, also where a mirror shows it."""
+    folder, _ = sphere_job_folder
+    x = np.outer(sh.evaluate(4, np.array([0.0, 0.6, 0.8])), [3.0, 2.0, 1.0])  # a lamp, cut off at order 4
+    x[0] += [0.5, 1.0, 2.0]
+    light = exactly(x)
+    assert sh.to_map(x, 64, 128).min() < -0.3
+    write_lighting(tmp_path / "light.json", light)
+    write_lighting_exr(tmp_path / "light.exr", light)
+    same = ["relight", str(folder), "--material", material, "--bounces", "1"]
+    pictures = []
+    for name in ("light.json", "light.exr"):
+        assert main([*same, "--lighting", str(tmp_path / name), "--out", str(tmp_path / f"{name}.relit.exr")]) == 0
+        pictures.append(images.read_linear(tmp_path / f"{name}.relit.exr").pixels)
+    assert pictures[0].min() >= 0 and np.abs(pictures[0] - pictures[1]).max() < 0.02 * pictures[1].max()
 
 
 def test_a_known_light_survives_relight_and_estimate(sphere_job_folder, capsys, tmp_path):
