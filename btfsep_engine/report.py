@@ -5,7 +5,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from btfsep_engine.atomic import replacing
-from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.images import linear_to_srgb
 from btfsep_engine.light.files import lighting_map, seen_lighting
 from btfsep_engine.light.maps import training_lights
@@ -79,7 +78,7 @@ def render_objects(
     out = np.full((lightings.count, camera.height, camera.width, 3), np.nan, np.float32)
     for index, material in enumerate(materials):
         region = scene.view.mesh == index
-        points = scene.points(index, region=region, textured=textured and isinstance(material, Tabulated))
+        points = scene.points(index, region=region, textured=textured and material.has_texture)
         points = points.take(spread(points, PIXELS))
         values = scene.radiance(points, material, lightings, directions=directions, indirect=indirect)
         if sun is not None:
@@ -107,7 +106,7 @@ def write_estimate_report(path, found, settings) -> None:
     light = found.lighting
     whole, sky = seen_lighting(light)
     indirect = scene.indirect(materials, whole, bounces=settings.reflections)
-    shown = [m if textured or not isinstance(m, Tabulated) else m.mean_material() for m in materials]
+    shown = [m if textured else m.mean_material() for m in materials]
     again = render_objects(
         scene,
         shown,

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether a material of a library is what the index says, and what can exist."""
 
-import numpy as np
-
 from btfsep_engine.btf import linear, reciprocity
 from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.btf.library import Library
-from btfsep_engine.btf.model import Lambertian, Tabulated
+from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.errors import InputError
 
 MAX_RECIPROCITY_ERROR = 0.3  # measured materials have up to 0.2
@@ -29,7 +27,7 @@ def check(library: Library, name: str) -> dict:
     """
     if name not in library.entries:
         material = library.load(name)  # a reference material, or InputError
-        value = np.asarray(material.albedo if isinstance(material, Lambertian) else material.reflectance)
+        value = material.diffuse_albedo()
         result = {"albedo": [float(value.min()), float(value.max())], "reciprocity_error": 0.0}
         return {"name": name, "ok": True, "problems": [], **result}
     problems, facts = [], {}

@@ -175,6 +175,13 @@ def cosine_weights(directions) -> np.ndarray:
     """(n,) float64: sum(w * f) is the integral of f(omega) cos(theta) over the hemisphere, for f interpolated from
     ``directions : (n, 3)`` as :func:`interpolator` does (and held beyond the outermost ring). The sum is pi.
     """
+    d = np.ascontiguousarray(directions, np.float64)
+    return _cosine_weights(d.tobytes(), len(d)).copy()
+
+
+@lru_cache(maxsize=16)
+def _cosine_weights(key: bytes, count: int) -> np.ndarray:
+    directions = np.frombuffer(key, np.float64).reshape(count, 3)
     return light_projection(directions, lambda nodes: np.ones((len(nodes), 1)))[:, 0]
 
 

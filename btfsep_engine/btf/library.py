@@ -14,15 +14,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from btfsep_engine import atomic
 from btfsep_engine.btf import fmf, procedural
-from btfsep_engine.btf.directions import cosine_weights
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.lock import locked
-from btfsep_engine.btf.model import REFERENCE, Lambertian, Material, Mirror, Tabulated
+from btfsep_engine.btf.model import REFERENCE, Material, Tabulated
 from btfsep_engine.errors import InputError
 
 INDEX = "index.json"
@@ -119,12 +117,11 @@ class Library:
         """
         material = self.load(name)
         facts = {"name": name, "class": material.material_class, "kind": type(material).__name__.lower()}
-        if not isinstance(material, Tabulated):
-            value = material.albedo if isinstance(material, Lambertian) else material.reflectance
-            return facts | {"mean_albedo": [float(v) for v in value]}
-        entry = self.entries[name]
+        facts["mean_albedo"] = [round(float(v), 4) for v in material.diffuse_albedo()]
+        entry = self.entries.get(name)
+        if entry is None:
+            return facts
         return facts | {
-            "mean_albedo": [round(float(v), 4) for v in mean_albedo(material)],
             "file": entry.file,
             "size": entry.size,
             "texels": list(entry.texels),
@@ -134,16 +131,6 @@ class Library:
             "directions": [len(material.views), len(material.lights)],
             "relative_error": entry.relative_error,
         }
-
-
-def mean_albedo(material: Material) -> np.ndarray:
-    """(3,) albedo under uniform light, averaged over the patch: 1/pi times the integral of the mean ABRDF."""
-    if isinstance(material, Lambertian):
-        return np.asarray(material.albedo, float)
-    if isinstance(material, Mirror):
-        return np.asarray(material.reflectance, float)
-    view, light = cosine_weights(material.views), cosine_weights(material.lights)
-    return np.einsum("v,l,vlc->c", view, light, material.mean_abrdf.astype(float)) / np.pi
 
 
 def open_library(path=None) -> Library:

@@ -28,6 +28,8 @@ class Tabulated:
     angular : (views, lights, 3, k) float32, linear RGB, 1/sr, without cos(theta_i)
     views, lights : (n, 3) float64, unit, local frame (tangent, bitangent, normal)
     texel_mm : edge of a texel, millimetres
+    laid_mean : (k,) float32, the mean texel over the surface on which the texels are laid once and in their own places
+        (an image by a mesh's own UVs); None: they are a pattern that repeats, of which nobody knows where it starts
     """
 
     name: str
@@ -37,11 +39,35 @@ class Tabulated:
     views: np.ndarray
     lights: np.ndarray
     texel_mm: float
+    laid_mean: np.ndarray | None = None
+
+    @property
+    def has_texture(self) -> bool:
+        """Whether it differs from place to place."""
+        return self.texels.shape[:2] != (1, 1)
+
+    @property
+    def lines_up(self) -> bool:
+        """Whether its texture is known to lie where the photo's does."""
+        return self.laid_mean is not None
+
+    @cached_property
+    def pyramid(self) -> list[np.ndarray]:
+        """Mip levels of the texels. The BTF is linear in them: the mean of texels is exact."""
+        levels = [np.asarray(self.texels, np.float32)]
+        while max(levels[-1].shape[:2]) > 1:
+            level = levels[-1]
+            h, w = (max(1, s // 2) for s in level.shape[:2])
+            rows = np.linspace(0, level.shape[0], h + 1).astype(int)
+            columns = np.linspace(0, level.shape[1], w + 1).astype(int)
+            summed = np.add.reduceat(np.add.reduceat(level, rows[:-1], 0), columns[:-1], 1)
+            levels.append(summed / (np.diff(rows)[:, None, None] * np.diff(columns)[None, :, None]))
+        return levels
 
     @cached_property
     def mean_texel(self) -> np.ndarray:
         """(k,) float32; the mean ABRDF is ``angular @ mean_texel``."""
-        return self.texels.mean((0, 1))
+        return self.texels.mean((0, 1)) if self.laid_mean is None else self.laid_mean
 
     @cached_property
     def mean_abrdf(self) -> np.ndarray:
@@ -95,6 +121,10 @@ class Tabulated:
         """(views, 3) float64: directional-hemispherical reflectance of the mean ABRDF; below 1 for what can exist."""
         return np.einsum("vlc,l->vc", self.mean_abrdf.astype(np.float64), cosine_weights(self.lights))
 
+    def diffuse_albedo(self) -> np.ndarray:
+        """(3,) float64: the share of light from all sides alike that the mean ABRDF reflects (bihemispherical)."""
+        return cosine_weights(self.views) @ self.albedo() / np.pi
+
     def mean_material(self) -> "Tabulated":
         """The same material with one texel: its mean ABRDF (the paper's regulariser, section 3.3)."""
         return Tabulated(
@@ -108,22 +138,40 @@ class Tabulated:
         )
 
 
+class _Analytic:
+    """What materials without tables share with :class:`Tabulated`."""
+
+    has_texture = lines_up = False
+
+    def mean_material(self):
+        """Itself."""
+        return self
+
+
 @dataclass(frozen=True)
-class Lambertian:
+class Lambertian(_Analytic):
     """A perfectly diffuse reference material: albedo : (3,) linear RGB in [0, 1]."""
 
     name: str
     albedo: np.ndarray
     material_class: str = "reference"
 
+    def diffuse_albedo(self) -> np.ndarray:
+        """(3,) float64, as :meth:`Tabulated.diffuse_albedo`."""
+        return np.asarray(self.albedo, np.float64)
+
 
 @dataclass(frozen=True)
-class Mirror:
+class Mirror(_Analytic):
     """A perfect mirror: reflectance : (3,) linear RGB in [0, 1]."""
 
     name: str
     reflectance: np.ndarray
     material_class: str = "reference"
+
+    def diffuse_albedo(self) -> np.ndarray:
+        """(3,) float64, as :meth:`Tabulated.diffuse_albedo`."""
+        return np.asarray(self.reflectance, np.float64)
 
 
 Material = Tabulated | Lambertian | Mirror

@@ -8,7 +8,6 @@ is counted over blocks of neighbouring pixels (misfit is structured, pixels are 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.fit.least_squares import Fit, solve
 
 VISIBLE_CONTRAST = 0.05  # of the texture as the camera resolves it: less is not worth a second transport
@@ -20,7 +19,7 @@ def texture_contrast(material, footprint_mm: float) -> float:
 
     0 for a material without texture.
     """
-    if not isinstance(material, Tabulated) or material.texels.shape[:2] == (1, 1):
+    if not material.has_texture:
         return 0.0
     brightness = material.texels @ material.angular.mean((0, 1, 2))
     size = max(1, round(footprint_mm / material.texel_mm))
@@ -32,7 +31,7 @@ def texture_contrast(material, footprint_mm: float) -> float:
 
 def texture_may_help(obj, material, footprint_mm: float) -> tuple[bool, str]:
     """Whether fitting the BTF with its texture is worth trying for an object, and why not."""
-    if not isinstance(material, Tabulated):
+    if not material.has_texture:
         return False, f"{material.name} has no texture"
     if obj.uv != "mesh":
         return False, "computed charts cannot line up with the photo's texture"

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.btf.model import Material, Tabulated
+from btfsep_engine.btf.model import Material
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.map_estimate import reported_up_to
 from btfsep_engine.pipeline.interreflection import with_own_light
@@ -28,9 +28,7 @@ LEAKS = 1e-3  # of the pixels: a ray in a million slips through a closed mesh, b
 
 def appearance(material: Material, settings: Settings) -> Material:
     """What stands for the material in the fit: the BTF itself, or its mean ABRDF."""
-    if settings.appearance != "textured" and isinstance(material, Tabulated):
-        return material.mean_material()
-    return material
+    return material if settings.appearance == "textured" else material.mean_material()
 
 
 def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settings) -> SurfacePoints:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.btf.model import Mirror, Tabulated
+from btfsep_engine.btf.model import Mirror
 from btfsep_engine.fit.least_squares import block_labels
 from btfsep_engine.fit.map_estimate import LightSolver
 from btfsep_engine.light.lightings import SHBasis, SHLighting
@@ -93,7 +93,7 @@ class Verification:
 
     def light(self, material, radiance) -> SHLighting:
         """The light under which a material explains the photograph best, by its mean ABRDF."""
-        mean = material.mean_material() if isinstance(material, Tabulated) else material
+        mean = material.mean_material()
         rows, columns = (self.points.pixels[self.few] - [s.start for s in self.window]).T
         b = radiance[rows, columns]
         good = np.isfinite(b).all(-1)

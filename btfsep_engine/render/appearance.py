@@ -17,19 +17,6 @@ PROBES = 12  # in a pixel, about
 CHUNK = 1 << 14  # pixels averaged at once
 
 
-def texel_pyramid(texels) -> list[np.ndarray]:
-    """Mip levels of a periodic (h, w, k) spatial factor. The BTF is linear in it: the mean of texels is exact."""
-    levels = [np.asarray(texels, np.float32)]
-    while max(levels[-1].shape[:2]) > 1:
-        level = levels[-1]
-        h, w = (max(1, s // 2) for s in level.shape[:2])
-        rows = np.linspace(0, level.shape[0], h + 1).astype(int)
-        columns = np.linspace(0, level.shape[1], w + 1).astype(int)
-        summed = np.add.reduceat(np.add.reduceat(level, rows[:-1], 0), columns[:-1], 1)
-        levels.append(summed / (np.diff(rows)[:, None, None] * np.diff(columns)[None, :, None]))
-    return levels
-
-
 def _bilinear(level, uv):
     """Periodic bilinear look-up of (h, w, k) at texture coordinates (n, 2), 1 being the whole tile."""
     h, w = level.shape[:2]
@@ -98,7 +85,7 @@ def spatial_factors(material: Tabulated, uv, edges) -> np.ndarray:
     """
     height, width = material.texels.shape[:2]
     tile = np.array([width, height]) * material.texel_mm
-    levels = texel_pyramid(material.texels)
+    levels = material.pyramid
     out = np.empty((len(uv), material.texels.shape[2]), np.float32)
     for start in range(0, len(uv), CHUNK):
         at, edge = uv[start : start + CHUNK], edges[start : start + CHUNK]
@@ -174,7 +161,7 @@ class LightTables:
 
     def _factors(self, points, millimetres_per_unit):
         """Spatial factors (n, k) float32, or (1, k) of a material with one texel."""
-        if self.material.texels.shape[:2] == (1, 1):
+        if not self.material.has_texture:
             return self.material.texels[0]
         return spatial_factors(self.material, points.uv, pixel_edges(points) * millimetres_per_unit)
 

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from btfsep_engine.btf.directions import interpolator
-from btfsep_engine.btf.model import Lambertian, Material, Mirror
+from btfsep_engine.btf.model import Material, Mirror
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
@@ -22,26 +21,13 @@ SAMPLES = 3000  # surface samples over the whole scene, each with two sides
 DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more samples would
 LANES = 1 << 20  # pairs of pixel and direction that are followed at once
 NEIGHBOURS = 3
+MOST = 0.98  # of an albedo: light in a closed room ends
 NORMAL_SCALE = 0.5  # weight of a normal's difference against a distance in scene radii, in the neighbour search
 
 
 def diffuse_albedo(material: Material) -> np.ndarray:
     """Fraction of diffuse light that a material reflects: (3,), bihemispherical, in [0, 1]."""
-    if isinstance(material, Lambertian):
-        return np.asarray(material.albedo, np.float64)
-    if isinstance(material, Mirror):
-        return np.asarray(material.reflectance, np.float64)
-    d = fibonacci_sphere(1024)
-    d = d[d[:, 2] > 0]
-    cosine = d[:, 2] / d[:, 2].sum()
-
-    def mean_over(directions):
-        taps, weights = interpolator(directions).weights(d)
-        return np.bincount(taps.ravel(), (weights * cosine[:, None]).ravel(), len(directions))
-
-    # (1 / pi) int int f cos_i cos_o = pi * mean over cosine-weighted directions of both sides
-    albedo = np.pi * np.einsum("v,l,vlc->c", mean_over(material.views), mean_over(material.lights), material.mean_abrdf)
-    return np.clip(albedo, 0, 0.98)
+    return np.clip(material.diffuse_albedo(), 0, MOST)
 
 
 class Network:

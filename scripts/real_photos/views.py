@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_cdt
 
-from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.fit.least_squares import block_labels
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import SHBasis
@@ -98,9 +97,9 @@ def read_view(name: str, material: str, folders: dict, library, cache: Path) -> 
 def _compute(job, material, path: Path) -> None:
     lights = SHBasis(ORDER)
     out = {}
-    mean = material.mean_material() if isinstance(material, Tabulated) else material
+    mean = material.mean_material()
     asked = {"mean": (mean, None)}
-    if isinstance(material, Tabulated):
+    if material.has_texture:
         asked |= {k: (material, uv) for k, uv in TEXTURES.items()}
     for key, (used, uv) in asked.items():
         own = replace(job, objects=(replace(job.objects[0], uv=uv or "mesh"),))

@@ -2,13 +2,14 @@
 """Libraries: the index, loading, what goes wrong, and the shipped one."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from btfsep_engine.btf import building, library, procedural, storing
 from btfsep_engine.btf.directions import ubo2014_directions
-from btfsep_engine.btf.model import Lambertian, Tabulated
+from btfsep_engine.btf.model import Lambertian, Mirror, Tabulated
 from btfsep_engine.errors import InputError
 
 DIRECTIONS = ubo2014_directions()[::5]
@@ -120,7 +121,7 @@ def test_the_shipped_library_is_whole():
     for name in procedural.SHIPPED:
         material = opened.load(name)
         assert material.angular.shape[:3] == (151, 151, 3)
-        albedo = library.mean_albedo(material)
+        albedo = material.diffuse_albedo()
         base = procedural.maps(name, 64).base_colour.reshape(-1, 3).mean(0)
         assert (albedo < 0.9).all()
         # shadows and interreflection take, the layer's gloss adds (0.09 over all directions; the values held beyond
@@ -135,3 +136,22 @@ def test_the_shipped_materials_are_reciprocal_in_the_mean():
         f = opened.load(name).mean_abrdf.sum(-1)
         # values are means over a light's cell but at a view itself: gloss is reciprocal only so far (nappa: 0.017)
         assert np.median(np.abs(f - f.T) / (f + f.T)) < 0.02, name
+
+
+def test_every_material_answers_the_same_questions():
+    """A table of a constant, a Lambertian and a mirror of one albedo reflect as much of light from all sides."""
+    value = np.array([0.5, 0.25, 0.1])
+    table = constant("felt/one", value)
+    for material in (table, Lambertian("l", value), Mirror("m", value)):
+        np.testing.assert_allclose(material.diffuse_albedo(), value, rtol=1e-6)
+        mean = material.mean_material()
+        assert not mean.has_texture and not mean.lines_up and not material.lines_up
+        np.testing.assert_allclose(mean.diffuse_albedo(), value, rtol=1e-6)
+    assert table.has_texture
+    # laid once, on half of its texels: their mean counts, not that of all
+    laid = replace(
+        table, texels=np.arange(24, dtype=np.float32).reshape(4, 6, 1), laid_mean=np.full(1, 2.0, np.float32)
+    )
+    assert laid.lines_up and not laid.mean_material().lines_up
+    for material in (laid, laid.mean_material()):
+        np.testing.assert_allclose(material.diffuse_albedo(), 2 * value, rtol=1e-6)
