@@ -25,12 +25,15 @@ def check(library: Library, name: str) -> dict:
     InputError
         The library has no material of this name.
     """
-    if name not in library.entries:
-        material = library.load(name)  # a reference material, or InputError
-        value = material.diffuse_albedo()
-        result = {"albedo": [float(value.min()), float(value.max())], "reciprocity_error": 0.0}
-        return {"name": name, "ok": True, "problems": [], **result}
     problems, facts = [], {}
+    if name not in library.entries:
+        material = library.load(name)  # a reference material, a surface by numbers, or InputError
+        if isinstance(material, Tabulated):
+            problems = _physical(material, facts)
+        else:
+            value = material.diffuse_albedo()
+            facts = {"albedo": [float(value.min()), float(value.max())], "reciprocity_error": 0.0}
+        return {"name": name, "ok": not problems, "problems": problems, **facts}
     try:
         material = library.load(name)
         file = open_btf(library.folder / library.entries[name].file)

@@ -12,7 +12,7 @@ from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.image_set import import_images
 from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.btf.library import NAME
-from btfsep_engine.btf.model import REFERENCE, Tabulated
+from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.storing import add, name_is_free
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
@@ -147,7 +147,7 @@ def full_name(name: str, material_class: str) -> str:
     Raises
     ------
     InputError
-        Names that an index cannot hold, or that are a reference material's.
+        Names that an index cannot hold, or of a class that is the engine's own.
     """
     full = name if name.startswith(material_class + "/") else f"{material_class}/{name}"
     if not re.fullmatch(NAME, full) or len(full) > 100:
@@ -156,8 +156,10 @@ def full_name(name: str, material_class: str) -> str:
             "it is not class/name",
             "use letters, digits, _, and after the first of them also - and dots; a-z and digits for classes",
         )
-    if full in REFERENCE or full.startswith("reference/"):
-        raise InputError(f"the name '{full}'", "it is a reference material's", "use another class")
+    if full.startswith(("reference/", "surface/")):
+        raise InputError(
+            f"the name '{full}'", f"the class {full.split('/')[0]} is the engine's own", "use another class"
+        )
     return full
 
 

@@ -21,6 +21,7 @@ from btfsep_engine.btf import fmf, procedural
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.lock import locked
 from btfsep_engine.btf.model import REFERENCE, Material, Tabulated
+from btfsep_engine.btf.surfaces import GIVEN, SURFACES
 from btfsep_engine.errors import InputError
 
 INDEX = "index.json"
@@ -62,15 +63,16 @@ class Library:
     Attributes
     ----------
     folder : Path
-    entries : dict, name -> :class:`Entry`, in the index's order; the reference materials are not among them
+    entries : dict, name -> :class:`Entry`, in the index's order; the reference materials and the surfaces by numbers
+        are not among them
     """
 
     folder: Path
     entries: dict
 
     def names(self) -> list:
-        """All names that :meth:`load` takes: the library's, then the reference materials'."""
-        return [*self.entries, *(name for name in REFERENCE if name not in self.entries)]
+        """All names that :meth:`load` takes: the library's, the reference materials', those of surfaces by numbers."""
+        return [*self.entries, *(name for name in (*REFERENCE, *SURFACES) if name not in self.entries)]
 
     @property
     def digest(self) -> str:
@@ -90,6 +92,10 @@ class Library:
             return self._load_file(self.entries[name])
         if name in REFERENCE:
             return REFERENCE[name]
+        if name in SURFACES:
+            from btfsep_engine.render.homogeneous import homogeneous  # the renderer takes long to import
+
+            return homogeneous(SURFACES[name], name)
         raise unknown_material(name, self.names())
 
     def _load_file(self, entry: Entry) -> Tabulated:
@@ -110,8 +116,9 @@ class Library:
         return fmf.read(path, data=data, name=entry.name, material_class=entry.material_class)
 
     def show(self, name: str) -> dict:
-        """Facts about a material: name, class, kind, mean albedo (3 floats, under light from everywhere), and for
-        tabulated ones file, size (bytes), texels, texel_mm, patch_mm, components, relative_error.
+        """Facts about a material: name, class, kind, mean albedo (3 floats, under light from everywhere), for those
+        with a file file, size (bytes), texels, texel_mm, patch_mm, components, relative_error, and for surfaces by
+        numbers these.
 
         Raises InputError as :meth:`load`.
         """
@@ -120,7 +127,7 @@ class Library:
         facts["mean_albedo"] = [round(float(v), 4) for v in material.diffuse_albedo()]
         entry = self.entries.get(name)
         if entry is None:
-            return facts
+            return facts | (SURFACES[name].numbers() if name in SURFACES else {})
         return facts | {
             "file": entry.file,
             "size": entry.size,
@@ -189,6 +196,10 @@ def _write_index(folder: Path, entries: dict) -> None:
 
 def unknown_material(name: str, known) -> InputError:
     """The error of a name that a library does not have; ``known``: the names that it has."""
+    if name == GIVEN:
+        return InputError(
+            f"material '{name}'", "it is made from the key 'surface' of an object", "give that key in every job"
+        )
     if name in procedural.NAMES:
         return InputError(
             f"material '{name}'", "it is not in the library", f"make it: btfsep library build FOLDER --only {name}"

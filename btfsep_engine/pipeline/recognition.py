@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -13,8 +14,9 @@ from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import render_samples, train
 
 WINDOW = 64  # edge in pixels of the windows that a large object is cut down to
-# One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials.
-INDISTINGUISHABLE = {"reference/grey18"}
+# One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials. Surfaces by
+# numbers are what a person knows of an object, no material that it could be told to be.
+INDISTINGUISHABLE = {"reference/grey18", *SURFACES}
 
 
 def training_region(region, limit: int) -> np.ndarray:

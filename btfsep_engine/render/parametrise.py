@@ -60,12 +60,21 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
             if reporter is not None:
                 reporter.warn("xatlas finds no charts on a mesh; it is mapped by projecting patches onto planes")
             return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32)
-    surface = _areas(mesh.vertices[mesh.faces])
-    chart = np.abs(_uv_areas(uv))
+    return (uv * (mean_scale(mesh, uv) * millimetres_per_unit)).astype(np.float32)
+
+
+def mean_scale(mesh: TriangleMesh, uv) -> float:
+    """World units in a unit of the texture coordinates ``uv : (f, 3, 2)``, over the whole mesh.
+
+    Raises
+    ------
+    InputError
+        When they have no area.
+    """
+    surface, chart = _areas(mesh.vertices[mesh.faces]), np.abs(_uv_areas(np.asarray(uv, np.float64)))
     if not np.isfinite(uv).all() or chart.sum() <= 0:
-        raise InputError(f"uv '{method}'", "texture coordinates without area", "unwrap the mesh, or set uv to 'xatlas'")
-    scale = np.sqrt(surface.sum() / chart.sum()) * millimetres_per_unit
-    return (uv * scale).astype(np.float32)
+        raise InputError("the UV map", "texture coordinates without area", "unwrap the mesh, or set uv to 'xatlas'")
+    return float(np.sqrt(surface.sum() / chart.sum()))
 
 
 def _areas(triangles):

@@ -155,7 +155,7 @@ def test_a_damaged_index_is_told_or_valid(tmp_path_factory, data):
     except InputError as error:
         assert error.what and error.got and error.do
         return
-    for name in opened.names():
+    for name in opened.entries:
         try:
             facts = opened.show(name)
         except InputError:

@@ -75,7 +75,7 @@ def test_import_check_show_thumbnails_and_remove_by_commands(tmp_path, rng, caps
     (folder / "felt_mine.btf").write_bytes(damaged)
     status, lines = run(capsys, "library", "check", "--library", folder)
     table = lines[-1]["result"]["materials"][0]
-    assert status == 2 and lines[-1]["type"] == "failed" and "1 of 4 materials are bad" in lines[-1]["message"]
+    assert status == 2 and lines[-1]["type"] == "failed" and "1 of 7 materials are bad" in lines[-1]["message"]
     assert not table["ok"] and table["name"] == "felt/mine" and "index" in table["problems"][0]
     damaged[-1] ^= 1
     (folder / "felt_mine.btf").write_bytes(damaged)

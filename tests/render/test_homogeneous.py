@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials made from numbers against closed forms, sampling, the virtual gonioreflectometer, and physics."""
+
+import numpy as np
+import pytest
+
+from btfsep_engine.btf.checks import check
+from btfsep_engine.btf.directions import cosine_weights, ubo2014_directions
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.reciprocity import reciprocity_error
+from btfsep_engine.btf.surfaces import SURFACES, Surface
+from btfsep_engine.conventions import local_direction
+from btfsep_engine.render.homogeneous import flat_table, homogeneous
+from btfsep_engine.render.patch import measure
+from tests.render.test_patch import albedo_by_halves, flat, ggx_reference
+
+DIRECTIONS = ubo2014_directions()
+COLOUR = (0.9, 0.5, 0.02)
+
+
+def table(**numbers):
+    """(151, 151, 3) of a surface of `COLOUR`, or of the numbers given."""
+    return homogeneous(Surface(**{"base_color": COLOUR} | numbers), "surface/x").mean_abrdf
+
+
+def test_matte_is_lambert_whatever_the_roughness():
+    for roughness in (0.0, 0.3, 1.0):
+        found = table(roughness=roughness, specular=0.0)
+        np.testing.assert_allclose(found, np.broadcast_to(np.array(COLOUR) / np.pi, found.shape), rtol=1e-5)
+    white = homogeneous(Surface((1.0, 1.0, 1.0), specular=0.0), "surface/x")
+    np.testing.assert_allclose(white.albedo(), 1, rtol=1e-5)  # a white furnace
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.15, 0.26, 0.5, 1.0])
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_every_view_reflects_what_the_microfacets_do_however_narrow(roughness, metallic):
+    found = np.einsum("vlc,l->vc", table(roughness=roughness, metallic=metallic), cosine_weights(DIRECTIONS))
+    views = [0, 9, 40, 70, 100, 140]
+    expected = np.stack([albedo_by_halves(np.array(COLOUR), roughness, metallic, DIRECTIONS[v]) for v in views])
+    np.testing.assert_allclose(found[views], expected, rtol=0.01)
+
+
+def test_white_keeps_its_energy_and_nothing_reflects_more_than_comes():
+    for roughness in (0.05, 0.3, 0.6, 1.0):
+        for metallic in (0.0, 0.4, 1.0):
+            white = homogeneous(Surface((1.0,) * 3, roughness=roughness, metallic=metallic, specular=1.0), "surface/x")
+            albedo = white.albedo()
+            assert albedo.max() < 1.001 and white.angular.min() >= 0
+            assert metallic or albedo.min() > 0.97
+            # a ring of views is one view, turned
+            assert np.ptp(albedo[-24:], axis=0).max() < 2e-3
+
+
+def test_rough_values_are_those_of_the_textbook():
+    """Where the lobe is wide, the average over a hat, sharpened, is nearly the value in its middle."""
+    some = np.array([3, 15, 31, 64, 88])
+    expected = ggx_reference(COLOUR, 0.7, 0.04, DIRECTIONS[some], DIRECTIONS[some])
+    expected = expected / DIRECTIONS[some][None, :, 2, None]
+    np.testing.assert_allclose(table(roughness=0.7)[np.ix_(some, some)], expected, rtol=0.03)
+
+
+def test_reciprocal():
+    """Gloss is reciprocal only as far as an average over a light's hat is (the shipped nappa: 0.017)."""
+    for numbers, most in (({"roughness": 0.7}, 0.01), ({"roughness": 0.6, "metallic": 1.0}, 0.03), ({}, 0.02)):
+        assert reciprocity_error(table(**numbers), DIRECTIONS, DIRECTIONS) < most, numbers
+
+
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_it_is_what_the_virtual_gonioreflectometer_measures_without_its_noise(metallic):
+    maps = flat(COLOUR, roughness=0.4, n=8, metallic=metallic)
+    views = DIRECTIONS[[0, 40, 100, 140]]
+    measured = measure(maps, texels=48, samples=1, components=1, lights=DIRECTIONS, views=views).material.mean_abrdf
+    found = table(roughness=0.4, metallic=metallic)[[0, 40, 100, 140]]
+    weight = cosine_weights(DIRECTIONS)[:, None]
+    error = (np.abs(found - measured) * weight).sum(1) / (measured * weight).sum(1)
+    assert error.max() < 0.03, error
+
+
+def test_a_colour_is_a_mixture_of_black_and_white():
+    black, white = table(base_color=(0.0,) * 3, metallic=0.3), table(base_color=(1.0,) * 3, metallic=0.3)
+    np.testing.assert_allclose(table(metallic=0.3), black + (white - black) * COLOUR, rtol=1e-4, atol=1e-6)
+
+
+def test_specular_is_principled_s():
+    """0.5 is a reflectance of 0.04 straight on; twice that is twice it."""
+    for specular, f0 in ((0.5, 0.04), (1.0, 0.08), (0.1, 0.008)):
+        gloss = flat_table(0.2, 0.0, Surface(specular=specular).f0)[0, :, 1]
+        assert gloss @ cosine_weights(DIRECTIONS) == pytest.approx(f0, rel=0.03)
+
+
+def test_the_family_stands_beside_the_library():
+    library = open_library()
+    assert list(SURFACES) == library.names()[-3:]
+    for name, surface in SURFACES.items():
+        material, facts, checked = library.load(name), library.show(name), check(library, name)
+        assert (material.name, material.material_class, material.has_texture) == (name, "surface", False)
+        np.testing.assert_array_equal(material.mean_abrdf, homogeneous(surface, name).mean_abrdf)
+        assert facts["base_color"] == list(surface.base_color) and facts["roughness"] == surface.roughness
+        assert checked["ok"] and checked["albedo"][1] < 1
+        assert checked["reciprocity_error"] > 0.001 or name == "surface/matte"  # it was looked at
+    matte, plastic = (library.show(f"surface/{n}")["mean_albedo"][0] for n in ("matte", "plastic"))
+    assert matte == pytest.approx(0.5, abs=1e-4) and 0.52 < plastic < 0.56
+
+
+def test_surfaces_by_numbers_are_not_trained_on():
+    from btfsep_engine.pipeline.recognition import INDISTINGUISHABLE
+
+    assert set(SURFACES) <= INDISTINGUISHABLE
+
+
+def test_a_shared_table_cannot_be_changed():
+    with pytest.raises(ValueError):
+        flat_table(0.5, 0.0, 0.04)[0, 0, 0] = 1
+
+
+def test_turned_about_the_normal_it_is_the_same():
+    one, at = homogeneous(Surface(roughness=0.6), "surface/x"), np.zeros((1, 2))
+    eye = local_direction(np.radians([30.0]), np.radians([77.0]))
+    turned = local_direction(np.radians([30.0]), np.radians([197.0]))
+    light = local_direction(np.radians([45.0]), np.radians([100.0]))
+    both = local_direction(np.radians([45.0]), np.radians([220.0]))
+    np.testing.assert_allclose(one.abrdf(at, light, eye), one.abrdf(at, both, turned), rtol=1e-2)
