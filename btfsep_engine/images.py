@@ -112,6 +112,13 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped)
 
 
+def resized(pixels, side: int) -> np.ndarray:
+    """An image (h, w, c) float32 as (side, side, c), stretched: axes are averaged where they shrink, else linear."""
+    h, w = pixels.shape[:2]
+    across = cv2.resize(pixels, (side, h), interpolation=cv2.INTER_AREA if side < w else cv2.INTER_LINEAR)
+    return cv2.resize(across, (side, side), interpolation=cv2.INTER_AREA if side < h else cv2.INTER_LINEAR)
+
+
 def read_mask(path) -> np.ndarray:
     """Reads a mask: (h, w) bool, true where any colour channel is not zero and, if there is alpha, it is not zero."""
     path = Path(path)

@@ -106,7 +106,7 @@ def write_estimate_report(path, found, settings) -> None:
     light = found.lighting
     whole, sky = seen_lighting(light)
     indirect = scene.indirect(materials, whole, bounces=settings.reflections)
-    shown = [m if textured else m.mean_material() for m in materials]
+    shown = [m if textured or m.lines_up else m.mean_material() for m in materials]
     again = render_objects(
         scene,
         shown,

@@ -19,7 +19,8 @@ class Surface:
     roughness : [0, 1]; GGX's alpha is its square
     metallic : [0, 1], the conductor's share
     specular : [0, 1], Principled's *Specular IOR Level* at its index 1.5: 0.5 is a reflectance of 0.04 straight on
-    image : (h, w, 3) float32, linear, in [0, 1], row 0 at the top, or None: base colours by the mesh's UVs, a period
+    emission : (3,) radiance, linear Rec.709, >= 0
+    image : (n, n, 3) float32, linear, in [0, 1], row 0 at the top, or None: base colours by the mesh's UVs, a period
         of 1; ``base_color`` then says nothing
     """
 
@@ -27,6 +28,7 @@ class Surface:
     roughness: float = 0.5
     metallic: float = 0.0
     specular: float = 0.5
+    emission: tuple = (0.0, 0.0, 0.0)
     image: np.ndarray | None = None
 
     @property

@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import images
+from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.meshes import load_mesh
 from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
-from btfsep_engine.job.schema import CameraSchema, JobSchema, parse
+from btfsep_engine.job.schema import CameraSchema, JobSchema, SurfaceSchema, parse
 
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
+BASE_COLOUR_SIDE = 2048  # of an image of base colours: larger ones are averaged down
 
 
 def load_job(folder, *, with_photo: bool = True) -> Job:
@@ -56,9 +58,13 @@ def load_job(folder, *, with_photo: bool = True) -> Job:
         objects = tuple(_object(reader, o, camera, notes) for o in schema.objects)
     else:
         objects = (_depth_object(reader, schema, camera),)
-    occluders = []
+    occluders, occluder_surfaces = [], []
     for i, o in enumerate(schema.occluders):
         occluders.append(_mesh(reader, o, f"occluders[{i}]", notes))
+        occluder_surfaces.append(_surface(reader, o.surface, occluders[-1], f"occluders[{i}]"))
+        if o.surface is not None:
+            shines = ", and its emission is left out" if any(o.surface.emission) else ""
+            notes.append(f"occluders[{i}]: its surface is not used yet: what casts shadows is black{shines}")
     return Job(
         folder=folder,
         photo=photo,
@@ -70,6 +76,7 @@ def load_job(folder, *, with_photo: bool = True) -> Job:
         digest=reader.digest(),
         warnings=tuple(notes),
         image_colorspace=schema.image_colorspace,
+        occluder_surfaces=tuple(occluder_surfaces),
     )
 
 
@@ -214,7 +221,47 @@ def _object(reader: _Folder, schema, camera: Camera, notes: list) -> JobObject:
     mesh = _mesh(reader, schema, f"object '{schema.name}'", notes)
     if schema.uv == "mesh" and mesh.corner_uv is None:
         raise InputError(schema.mesh, "it has no usable UV map, and uv is 'mesh'", "export its UV map or use 'xatlas'")
-    return JobObject(schema.name, mesh, _mask(reader, schema, camera), schema.material, schema.uv)
+    surface = _object_surface(reader, schema, mesh)
+    uv = schema.uv if surface is None or surface.image is None else "mesh"
+    return JobObject(schema.name, mesh, _mask(reader, schema, camera), schema.material, uv, surface=surface)
+
+
+def _object_surface(reader: _Folder, schema, mesh: TriangleMesh) -> Surface | None:
+    """The surface of an object to fit."""
+    if schema.surface is None:
+        return None
+    what = f"object '{schema.name}'"
+    if schema.material is not None:
+        raise InputError(what, "it has a material and a surface", "keep one of them")
+    if any(schema.surface.emission):
+        raise InputError(f"{what}: surface", "it has emission", "leave it out: what shines tells nothing of the light")
+    return _surface(reader, schema.surface, mesh, what)
+
+
+def _surface(reader: _Folder, schema: SurfaceSchema | None, mesh: TriangleMesh, what: str) -> Surface | None:
+    if schema is None:
+        return None
+    numbers = {k: getattr(schema, k) for k in ("roughness", "metallic", "specular")}
+    emission = tuple(schema.emission)
+    if not isinstance(schema.base_color, str):
+        return Surface(tuple(schema.base_color), emission=emission, **numbers)
+    image = _base_colours(reader.path(schema.base_color, f"{what}: surface"), schema.base_color)
+    if mesh.corner_uv is None:
+        raise InputError(
+            f"{what}: surface", "its base_color is an image, and the mesh has no UV map", "export one, or give a colour"
+        )
+    return Surface(image=image, emission=emission, **numbers)
+
+
+def _base_colours(path: Path, name: str) -> np.ndarray:
+    """(n, n, 3) float32, linear, in [0, 1]."""
+    pixels = images.read_linear(path).pixels
+    good = (pixels >= -1e-3) & (pixels <= 1 + 1e-3)  # and no NaN; halves round
+    if not good.all():
+        rows, columns = np.nonzero(~good.all(-1))
+        got = f"{len(rows)} of its colours are not within 0 and 1, first x {columns[0]}, y {rows[0]}"
+        raise InputError(name, got, "a base colour is a share of light; no light may be in it")
+    return images.resized(np.clip(pixels, 0, 1), min(max(pixels.shape[:2]), BASE_COLOUR_SIDE))
 
 
 def _depth_object(reader: _Folder, schema: JobSchema, camera: Camera) -> JobObject:
@@ -240,4 +287,5 @@ def _depth_object(reader: _Folder, schema: JobSchema, camera: Camera) -> JobObje
     o = schema.objects[0]
     if o.to_world is not None or o.uv == "mesh":
         raise InputError(f"object '{o.name}'", "a surface from depth takes no to_world and no uv 'mesh'", "remove them")
-    return JobObject(o.name, mesh, _mask(reader, o, camera), o.material, unseen=unseen)
+    surface = _object_surface(reader, o, mesh)
+    return JobObject(o.name, mesh, _mask(reader, o, camera), o.material, unseen=unseen, surface=surface)

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from btfsep_engine.btf.surfaces import Surface
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -68,6 +70,8 @@ class JobObject:
     """One object to fit. ``mask`` is (h, w) bool or None (all that the camera sees of it).
 
     ``unseen`` closes a surface that was made from a depth (`depth.closing_mesh`); None: the mesh is all there is.
+    ``surface`` : what it is made of, by numbers, or None. One with an image has a mesh with ``corner_uv``, and ``uv``
+    "mesh".
     """
 
     name: str
@@ -76,6 +80,12 @@ class JobObject:
     material: str | None = None
     uv: str = "xatlas"
     unseen: TriangleMesh | None = None
+    surface: Surface | None = None
+
+    @property
+    def pictured(self) -> bool:
+        """Whether an image says the base colours of its surface."""
+        return self.surface is not None and self.surface.image is not None
 
 
 @dataclass(frozen=True)
@@ -100,7 +110,8 @@ class Photo:
 class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
-    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb" or "linear".
+    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb" or "linear";
+    ``occluder_surfaces`` has a Surface or None for each occluder (nothing uses them yet).
     """
 
     folder: Path
@@ -113,3 +124,4 @@ class Job:
     digest: str
     warnings: tuple[str, ...] = ()
     image_colorspace: str = "auto"
+    occluder_surfaces: tuple[Surface | None, ...] = ()

@@ -8,7 +8,7 @@ import difflib
 import json
 from typing import Annotated, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from btfsep_engine.errors import InputError
 
@@ -22,6 +22,14 @@ RelativePath = Annotated[str, Field(min_length=1, max_length=1000)]
 Length = Annotated[float, Field(gt=0, lt=1e9)]
 Pixels = Annotated[int, Field(gt=0, le=20000)]
 Position = Annotated[float, Field(gt=-1e9, lt=1e9)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Colour = Annotated[list[Share], Field(min_length=3, max_length=3)]
+Power = Annotated[list[Annotated[float, Field(ge=0, lt=1e9)]], Field(min_length=3, max_length=3)]
+KINDS = {list: "a colour", str: "an image"}  # of what may be either: they stand in pydantic's places, no user sees them
+ColourOrImage = Annotated[
+    Annotated[Colour, Tag(KINDS[list])] | Annotated[RelativePath, Tag(KINDS[str])],
+    Discriminator(lambda value: KINDS.get(type(value))),
+]
 
 
 class Strict(BaseModel):
@@ -40,6 +48,16 @@ class CameraSchema(Strict):
     to_world: Matrix
 
 
+class SurfaceSchema(Strict):
+    """Values of Blender's Principled BSDF, colours linear Rec.709."""
+
+    base_color: ColourOrImage = [0.8, 0.8, 0.8]
+    roughness: Share = 0.5
+    metallic: Share = 0.0
+    specular: Share = 0.5
+    emission: Power = [0.0, 0.0, 0.0]
+
+
 class ObjectSchema(Strict):
     """``mesh`` may be null only where the job has ``depth``: the object is then the surface of the depth."""
 
@@ -49,11 +67,13 @@ class ObjectSchema(Strict):
     mask: RelativePath | None = None
     material: Name | None = None
     uv: Literal["xatlas", "mesh"] = "xatlas"
+    surface: SurfaceSchema | None = None
 
 
 class OccluderSchema(Strict):
     mesh: RelativePath
     to_world: Matrix | None = None
+    surface: SurfaceSchema | None = None
 
 
 class JobSchema(Strict):
@@ -180,9 +200,13 @@ _WANTED = {
 def _in_words(model, name: str, error: ValidationError) -> InputError:
     first = error.errors(include_url=False)[0]
     kind, location, got, context = first["type"], first["loc"], first["input"], first.get("ctx", {})
+    if kind != "extra_forbidden":
+        location = [part for part in location if part not in KINDS.values()]
     what = f"{name}: {_place(location)}"
     if kind == "missing":
-        return InputError(f"{name}: {_place(location)}", "it is missing", "add it")
+        return InputError(what, "it is missing", "add it")
+    if kind.startswith("union_tag"):
+        return InputError(what, f"it is {_show(got)}", "it has to be a list of three numbers or the name of an image")
     if kind == "extra_forbidden":
         known = _annotation_at(model, location[:-1]).model_fields
         return InputError(what, "this key is not known", nearest(str(location[-1]), known))

@@ -25,6 +25,7 @@ from btfsep_engine.pipeline.doubts import (
     light_is_negative,
     structure_doubts,
 )
+from btfsep_engine.pipeline.given import given_materials
 from btfsep_engine.pipeline.interreflection import open_share, own_light
 from btfsep_engine.pipeline.key_light import key_light
 from btfsep_engine.pipeline.modelling import (
@@ -86,13 +87,12 @@ class PhotoFit:
 
 
 def object_materials(scene: PreparedScene, library, settings: Settings, *, names) -> list:
-    """The material of every object: the one named, or where ``names`` has None, as recognised."""
-    # names first: a wrong one must not cost a training
-    given = [None if n is None else library.load(n) for n in names]
+    """The material of every object: the one named, or where ``names`` has None, of its surface, or as recognised."""
+    # first: a wrong name must not cost a training
     found = []
-    for index, known in enumerate(given):
+    for index, known in enumerate(given_materials(scene.job, library, settings, names=names)):
         if known is not None:
-            found.append(ObjectMaterial(names[index], known, True))
+            found.append(ObjectMaterial(known.name, known, True))
             continue
         answer = recognise_object(scene, index, library, settings)
         found.append(
@@ -117,7 +117,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     materials = []
     for each in scenes:
         known = {o.name: m.name for o, m in zip(scene.job.objects, materials[0], strict=True)} if materials else {}
-        names = [material or o.material or known.get(o.name) for o in each.job.objects]
+        names = [material or o.material or (None if o.surface else known.get(o.name)) for o in each.job.objects]
         materials.append(object_materials(each, library, settings, names=names))
     with reporter.stage("transport"):
         tried, why = textures_to_try(scenes, materials, settings)

@@ -33,6 +33,8 @@ def texture_may_help(obj, material, footprint_mm: float) -> tuple[bool, str]:
     """Whether fitting the BTF with its texture is worth trying for an object, and why not."""
     if not material.has_texture:
         return False, f"{material.name} has no texture"
+    if material.lines_up:
+        return False, "an image in the mesh's own UVs lines up and is used"
     if obj.uv != "mesh":
         return False, "computed charts cannot line up with the photo's texture"
     contrast = texture_contrast(material, footprint_mm)

@@ -27,8 +27,8 @@ LEAKS = 1e-3  # of the pixels: a ray in a million slips through a closed mesh, b
 
 
 def appearance(material: Material, settings: Settings) -> Material:
-    """What stands for the material in the fit: the BTF itself, or its mean ABRDF."""
-    return material if settings.appearance == "textured" else material.mean_material()
+    """What stands for the material in the fit: the BTF itself (always where it lines up), or its mean ABRDF."""
+    return material if settings.appearance == "textured" or material.lines_up else material.mean_material()
 
 
 def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settings) -> SurfacePoints:

@@ -16,6 +16,7 @@ from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import determined_words
+from btfsep_engine.pipeline.given import given_materials
 from btfsep_engine.pipeline.model_choice import texture_contrast
 from btfsep_engine.pipeline.modelling import appearance, part_of
 from btfsep_engine.pipeline.problem import pose, shares
@@ -50,11 +51,12 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
         job = load_job(folder, with_photo=False)
         names = [material or o.material for o in job.objects]
         for o, name in zip(job.objects, names, strict=True):
-            if name is None:
+            if name is None and o.surface is None:
                 raise InputError(
                     f"object '{o.name}'", "the job names no material", "give --material; without a photo none is seen"
                 )
-        materials = [library.load(name) for name in names]
+        materials = given_materials(job, library, settings, names=names)
+        names = [m.name for m in materials]
     out = Path(out) if out is not None else job.folder / "plan"
     scene = PreparedScene(job, reporter)
     textured = settings.appearance == "textured"
@@ -107,7 +109,7 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
 def _expected_noise(material, points, scene, textured: bool) -> float:
     """Relative misfit to expect: shape and, where it is not fitted, the texture that the camera resolves."""
     footprint = float(np.median(points.footprint)) * scene.millimetres_per_unit
-    texture = 0.0 if textured else texture_contrast(material, footprint)
+    texture = 0.0 if textured or material.lines_up else texture_contrast(material, footprint)
     return float(np.hypot(SHAPE_NOISE, TEXTURE_SHARE * min(texture, 0.8)))
 
 

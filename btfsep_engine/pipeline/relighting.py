@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import images
+from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting, seen_lighting
@@ -41,7 +42,8 @@ def earlier_materials(job, result) -> list:
         found = {o["name"]: o["material"] for o in record["objects"]}
     except (OSError, ValueError, KeyError, TypeError):
         return [None] * len(job.objects)  # no estimate yet: recognise
-    return [found.get(o.name) for o in job.objects]
+    known = [found.get(o.name) for o in job.objects]
+    return [None if name == GIVEN else name for name in known]  # what an earlier job said by numbers, this one may not
 
 
 def run_relight(folder, library, settings: Settings, *, lighting, out, material=None, reporter) -> dict:
@@ -62,7 +64,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
     scene = PreparedScene(job, reporter)
     if material is None:
         earlier = earlier_materials(job, job.folder / "result" / "result.json")
-        names = [o.material or e for o, e in zip(job.objects, earlier, strict=True)]
+        names = [o.material or (None if o.surface else e) for o, e in zip(job.objects, earlier, strict=True)]
     else:
         names = [material] * len(job.objects)
     found = object_materials(scene, library, settings, names=names)

@@ -109,7 +109,9 @@ class PreparedScene:
         """Surface points of an object, ready for `Transport`; all of its region unless one is given."""
         region = self.regions[index] if region is None else region
         points = surface_points(self.view, self.job, index, region=region)
-        return with_texture(points, self.job, index, reporter=self.reporter) if textured else with_any_tangent(points)
+        if textured or self.job.objects[index].pictured:
+            return with_texture(points, self.job, index, reporter=self.reporter)
+        return with_any_tangent(points)
 
     def transport(self, points: SurfacePoints, *, directions: int) -> Transport:
         """The kernel for these points."""

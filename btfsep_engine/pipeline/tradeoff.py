@@ -14,6 +14,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Tabulated
+from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.compare import direction_error, relative_l2
 from btfsep_engine.pipeline.estimation import estimate, object_materials
 from btfsep_engine.pipeline.settings import PRESETS, Settings, choose
@@ -122,7 +123,10 @@ def measure(
     reporter = scene.reporter
     names = [material or o.material for o in scene.job.objects]
     materials = object_materials(scene, library, choose("balanced"), names=names)
-    given = [replace(o, material=m.name) for o, m in zip(scene.job.objects, materials, strict=True)]
+    given = [
+        o if m.name == GIVEN else replace(o, material=m.name, surface=None)
+        for o, m in zip(scene.job.objects, materials, strict=True)
+    ]
     scene.job = replace(scene.job, objects=tuple(given))
     reference = truth
     if truth is None:

@@ -52,8 +52,8 @@ class Reference:
     tracer : Tracer of the job's meshes, in the order of `PreparedScene`; gives the scale of the scene
     materials : one Material for each object, None: black. Occluders are black, unseen sides of depths matte
     bounces : reflections followed; 1 is light that comes straight from outside
-    textured : true: texels and tangents by the objects' charts (`surface.with_texture`); false: tangents that follow
-        the world's vertical (`surface.with_any_tangent`), for materials of one texel
+    textured : true: texels and tangents by the objects' charts (`surface.with_texture`); false: only of materials that
+        line up; for the others, of one texel, tangents follow the world's vertical (`surface.with_any_tangent`)
     reporter : told about charts
     """
 
@@ -68,12 +68,12 @@ class Reference:
         materials = [*materials, *[None] * len(job.occluders), *unseen]
         self._shapes = {}
         for number, (mesh, material) in enumerate(zip(tracer.meshes, materials, strict=True)):
-            uv = None
-            if textured and material is not None and number < len(job.objects):
+            uv, laid = None, textured or (material is not None and material.lines_up)
+            if laid and material is not None and number < len(job.objects):
                 uv = physical_uv(
                     mesh, job.objects[number].uv, millimetres_per_unit=1000 * job.metres_per_unit, reporter=reporter
                 )
-            self._shapes[f"shape{number:04d}"] = self._shape(number, mesh, self._bsdf(material, textured), uv)
+            self._shapes[f"shape{number:04d}"] = self._shape(number, mesh, self._bsdf(material, laid), uv)
         depth = {"max_depth": bounces + 1, "rr_depth": bounces + 2, "hide_emitters": True}
         self.integrator = self.mi.load_dict({"type": "path", **depth})
 
