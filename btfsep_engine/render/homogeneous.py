@@ -2,8 +2,13 @@
 """Materials made from numbers: the micro-BRDF of a flat surface as a table over the library's views and lights.
 
 The micro-BRDF (:mod:`btfsep_engine.render.microfacet`) is linear in the base colour b, f = b A + B: the metal's
-reflectance is b (1 - g) + g with Schlick's g. So one table of A and B serves all colours of a roughness, a metallic and
-a specular: a surface of one colour has one texel, one with an image of base colours the texels (r, g, b, 1).
+reflectance is b (1 - g) + g with Schlick's g. So one table of A and B serves all colours of a roughness and a specular:
+a surface of one colour has one texel, one with an image of base colours the texels (r, g, b, 1).
+
+A metal is brighter by what its microfacets scatter more than once, as Principled's default *Multiscatter GGX* has it in
+Cycles (Turquin 2019): times 1 + F_ms (1 - E) / E, E the albedo of a white metal from that view, E_mean its
+cosine-weighted mean, F_ms = F E_mean / (1 - F (1 - E_mean)), F the mean of Schlick's reflectance, b + (1 - b) / 21.
+This keeps white white, is not quite reciprocal, and not linear in b: of an image, the mean colour says F_ms.
 
 A value is the average over its light's hat, as the library's are (:mod:`btfsep_engine.render.hats`), but without noise:
 a quadrature of the hemisphere and directions of the lobe, joined by the balance heuristic (Veach 1997). The nodes are
@@ -17,7 +22,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.sparse import csr_array
 
-from btfsep_engine.btf.directions import hemisphere_quadrature, interpolator, ubo2014_directions
+from btfsep_engine.btf.directions import cosine_weights, hemisphere_quadrature, interpolator, ubo2014_directions
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.surfaces import CLASS, Surface
 from btfsep_engine.job.model import TriangleMesh
@@ -35,9 +40,9 @@ PLACES = 1 << 14  # of a mesh, at which the image is looked at for its mean
 
 def homogeneous(surface: Surface, name: str) -> Tabulated:
     """The material of a surface of one colour: one texel."""
-    table = flat_table(max(surface.roughness, LEAST_ROUGHNESS), surface.metallic, surface.f0)
-    angular = table[..., :1] * np.asarray(surface.base_color, np.float32) + table[..., 1:]
-    directions = ubo2014_directions()
+    colour, directions = np.asarray(surface.base_color, np.float32), ubo2014_directions()
+    by_colour, whatever = _parts(surface, colour)
+    angular = by_colour * colour + whatever
     return Tabulated(name, CLASS, np.ones((1, 1, 1), np.float32), angular[..., None], directions, directions, 1.0)
 
 
@@ -49,16 +54,32 @@ def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per
     InputError
         When the UVs have no area.
     """
-    table = flat_table(max(surface.roughness, LEAST_ROUGHNESS), surface.metallic, surface.f0)
-    angular = np.zeros((*table.shape[:2], 3, 4), np.float32)
-    angular[:, :, range(3), range(3)] = table[..., :1]
-    angular[..., 3] = table[..., 1:]
     side, directions = len(surface.image), ubo2014_directions()
     texels = np.ones((side, side, 4), np.float32)
     texels[..., :3] = surface.image[::-1]  # row 0 is the smallest v
+    angular = np.zeros((len(directions), len(directions), 3, 4), np.float32)
     edge = mean_scale(mesh, mesh.corner_uv) * millimetres_per_unit  # of the image, which is one unit of UV wide
-    everywhere = Tabulated(name, CLASS, texels, angular, directions, directions, edge / side)
-    return replace(everywhere, laid_mean=_mean_over(everywhere, mesh, edge))
+    material = Tabulated(name, CLASS, texels, angular, directions, directions, edge / side)
+    mean = _mean_over(material, mesh, edge)
+    angular[:, :, range(3), range(3)], angular[..., 3] = _parts(surface, mean[:3])
+    return replace(material, laid_mean=mean)
+
+
+def _parts(surface: Surface, colour) -> tuple[np.ndarray, np.ndarray]:
+    """A and B (see above), (views, lights, 3) each, of a surface whose colour is, on average, ``colour : (3,)``."""
+    roughness, m, directions = max(surface.roughness, LEAST_ROUGHNESS), surface.metallic, ubo2014_directions()
+    out = np.zeros((2, len(directions), len(directions), 3), np.float32)
+    if m < 1:
+        out += (1 - m) * np.moveaxis(flat_table(roughness, surface.f0, metal=False), 2, 0)[..., None]
+    if m > 0:
+        metal = flat_table(roughness, 0.0, metal=True)
+        weight = cosine_weights(directions)
+        white = metal.sum(2) @ weight
+        mean, once = weight @ white / np.pi, colour + (1 - colour) / 21
+        again = once * mean / (1 - once * (1 - mean))
+        brighter = m * (1 + again * ((1 - white) / white)[:, None])
+        out += np.moveaxis(metal, 2, 0)[..., None] * brighter[:, None].astype(np.float32)
+    return out[0], out[1]
 
 
 def _mean_over(material: Tabulated, mesh: TriangleMesh, edge: float) -> np.ndarray:
@@ -75,12 +96,13 @@ def _mean_over(material: Tabulated, mesh: TriangleMesh, edge: float) -> np.ndarr
 
 
 @lru_cache(maxsize=16)
-def flat_table(roughness: float, metallic: float, f0: float) -> np.ndarray:
-    """A and B (see above) over UBO2014's views and lights, 1/sr, without the cosine.
+def flat_table(roughness: float, f0: float, *, metal: bool) -> np.ndarray:
+    """A and B (see above; microfacets scatter once) over UBO2014's views and lights, 1/sr, without the cosine.
 
     Parameters
     ----------
-    roughness, metallic : [0, 1]; f0 : reflectance of the dielectric straight on
+    roughness : [LEAST_ROUGHNESS, 1]
+    f0 : reflectance of the dielectric straight on; 0 of a metal
 
     Returns
     -------
@@ -89,7 +111,7 @@ def flat_table(roughness: float, metallic: float, f0: float) -> np.ndarray:
     directions = ubo2014_directions()
     count, (nodes, weights) = len(directions), hemisphere_quadrature()
     density = len(nodes) / (2 * np.pi)
-    flat = _Flat(roughness, metallic, f0)
+    flat = _Flat(roughness, f0, metal=metal)
     hats = _hats(directions, nodes)
     values = flat.at_nodes(directions, nodes, density) * (density * weights)[None, :, None]
     total = hats @ values.transpose(1, 0, 2).reshape(len(nodes), -1)
@@ -118,10 +140,9 @@ def _hats(directions, lights) -> csr_array:
 class _Flat:
     """A flat surface of the micro-BRDF: A cos and B cos over the density with which lights are looked at."""
 
-    def __init__(self, roughness: float, metallic: float, f0: float):
-        self.mi = import_mitsuba()
-        self.roughness, self.metallic = roughness, metallic
-        self.material = Microfacets(f0, metal=metallic > 0)
+    def __init__(self, roughness: float, f0: float, *, metal: bool):
+        self.mi, self.roughness = import_mitsuba(), roughness
+        self.material = Microfacets(f0, metal=metal)
 
     def _facet(self, views, number):
         """The surface seen from the views of these numbers: red has the base colour 0, green 1."""
@@ -129,11 +150,8 @@ class _Flat:
 
         mi = self.mi
         view = dr.gather(mi.Vector3f, mi.Vector3f(*views.T.astype(np.float32)), number)
-        base, roughness, metallic = (
-            mi.Color3f(0, 1, 1),
-            *(dr.opaque(mi.Float, float(value)) for value in (self.roughness, self.metallic)),
-        )  # opaque: one compiled kernel serves all surfaces
-        return self.material.facet(base, roughness, mi.Vector3f(0, 0, 1), view, metallic)
+        roughness = dr.opaque(mi.Float, float(self.roughness))  # opaque: one compiled kernel serves all surfaces
+        return self.material.facet(mi.Color3f(0, 1, 1), roughness, mi.Vector3f(0, 0, 1), view, mi.Float(1))
 
     def _weighed(self, facet, light, density: float, shape) -> np.ndarray:
         import drjit as dr

@@ -37,7 +37,22 @@ def test_every_view_reflects_what_the_microfacets_do_however_narrow(roughness, m
     found = np.einsum("vlc,l->vc", table(roughness=roughness, metallic=metallic), cosine_weights(DIRECTIONS))
     views = [0, 9, 40, 70, 100, 140]
     expected = np.stack([albedo_by_halves(np.array(COLOUR), roughness, metallic, DIRECTIONS[v]) for v in views])
+    if metallic:
+        expected *= scattered_again(np.array(COLOUR), roughness, DIRECTIONS[views])
     np.testing.assert_allclose(found[views], expected, rtol=0.01)
+
+
+def scattered_again(base, roughness, views):
+    """(views, 3): the factor by which Multiscatter GGX is brighter than GGX in Cycles, from sampled albedos."""
+
+    def white(z):
+        return albedo_by_halves(np.ones(1), roughness, 1.0, np.array([np.sqrt(1 - z * z), 0.0, z]))[0]
+
+    middles = (np.arange(24) + 0.5) / 24
+    mean = sum(white(z) * 2 * z for z in middles) / 24
+    once = base + (1 - base) / 21
+    again = once * mean / (1 - once * (1 - mean))
+    return np.stack([1 + again * (1 / white(v[2]) - 1) for v in views])
 
 
 def test_white_keeps_its_energy_and_nothing_reflects_more_than_comes():
@@ -46,7 +61,7 @@ def test_white_keeps_its_energy_and_nothing_reflects_more_than_comes():
             white = homogeneous(Surface((1.0,) * 3, roughness=roughness, metallic=metallic, specular=1.0), "surface/x")
             albedo = white.albedo()
             assert albedo.max() < 1.001 and white.angular.min() >= 0
-            assert metallic or albedo.min() > 0.97
+            assert albedo.min() > 0.97
             # a ring of views is one view, turned
             assert np.ptp(albedo[-24:], axis=0).max() < 2e-3
 
@@ -70,21 +85,22 @@ def test_it_is_what_the_virtual_gonioreflectometer_measures_without_its_noise(me
     maps = flat(COLOUR, roughness=0.4, n=8, metallic=metallic)
     views = DIRECTIONS[[0, 40, 100, 140]]
     measured = measure(maps, texels=48, samples=1, components=1, lights=DIRECTIONS, views=views).material.mean_abrdf
-    found = table(roughness=0.4, metallic=metallic)[[0, 40, 100, 140]]
+    once = flat_table(0.4, 0.0 if metallic else 0.04, metal=bool(metallic))  # what it scatters again is not measured
+    found = (once[..., :1] * COLOUR + once[..., 1:])[[0, 40, 100, 140]]
     weight = cosine_weights(DIRECTIONS)[:, None]
     error = (np.abs(found - measured) * weight).sum(1) / (measured * weight).sum(1)
     assert error.max() < 0.03, error
 
 
 def test_a_colour_is_a_mixture_of_black_and_white():
-    black, white = table(base_color=(0.0,) * 3, metallic=0.3), table(base_color=(1.0,) * 3, metallic=0.3)
-    np.testing.assert_allclose(table(metallic=0.3), black + (white - black) * COLOUR, rtol=1e-4, atol=1e-6)
+    black, white = table(base_color=(0.0,) * 3), table(base_color=(1.0,) * 3)
+    np.testing.assert_allclose(table(), black + (white - black) * COLOUR, rtol=1e-4, atol=1e-6)
 
 
 def test_specular_is_principled_s():
     """0.5 is a reflectance of 0.04 straight on; twice that is twice it."""
     for specular, f0 in ((0.5, 0.04), (1.0, 0.08), (0.1, 0.008)):
-        gloss = flat_table(0.2, 0.0, Surface(specular=specular).f0)[0, :, 1]
+        gloss = flat_table(0.2, Surface(specular=specular).f0, metal=False)[0, :, 1]
         assert gloss @ cosine_weights(DIRECTIONS) == pytest.approx(f0, rel=0.03)
 
 
@@ -110,7 +126,7 @@ def test_surfaces_by_numbers_are_not_trained_on():
 
 def test_a_shared_table_cannot_be_changed():
     with pytest.raises(ValueError):
-        flat_table(0.5, 0.0, 0.04)[0, 0, 0] = 1
+        flat_table(0.5, 0.04, metal=False)[0, 0, 0] = 1
 
 
 def test_turned_about_the_normal_it_is_the_same():
