@@ -8,7 +8,7 @@ a surface of one colour has one texel, one with an image of base colours the tex
 A metal is brighter by what its microfacets scatter more than once, as Principled's default *Multiscatter GGX* has it in
 Cycles (Turquin 2019): times 1 + F_ms (1 - E) / E, E the albedo of a white metal from that view, E_mean its
 cosine-weighted mean, F_ms = F E_mean / (1 - F (1 - E_mean)), F the mean of Schlick's reflectance, b + (1 - b) / 21.
-This keeps white white, is not quite reciprocal, and not linear in b: of an image, the mean colour says F_ms.
+White stays white; it is not quite reciprocal. The texels of an image then have b F_ms and F_ms, too.
 
 A value is the average over its light's hat, as the library's are (:mod:`btfsep_engine.render.hats`), but without noise:
 a quadrature of the hemisphere and directions of the lobe, joined by the balance heuristic (Veach 1997). The nodes are
@@ -40,10 +40,9 @@ PLACES = 1 << 14  # of a mesh, at which the image is looked at for its mean
 
 def homogeneous(surface: Surface, name: str) -> Tabulated:
     """The material of a surface of one colour: one texel."""
-    colour, directions = np.asarray(surface.base_color, np.float32), ubo2014_directions()
-    by_colour, whatever = _parts(surface, colour)
-    angular = by_colour * colour + whatever
-    return Tabulated(name, CLASS, np.ones((1, 1, 1), np.float32), angular[..., None], directions, directions, 1.0)
+    texels, angular = _factors(surface, np.asarray(surface.base_color)[None, None])
+    directions = ubo2014_directions()
+    return Tabulated(name, CLASS, texels, angular, directions, directions, 1.0).mean_material()
 
 
 def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per_unit: float) -> Tabulated:
@@ -54,32 +53,32 @@ def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per
     InputError
         When the UVs have no area.
     """
-    side, directions = len(surface.image), ubo2014_directions()
-    texels = np.ones((side, side, 4), np.float32)
-    texels[..., :3] = surface.image[::-1]  # row 0 is the smallest v
-    angular = np.zeros((len(directions), len(directions), 3, 4), np.float32)
+    texels, angular = _factors(surface, surface.image[::-1])  # row 0 is the smallest v
+    directions = ubo2014_directions()
     edge = mean_scale(mesh, mesh.corner_uv) * millimetres_per_unit  # of the image, which is one unit of UV wide
-    material = Tabulated(name, CLASS, texels, angular, directions, directions, edge / side)
-    mean = _mean_over(material, mesh, edge)
-    angular[:, :, range(3), range(3)], angular[..., 3] = _parts(surface, mean[:3])
-    return replace(material, laid_mean=mean)
+    material = Tabulated(name, CLASS, texels, angular, directions, directions, edge / len(texels))
+    return replace(material, laid_mean=_mean_over(material, mesh, edge))
 
 
-def _parts(surface: Surface, colour) -> tuple[np.ndarray, np.ndarray]:
-    """A and B (see above), (views, lights, 3) each, of a surface whose colour is, on average, ``colour : (3,)``."""
-    roughness, m, directions = max(surface.roughness, LEAST_ROUGHNESS), surface.metallic, ubo2014_directions()
-    out = np.zeros((2, len(directions), len(directions), 3), np.float32)
-    if m < 1:
-        out += (1 - m) * np.moveaxis(flat_table(roughness, surface.f0, metal=False), 2, 0)[..., None]
+def _factors(surface: Surface, colours) -> tuple[np.ndarray, np.ndarray]:
+    """Texels (h, w, k) and angular (views, lights, 3, k) of a surface of base colours (h, w, 3)."""
+    roughness, m = max(surface.roughness, LEAST_ROUGHNESS), surface.metallic
+    metal = m * flat_table(roughness, 0.0, metal=True) if m > 0 else np.zeros(1)
+    table = metal + (1 - m) * flat_table(roughness, surface.f0, metal=False) if m < 1 else metal
+    texels, parts = [colours, np.ones_like(colours[..., :1])], [table[..., :1], table[..., 1:]]
     if m > 0:
-        metal = flat_table(roughness, 0.0, metal=True)
-        weight = cosine_weights(directions)
-        white = metal.sum(2) @ weight
-        mean, once = weight @ white / np.pi, colour + (1 - colour) / 21
+        weight = cosine_weights(ubo2014_directions())
+        white = metal.sum(2) @ weight / m
+        mean, once = weight @ white / np.pi, colours + (1 - colours) / 21
         again = once * mean / (1 - once * (1 - mean))
-        brighter = m * (1 + again * ((1 - white) / white)[:, None])
-        out += np.moveaxis(metal, 2, 0)[..., None] * brighter[:, None].astype(np.float32)
-    return out[0], out[1]
+        texels += [colours * again, again]
+        parts += [metal[..., i : i + 1] * ((1 - white) / white)[:, None, None] for i in (0, 1)]
+    widths = [t.shape[-1] for t in texels]
+    angular = np.zeros((*table.shape[:2], 3, sum(widths)), np.float32)
+    for part, width, end in zip(parts, widths, np.cumsum(widths), strict=True):
+        channels = range(3)  # of one number for all channels, or one for each
+        angular[:, :, channels, [end - width + (c if width == 3 else 0) for c in channels]] = part
+    return np.concatenate(texels, -1).astype(np.float32), angular
 
 
 def _mean_over(material: Tabulated, mesh: TriangleMesh, edge: float) -> np.ndarray:
@@ -92,7 +91,7 @@ def _mean_over(material: Tabulated, mesh: TriangleMesh, edge: float) -> np.ndarr
     s = np.sqrt(s)
     weights = np.stack([1 - s, s * (1 - t), s * t], -1)
     uv = (weights[..., None] * mesh.corner_uv[face]).sum(1) * edge
-    return spatial_factors(material, uv, np.zeros((PLACES, 2, 2))).mean(0)
+    return spatial_factors(material, uv, np.zeros((PLACES, 2, 2))).mean(0, dtype=np.float64).astype(np.float32)
 
 
 @lru_cache(maxsize=16)
