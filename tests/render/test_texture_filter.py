@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.render.appearance import pixel_edges, spatial_factors
 from btfsep_engine.render.surface import SurfacePoints
 
@@ -20,12 +21,8 @@ def material():
     texels = np.fft.ifft2(spectrum, axes=(0, 1)).real
     texels = 1 + 0.3 * texels / texels.std()
 
-    class Material:
-        pass
-
-    held = Material()
-    held.texels, held.texel_mm = texels.astype(np.float32), TEXEL
-    return held
+    up = np.array([[0.0, 0.0, 1.0]])
+    return Tabulated("t", "test", texels.astype(np.float32), np.ones((1, 1, 3, 3), np.float32), up, up, TEXEL)
 
 
 def finest(texels, at):
