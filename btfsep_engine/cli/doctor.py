@@ -39,8 +39,8 @@ def examine(library_folder=None) -> dict:
         from btfsep_engine.btf.library import open_library
 
         opened = open_library(library_folder)
-        opened.load(next(iter(opened.names())))
-        facts["library"] = f"{len(opened.names())} materials"
+        opened.load(next(iter(opened.entries or opened.names())))
+        facts["library"] = f"{len(opened.entries)} materials"
     except InputError as error:
         return {"ok": False, "facts": facts, "problem": f"{error.what} ({error.got})", "remedy": error.do}
     return {"ok": True, "facts": facts}
