@@ -141,8 +141,8 @@ def recognised(photo, region, window, recogniser: Recogniser, library, verificat
     ``region`` and ``window`` as in Verification; ``name`` : of the object, for errors.
     """
     radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)[window]
-    vectors, boxes = recogniser.describe(radiance, region[window], what=f"object '{name}'")
-    answer = recogniser.judged(vectors, boxes)
+    vectors = recogniser.describe(radiance, region[window], what=f"object '{name}'")
+    answer = recogniser.judged(vectors)
     if verification is None:
         return answer
     return verification.verified(answer, recogniser, radiance, vectors[-1], library.load)

@@ -88,7 +88,7 @@ class Verification:
         noise = NOISE * np.sqrt(np.maximum(image, 0) * mean) * rng.standard_normal(image.shape, np.float32)
         image = np.maximum(image + noise, 1e-4 * mean)
         usable = self.region & np.isfinite(radiance).all(-1)
-        vector = recogniser.describe(np.where(usable[..., None], image, np.nan), self.region)[0][-1]
+        vector = recogniser.describe(np.where(usable[..., None], image, np.nan), self.region)[-1]
         return float(vector @ described)
 
     def light(self, material, radiance) -> SHLighting:

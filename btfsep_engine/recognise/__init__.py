@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Recognition of the material of an object in a photo (the paper, section 3.2); see ``docs/recognition.md``."""
 
-from btfsep_engine.recognise.recogniser import Recogniser, Recognition, Region
+from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import TrainingImage, render_samples, train
 
-__all__ = ["Recogniser", "Recognition", "Region", "TrainingImage", "render_samples", "train"]
+__all__ = ["Recogniser", "Recognition", "TrainingImage", "render_samples", "train"]

@@ -11,22 +11,6 @@ from btfsep_engine.recognise.vlad import Encoder
 
 
 @dataclass(frozen=True)
-class Region:
-    """A local region (window) of an object.
-
-    Attributes
-    ----------
-    box : pixels, (x0, y0, x1, y1) around the centres of its patches
-    material : the most likely one, judged by this window alone
-    score : its score in [0, 1]
-    """
-
-    box: tuple[float, float, float, float]
-    material: str
-    score: float
-
-
-@dataclass(frozen=True)
 class Recognition:
     """What an object was recognised as.
 
@@ -37,14 +21,12 @@ class Recognition:
     unknown : whether the object looks like none of the known materials; ``material`` is then only the nearest
     unknown_score : how far the winning vote falls short of 1, over the shortfall that 99 % of the library's own
         materials stay below under lights that were held out; above 1 is unknown
-    regions : the object's windows, each judged alone
     """
 
     material: str
     candidates: tuple[tuple[str, float], ...]
     unknown: bool
     unknown_score: float
-    regions: tuple[Region, ...]
 
 
 @dataclass(frozen=True)
@@ -81,25 +63,18 @@ class Recogniser:
         InputError
             Where the region is too small, black or without finite pixels.
         """
-        return self.judged(*self.describe(radiance, mask, what=what))
+        return self.judged(self.describe(radiance, mask, what=what))
 
     def describe(self, radiance, mask, *, what: str = "the region to recognise"):
-        """The VLAD vectors of a region and their boxes, see `vlad.Encoder.encode`; parameters as `recognise`."""
+        """The VLAD vectors of a region, see `vlad.Encoder.encode`; parameters as `recognise`."""
         return self.encoder.encode(dense.extract(radiance, mask, settings=self.settings, what=what))
 
-    def judged(self, vectors, boxes) -> Recognition:
+    def judged(self, vectors) -> Recognition:
         """The material of what `describe` gave."""
         votes = self.model.votes(vectors)
         pooled = scores(votes.mean(0), self.model.sharpness)
         order = np.argsort(-pooled, kind="stable")
         names = self.model.classes
-        alone = scores(votes[:-1], self.model.sharpness)
-        regions = tuple(
-            Region(tuple(float(v) for v in box), names[int(p.argmax())], float(p.max()))
-            for box, p in zip(boxes[:-1], alone, strict=True)
-        )
         # how far the winning vote falls short, against the most that is usual for known materials
         ratio = float(1 - votes.mean(0).max()) / max(1 - self.model.known_vote, 1e-9)
-        return Recognition(
-            names[order[0]], tuple((names[i], float(pooled[i])) for i in order), ratio > 1, ratio, regions
-        )
+        return Recognition(names[order[0]], tuple((names[i], float(pooled[i])) for i in order), ratio > 1, ratio)

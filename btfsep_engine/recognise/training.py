@@ -128,9 +128,7 @@ def train(
         raise InputError("the training of recognition", "got no images", "choose a library with materials")
     with reporter.stage("dictionaries"):
         encoder = _learn_encoder(kept, settings, encoding, rng, seed)
-        encoded = []
-        for described in kept:
-            encoded.append(encoder.encode(described)[0])
+        encoded = [encoder.encode(described) for described in kept]
     with reporter.stage("classifier"):
         classes = sorted(set(materials))
         rows = len(encoded[0])

@@ -159,8 +159,7 @@ class Encoder:
 
         Returns
         -------
-        vectors : (windows + 1, length) float32, unit; the last row is the whole object
-        boxes : (windows + 1, 4) float32, pixels, x0 y0 x1 y1 around the centres of their patches
+        (windows + 1, length) float32, unit; the last row is the whole object
         """
         count = self.encoding.windows if windows is None else windows
         window = split_windows(descriptors.xy, count)
@@ -172,12 +171,7 @@ class Encoder:
             sums = aggregate(points, words, window, count)
             sums = np.concatenate([sums, sums.sum(0, keepdims=True)])
             parts.append(np.sqrt(weight) * normalise(sums, self.encoding.power))
-        boxes = [_box(descriptors.xy[window == i]) for i in range(count)] + [_box(descriptors.xy)]
-        return np.concatenate(parts, 1).astype(np.float32), np.array(boxes, np.float32)
-
-
-def _box(xy):
-    return (*xy.min(0), *xy.max(0)) if len(xy) else (0, 0, 0, 0)
+        return np.concatenate(parts, 1).astype(np.float32)
 
 
 def root_sift(sift, contrast, half_contrast: float) -> np.ndarray:

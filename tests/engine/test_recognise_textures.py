@@ -75,7 +75,6 @@ def test_textures_are_told_apart_under_new_lights(kind, request, rng):
             right += answer.material == material
             assert answer.candidates[0] == (answer.material, max(s for _, s in answer.candidates))
             assert sum(s for _, s in answer.candidates) == pytest.approx(1)
-            assert len(answer.regions) == SMALL.windows
     assert right >= 10  # of 12; by chance 3
 
 

@@ -114,10 +114,10 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
         recogniser = trained_recogniser(scene, 0, library, settings)
         verification = Verification(scene, 0, region, window, settings)
         radiance = scene.job.photo.radiance[window]
-        described = recogniser.describe(radiance, region[window])[0][-1]
+        described = recogniser.describe(radiance, region[window])[-1]
         ask = (recogniser, radiance, described, library.load)
         undecided = ((wrong, 0.45), (right, 0.4), ("reference/chrome", 0.15))
-        answer = verification.verified(Recognition(wrong, undecided, False, 0.5, ()), *ask)
+        answer = verification.verified(Recognition(wrong, undecided, False, 0.5), *ask)
         assert answer.material == right == answer.candidates[0][0]
         assert sum(score for _, score in answer.candidates) == pytest.approx(1)
         similar = {n: verification.similarity(library.load(n), *ask[:3]) for n in (right, wrong)}
@@ -125,5 +125,5 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
         scores = dict(answer.candidates)
         expected = 0.45 / 0.4 * np.exp(10 * (similar[wrong] - similar[right]))
         assert scores[wrong] / scores[right] == pytest.approx(expected, rel=1e-3)
-        certain = Recognition(wrong, ((wrong, 0.999), (right, 0.001)), False, 0.5, ())
+        certain = Recognition(wrong, ((wrong, 0.999), (right, 0.001)), False, 0.5)
         assert verification.verified(certain, *ask) is certain
