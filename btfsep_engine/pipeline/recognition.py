@@ -4,14 +4,13 @@
 import numpy as np
 
 from btfsep_engine.btf.surfaces import SURFACES
-from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.model_file import cached, digest
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
-from btfsep_engine.recognise.training import render_samples, train
+from btfsep_engine.recognise.training import METHODS, render_samples, train
 
 WINDOW = 64  # edge in pixels of the windows that a large object is cut down to
 # One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials. Surfaces by
@@ -63,37 +62,34 @@ def bounding_window(region) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
+def training_key(scene: PreparedScene, index: int, region, library, lights, settings: Settings) -> str:
+    """All that a training depends on beside the engine's own code: geometry, camera, library, lights, method."""
+    job = scene.job
+    seen, camera = job.objects[index], job.camera
+    return digest(
+        [region, scene.view.face[region], scene.view.barycentric[region]],
+        [seen.uv, seen.mesh.corner_uv if seen.uv == "mesh" else None, seen.mesh.corner_normals],
+        [[m.vertices, m.faces] for m in (seen.mesh, *scene.tracer.meshes)],
+        [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, np.asarray(camera.to_world)],
+        job.metres_per_unit,
+        library.digest,
+        [lights.names, lights.maps],
+        METHODS[settings.recogniser],
+        [settings.classifier, settings.training_directions, settings.seed],
+    )
+
+
 def trained_recogniser(scene: PreparedScene, index: int, library, settings: Settings) -> Recogniser:
     """The recogniser for one object of the job: from the cache, or trained now.
 
     Its training images are the job's own geometry, seen by the job's camera, in every material of the library
     under natural light (the paper, section 3.2).
     """
-    reporter, job = scene.reporter, scene.job
+    reporter = scene.reporter
     region = training_region(scene.regions[index], settings.training_pixels)
     window = bounding_window(region)
     lights = training_lights(settings.training_turns)
-    mesh, camera = job.objects[index].mesh, job.camera
-    geometry = [
-        region,
-        scene.view.face[region],
-        scene.view.barycentric[region],
-        mesh.vertices,
-        mesh.faces,
-        mesh.corner_normals,
-        mesh.corner_uv if job.objects[index].uv == "mesh" else None,
-        job.objects[index].uv,
-        *(m.vertices for m in scene.tracer.meshes),
-    ]
-    key = digest(
-        "training-3",
-        geometry,
-        [camera.fx, camera.fy, camera.cx, camera.cy, np.asarray(camera.to_world)],
-        job.metres_per_unit,
-        library.digest,
-        lights.cell_averages(fibonacci_sphere(256)),
-        [settings.classifier, settings.training_directions, settings.seed],
-    )
+    key = training_key(scene, index, region, library, lights, settings)
 
     def make() -> Recogniser:
         names = [n for n in library.names() if n not in INDISTINGUISHABLE]
@@ -111,6 +107,7 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Sett
             classifier=settings.classifier,
             seed=settings.seed,
             reporter=reporter,
+            method=METHODS[settings.recogniser],
             expected=len(names) * len(lights.names),
         )
 

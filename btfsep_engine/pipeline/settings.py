@@ -39,6 +39,7 @@ class Settings:
     transport : what makes the basis images: "kernel", or "reference" (the paper's path-traced image for each light)
     samples : paths per pixel and basis light (and sign) of the reference
     classifier : "svm" or "nearest"
+    recogniser : "tuned" or "paper", how images are described and trained on (recognise/training.py, `METHODS`)
     verify : whether the likeliest materials are compared with the photo under the light each implies (see
         pipeline/verification.py)
     training_directions : light directions per pixel of the training images
@@ -62,6 +63,7 @@ class Settings:
     transport: str = "kernel"
     samples: int = 256
     classifier: str = "svm"
+    recogniser: str = "tuned"
     verify: bool = True
     training_directions: int = 256
     training_pixels: int = 16000
@@ -101,7 +103,14 @@ PRESETS = {
         training_turns=4,
     ),
     "paper": Settings(
-        "paper", estimator="least-squares", appearance="mean", pixels=0, directions=1024, bounces=1, verify=False
+        "paper",
+        estimator="least-squares",
+        appearance="mean",
+        pixels=0,
+        directions=1024,
+        bounces=1,
+        recogniser="paper",
+        verify=False,
     ),
 }
 

@@ -2,6 +2,6 @@
 """Recognition of the material of an object in a photo (the paper, section 3.2); see ``docs/recognition.md``."""
 
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
-from btfsep_engine.recognise.training import TrainingImage, render_samples, train
+from btfsep_engine.recognise.training import METHODS, Method, TrainingImage, render_samples, train
 
-__all__ = ["Recogniser", "Recognition", "TrainingImage", "render_samples", "train"]
+__all__ = ["METHODS", "Method", "Recogniser", "Recognition", "TrainingImage", "render_samples", "train"]

@@ -181,7 +181,9 @@ def pool_objects(votes, labels, objects):
     return pooled / np.bincount(number)[:, None], labels[first]
 
 
-def train_svm(vectors, labels, lights, objects, classes, *, seed=0, step=lambda fraction: None) -> Svm:
+def train_svm(
+    vectors, labels, lights, objects, classes, *, seed=0, offsets=(True, False), step=lambda fraction: None
+) -> Svm:
     """An RBF-SVM; C, gamma and whether decisions have an offset by grid search, cross-validated over lights.
 
     New light, and a photo's noise and detail that no rendering has, lie partly at right angles to all training
@@ -195,24 +197,25 @@ def train_svm(vectors, labels, lights, objects, classes, *, seed=0, step=lambda 
     labels : (n,) int into ``classes``
     lights : (n,), the light of each; a light is never in both halves of a split
     objects : (n,) int, the image each vector is a window of
+    offsets : which are tried: decisions with an offset (True), without (False)
     step : called with the fraction done
     """
     squared = squared_distances(vectors, vectors)
     unit = 1 / max(float(np.median(squared[~np.eye(len(squared), dtype=bool)])), 1e-9) if len(squared) > 1 else 1.0
     fold = grouped_folds(lights, seed=seed)
-    best, best_votes, best_parameters = (-1.0, 0.0), None, (10.0, unit, True)
+    best, best_votes, best_parameters = (-1.0, 0.0), None, (10.0, unit, offsets[0])
     grid = [(c, g * unit) for g in GAMMA_GRID for c in C_GRID] if fold.max() > 0 and len(classes) > 1 else []
     for done, (c, gamma) in enumerate(grid):
         if done % len(C_GRID) == 0:
             kernel = np.exp(-gamma * squared)
         decisions = np.zeros((len(labels), len(classes) * (len(classes) - 1) // 2))
-        offsets = np.zeros_like(decisions)
+        offset = np.zeros_like(decisions)
         for f in range(fold.max() + 1):
             test, rest = fold == f, fold != f
-            weights, offsets[test] = _fit_pairs(kernel[np.ix_(rest, rest)], labels[rest], c, len(classes))
+            weights, offset[test] = _fit_pairs(kernel[np.ix_(rest, rest)], labels[rest], c, len(classes))
             decisions[test] = kernel[np.ix_(test, rest)] @ weights
-        for with_offset in (True, False):
-            votes = pair_votes(decisions + offsets if with_offset else decisions, len(classes))
+        for with_offset in offsets:
+            votes = pair_votes(decisions + offset if with_offset else decisions, len(classes))
             own = votes[np.arange(len(labels)), labels]
             rival = np.where(np.arange(len(classes)) == labels[:, None], -np.inf, votes).max(1)
             quality = (float((own > rival).mean()), float((own - rival).mean()))  # ties go to the wider margin
@@ -238,8 +241,13 @@ def train_svm(vectors, labels, lights, objects, classes, *, seed=0, step=lambda 
     )
 
 
-def train_nearest(vectors, labels, lights, objects, classes, *, seed=0, step=lambda fraction: None) -> Nearest:
-    """Nearest neighbour; parameters as of :func:`train_svm`. Held-out lights fit only the sharpness of the scores."""
+def train_nearest(
+    vectors, labels, lights, objects, classes, *, seed=0, offsets=(), step=lambda fraction: None
+) -> Nearest:
+    """Nearest neighbour; parameters as of :func:`train_svm`, but that there are no ``offsets``.
+
+    Held-out lights fit only the sharpness of the scores.
+    """
     squared = squared_distances(vectors, vectors)
     fold = grouped_folds(lights, seed=seed)
     sharpness, accuracy, known = 10.0, float("nan"), -1.0

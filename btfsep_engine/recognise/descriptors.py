@@ -13,9 +13,11 @@ import numpy as np
 
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
+from btfsep_engine.images import linear_to_srgb
 
 TAPS = 3  # a colour patch has TAPS x TAPS samples
 SIFT_LENGTH = 128
+GREY = 0.18  # what the mean luminance becomes where colours are those of a display
 FALLBACK_BINS = (3, 2)  # pixels; tried one after the other where the object is too small for the usual ones
 
 
@@ -25,6 +27,7 @@ class Settings:
 
     Attributes
     ----------
+    colours : "opponent" (log2 lightness and two colour differences) or "display" (sRGB of an even exposure)
     bins : pixels, edges of one of the 4 x 4 cells of a SIFT patch; one scale each
     sift_sigma : pixels, blur before the gradients are taken, so that the sharpness of a photo matters little
     target : number of descriptors wished for per scale; the grid's step (1 to ``max_step`` pixels) follows
@@ -38,6 +41,7 @@ class Settings:
         removes the shading that the light makes and leaves the texture; 0 keeps the shading
     """
 
+    colours: str = "opponent"
     bins: tuple[int, ...] = (4, 7)
     sift_sigma: float = 1.0
     target: int = 900
@@ -51,6 +55,8 @@ class Settings:
 
 
 DEFAULT = Settings()
+# the paper's patches and SIFT as they are; of light and exposure only what has to be taken out is
+PAPER = Settings(colours="display", white_balance=0.0, contrast=0.0, shading=0.0)
 
 
 @dataclass(frozen=True)
@@ -59,9 +65,9 @@ class Descriptors:
 
     Attributes
     ----------
-    colour : (n, 27) float32, 3 x 3 samples of (lightness, red-green, yellow-blue), in log2 units
-    sift : (n, 128) uint8, upright SIFT of the log luminance, as OpenCV scales it
-    contrast : (n,) float32, standard deviation of the log2 luminance within the SIFT patch
+    colour : (n, 27) float32, 3 x 3 samples of the colours of `normalise`
+    sift : (n, 128) uint8, upright SIFT of their lightness, as OpenCV scales it
+    contrast : (n,) float32, standard deviation of the lightness within the SIFT patch
     xy : (n, 2) float32, pixels of the whole image, centres of the patches
     """
 
@@ -81,7 +87,7 @@ class Descriptors:
 
 
 def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
-    """Opponent colours of log radiance, with exposure and part of the light's colour taken out.
+    """Colours with exposure and part of the light's colour taken out.
 
     Parameters
     ----------
@@ -90,7 +96,8 @@ def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
 
     Returns
     -------
-    (h, w, 3) float32, log2 units: lightness, red - green, (red + green) / 2 - blue; 0 where not ``valid``
+    (h, w, 3) float32, 0 where not ``valid``. Log2 units: lightness, red - green, (red + green) / 2 - blue; or, as
+    ``settings.colours`` asks, display values 0 to 1: red, green, blue
     """
     out = np.zeros(radiance.shape, np.float32)
     colours = np.maximum(radiance[valid], 0).astype(np.float64)
@@ -102,6 +109,9 @@ def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
         raise InputError("the region to recognise", "is black in the photo", "use a photo in which it is lit")
     mean = np.maximum(colours[ordinary].mean(0), 1e-3 * mean_luminance)
     cast = (mean / mean_luminance) ** settings.white_balance
+    if settings.colours == "display":
+        out[valid] = linear_to_srgb(np.clip(GREY * colours / (mean_luminance * cast), 0, 1))
+        return out
     logs = np.log2(colours / (mean_luminance * cast) + settings.floor)
     red, green, blue = logs.T
     out[valid, 0] = logs @ REC709_LUMINANCE
@@ -220,7 +230,7 @@ def _at_scale(image, mask, valid, edge, settings) -> Descriptors:
     offsets = spread * (np.arange(TAPS) - TAPS // 2)
     taps = [smooth[np.clip(y + dy, 0, h - 1), np.clip(x + dx, 0, w - 1)] for dy in offsets for dx in offsets]
     # SIFT is normalised for contrast, so a flat patch would be described by its noise: the contrast is kept beside
-    lightness = image[..., 0]
+    lightness = image[..., 0] if settings.colours == "opponent" else image @ np.float32(REC709_LUMINANCE)
     box = (2 * half + 1,) * 2
     local_mean = cv2.blur(lightness, box)
     variance = cv2.blur((lightness - local_mean) ** 2, box)[y, x]

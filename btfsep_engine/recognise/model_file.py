@@ -12,11 +12,12 @@ import logging
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import atomic
+from btfsep_engine import __version__, atomic
 from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.recognise.classifier import Nearest, Svm
@@ -26,7 +27,11 @@ from btfsep_engine.recognise.vlad import Encoder, Encoding
 
 log = logging.getLogger("btfsep")
 FORMAT = "btfsep-recogniser"
-VERSION = 2
+VERSION = 3
+ENGINE = Path(__file__).resolve().parents[1]
+# what a training runs through, from the geometry to the classifier
+SOURCES = ("conventions.py", "images.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
+ROOMS = ("btf", "job", "light", "recognise", "render")
 
 
 def save(path, recogniser: Recogniser) -> None:
@@ -153,6 +158,14 @@ def digest(*parts) -> str:
     return h.hexdigest()
 
 
+@cache
+def source_digest(engine: Path = ENGINE) -> str:
+    """A key of the engine's version and of all code and constants that a training depends on: their source text."""
+    files = [engine / name for name in SOURCES]
+    files += (path for room in ROOMS for path in sorted((engine / room).rglob("*.py")))
+    return digest(__version__, [(f.relative_to(engine).as_posix(), f.read_bytes()) for f in files])
+
+
 def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recogniser:
     """The recogniser of ``key``: from the cache, or made now and put there.
 
@@ -161,11 +174,11 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
 
     Parameters
     ----------
-    key : says all that the recogniser depends on; see :func:`digest`
+    key : says all that the recogniser depends on beside the engine itself (`source_digest`); see :func:`digest`
     make : trains it
     folder : instead of :func:`cache_folder`
     """
-    name = digest(FORMAT, VERSION, Settings(), Encoding(), key)[:32]
+    name = digest(FORMAT, VERSION, source_digest(), key)[:32]
     path = Path(folder or cache_folder()) / f"recogniser-{name}.npz"
     if path.exists():
         try:

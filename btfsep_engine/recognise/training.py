@@ -25,6 +25,27 @@ CLASSIFIERS = {"svm": classifiers.train_svm, "nearest": classifiers.train_neares
 
 
 @dataclass(frozen=True)
+class Method:
+    """How a recogniser is trained.
+
+    Attributes
+    ----------
+    settings : how images are described
+    encoding : how descriptors become vectors
+    as_photos : whether training images get the noise and blur of photos
+    offsets : which decisions of the SVM are tried, see `classifier.train_svm`
+    """
+
+    settings: dense.Settings = dense.DEFAULT
+    encoding: vlad.Encoding = vlad.DEFAULT
+    as_photos: bool = True
+    offsets: tuple[bool, ...] = (True, False)
+
+
+METHODS = {"tuned": Method(), "paper": Method(dense.PAPER, vlad.PAPER, as_photos=False, offsets=(True,))}
+
+
+@dataclass(frozen=True)
 class TrainingImage:
     """One rendering of an object.
 
@@ -95,8 +116,7 @@ def train(
     classifier: str = "svm",
     seed: int = 0,
     reporter: Reporter | None = None,
-    settings: dense.Settings = dense.DEFAULT,
-    encoding: vlad.Encoding = vlad.DEFAULT,
+    method: Method = METHODS["tuned"],
     expected: int | None = None,
 ) -> Recogniser:
     """Learns dictionaries and classifier from training images.
@@ -105,6 +125,7 @@ def train(
     ----------
     samples : consumed once, one image at a time
     classifier : "svm" or "nearest"
+    method : Method
     expected : number of samples, for the progress only
 
     Raises
@@ -119,15 +140,15 @@ def train(
     kept, materials, lights = [], [], []
     with reporter.stage("training images"):
         for number, sample in enumerate(samples):
-            described = dense.extract(as_photo(sample.radiance, sample.mask, rng), sample.mask, settings=settings)
-            kept.append(described.compact())
+            image = as_photo(sample.radiance, sample.mask, rng) if method.as_photos else sample.radiance
+            kept.append(dense.extract(image, sample.mask, settings=method.settings).compact())
             materials.append(sample.material)
             lights.append(sample.light.partition("@")[0])
             reporter.progress("training images", (number + 1) / max(expected or 0, number + 2), sample.material)
     if not kept:
         raise InputError("the training of recognition", "got no images", "choose a library with materials")
     with reporter.stage("dictionaries"):
-        encoder = _learn_encoder(kept, settings, encoding, rng, seed)
+        encoder = _learn_encoder(kept, method, rng, seed)
         encoded = [encoder.encode(described) for described in kept]
     with reporter.stage("classifier"):
         classes = sorted(set(materials))
@@ -142,12 +163,13 @@ def train(
             of_object,
             classes,
             seed=seed,
+            offsets=method.offsets,
             step=lambda fraction: reporter.progress("classifier", fraction),
         )
-    return Recogniser(settings, encoder, model)
+    return Recogniser(method.settings, encoder, model)
 
 
-def _learn_encoder(kept, settings, encoding, rng, seed):
+def _learn_encoder(kept, method, rng, seed):
     """Dictionaries from an equal number of descriptors of every image."""
     share = max(1, SAMPLE // len(kept))
     picks = [rng.permutation(len(d))[:share] for d in kept]
@@ -155,4 +177,4 @@ def _learn_encoder(kept, settings, encoding, rng, seed):
         np.concatenate([getattr(d, field)[pick] for d, pick in zip(kept, picks, strict=True)])
         for field in ("colour", "sift", "contrast")
     ]
-    return vlad.learn_encoder(*parts, half_contrast=settings.contrast, encoding=encoding, seed=seed)
+    return vlad.learn_encoder(*parts, half_contrast=method.settings.contrast, encoding=method.encoding, seed=seed)

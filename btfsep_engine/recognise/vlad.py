@@ -23,6 +23,7 @@ class Encoding:
     Attributes
     ----------
     colour_words, sift_words : sizes of the dictionaries
+    root_sift : whether square roots of SIFT are taken (`root_sift`); raw SIFT otherwise
     sift_components : SIFT is projected to this many principal components first; 0 keeps all 128
     power : the signed power each entry is raised to before the L2 normalisation; 1 is plain VLAD. The default,
         1/2, keeps words that repeat ("bursty" texture) from outweighing the rest (Perronnin et al. 2010)
@@ -32,6 +33,7 @@ class Encoding:
 
     colour_words: int = COLOUR_WORDS
     sift_words: int = SIFT_WORDS
+    root_sift: bool = True
     sift_components: int = 40
     power: float = 0.5
     colour_weight: float = 0.5
@@ -39,6 +41,8 @@ class Encoding:
 
 
 DEFAULT = Encoding()
+PAPER = Encoding(root_sift=False, sift_components=0, power=1.0)
+SIFT_UNIT = 512.0  # OpenCV's length of a SIFT vector
 
 
 def learn_words(points, count, *, seed=0) -> np.ndarray:
@@ -151,8 +155,9 @@ class Encoder:
         return self.colour.size + self.sift.size
 
     def project_sift(self, sift, contrast) -> np.ndarray:
-        """(n, c) float32: square roots of L1-normalised SIFT, damped where there is little contrast, projected."""
-        return (root_sift(sift, contrast, self.half_contrast) - self.sift_mean) @ self.sift_axes
+        """(n, c) float32: SIFT, damped where there is little contrast, projected."""
+        points = weighted_sift(sift, contrast, self.half_contrast, root=self.encoding.root_sift)
+        return (points - self.sift_mean) @ self.sift_axes
 
     def encode(self, descriptors, *, windows: int | None = None):
         """The VLAD vectors of an object: one per window, then that of the whole object.
@@ -174,21 +179,23 @@ class Encoder:
         return np.concatenate(parts, 1).astype(np.float32)
 
 
-def root_sift(sift, contrast, half_contrast: float) -> np.ndarray:
-    """Square roots of L1-normalised SIFT (Arandjelovic and Zisserman 2012), weighted by contrast.
+def weighted_sift(sift, contrast, half_contrast: float, *, root: bool = True) -> np.ndarray:
+    """SIFT, or square roots of L1-normalised SIFT (Arandjelovic and Zisserman 2012), weighted by contrast.
 
     Parameters
     ----------
-    sift : (n, 128) uint8; contrast : (n,) float
+    sift : (n, 128) uint8; contrast : (n,) float; half_contrast : >= 0, that halves the weight
+    root : whether roots are taken
 
     Returns
     -------
-    (n, 128) float32, of length contrast / (contrast + half_contrast)
+    (n, 128) float32, of length contrast / (contrast + half_contrast); about that length without roots
     """
     x = np.asarray(sift, np.float32)
     c = np.asarray(contrast, np.float32)
     scale = c / np.maximum(c + half_contrast, 1e-12)
-    return np.sqrt(x / np.maximum(x.sum(1, keepdims=True), 1e-12)) * scale[:, None]
+    points = np.sqrt(x / np.maximum(x.sum(1, keepdims=True), 1e-12)) if root else x / SIFT_UNIT
+    return points * scale[:, None]
 
 
 def learn_encoder(colour, sift, contrast, *, half_contrast, encoding=DEFAULT, seed=0) -> Encoder:
@@ -198,16 +205,16 @@ def learn_encoder(colour, sift, contrast, *, half_contrast, encoding=DEFAULT, se
     ----------
     colour : (n, 27) float; sift : (n, 128) uint8; contrast : (n,) float
     """
-    roots = root_sift(sift, contrast, half_contrast)
-    mean = roots.mean(0)
-    axes = np.eye(roots.shape[1], dtype=np.float32)
+    points = weighted_sift(sift, contrast, half_contrast, root=encoding.root_sift)
+    mean = points.mean(0)
+    axes = np.eye(points.shape[1], dtype=np.float32)
     if encoding.sift_components:
-        centred = roots - mean
+        centred = points - mean
         _, vectors = np.linalg.eigh(centred.T.astype(np.float64) @ centred)
         axes = np.ascontiguousarray(vectors[:, ::-1][:, : encoding.sift_components], np.float32)
     return Encoder(
         learn_words(colour, encoding.colour_words, seed=seed),
-        learn_words((roots - mean) @ axes, encoding.sift_words, seed=seed),
+        learn_words((points - mean) @ axes, encoding.sift_words, seed=seed),
         mean.astype(np.float32),
         axes,
         float(half_contrast),

@@ -15,6 +15,7 @@ from btfsep_engine.recognise.vlad import Encoding
 SIDE = 96
 SMALL = Encoding(colour_words=20, sift_words=30, sift_components=16)
 COARSE = descriptors.Settings(target=250)
+QUICK = training.Method(COARSE, SMALL)
 MATERIALS = ("fine", "coarse", "stripes", "flat")
 
 
@@ -53,7 +54,7 @@ def samples(rng, materials=MATERIALS, lights=6):
 
 def learn(seed=0, **options):
     rng = np.random.default_rng(seed)
-    return training.train(samples(rng), settings=COARSE, encoding=SMALL, **options)
+    return training.train(samples(rng), method=QUICK, **options)
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +170,7 @@ def test_turns_of_one_map_are_one_light():
     turned = [
         training.TrainingImage(m, f"hall@{k}", photo(m, rng), disk()) for m in ("fine", "coarse") for k in range(3)
     ]
-    recogniser = training.train(turned, settings=COARSE, encoding=SMALL)
+    recogniser = training.train(turned, method=QUICK)
     assert recogniser.model.known_vote == -1 and np.isnan(recogniser.model.held_out_accuracy)
 
 

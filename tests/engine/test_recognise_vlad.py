@@ -73,7 +73,7 @@ def test_projection_keeps_the_distances_it_can(rng):
     encoder = vlad.learn_encoder(
         rng.normal(size=(400, 27)).astype(np.float32), sift, ones, half_contrast=0.05, encoding=encoding
     )
-    roots, projected = vlad.root_sift(sift, ones, 0.05), encoder.project_sift(sift, ones)
+    roots, projected = vlad.weighted_sift(sift, ones, 0.05), encoder.project_sift(sift, ones)
     assert projected.shape == (400, 8)
     full = np.linalg.norm(roots[:50, None] - roots[None, :50], axis=-1)
     kept = np.linalg.norm(projected[:50, None] - projected[None, :50], axis=-1)
@@ -82,7 +82,7 @@ def test_projection_keeps_the_distances_it_can(rng):
 
 def test_a_flat_patch_says_little(rng):
     sift = rng.integers(1, 200, (2, 128)).astype(np.uint8)
-    lengths = np.linalg.norm(vlad.root_sift(sift, np.array([0.0, 5.0]), 0.05), axis=1)
+    lengths = np.linalg.norm(vlad.weighted_sift(sift, np.array([0.0, 5.0]), 0.05), axis=1)
     assert lengths[0] == 0 and lengths[1] == pytest.approx(5 / 5.05)
 
 

@@ -66,8 +66,9 @@ def test_materials_are_recognised_under_other_lights(rendered, classifier):
     recogniser = training.train(
         samples,
         classifier=classifier,
-        settings=descriptors.Settings(target=250),
-        encoding=Encoding(colour_words=20, sift_words=30, sift_components=16),
+        method=training.Method(
+            descriptors.Settings(target=250), Encoding(colour_words=20, sift_words=30, sift_components=16)
+        ),
     )
     assert set(recogniser.materials) == set(GRAIN)
     for name in GRAIN:

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a recogniser of a job is trained on, what it is kept by, and what of a photo it looks at."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline import recognition
+from btfsep_engine.pipeline.recognition import recognise_object, trained_recogniser
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from btfsep_engine.recognise.recogniser import Recogniser, Recognition
+from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+
+FEW = ("leather/brown-grain", "wood/oak-boards", "felt/green-coarse")
+
+
+@pytest.fixture(scope="module")
+def library():
+    """Three of the shipped materials."""
+    shipped = open_library()
+    return replace(shipped, entries={name: shipped.entries[name] for name in FEW})
+
+
+@pytest.fixture
+def scene():
+    """A ball in 160 x 160 pixels."""
+    ball = as_mesh(trimesh.creation.icosphere(4))
+    return PreparedScene(job_of([ball], looking_down(size=160, focal=300.0)), Reporter())
+
+
+def key_of(monkeypatch, scene, library, settings):
+    monkeypatch.setattr(recognition, "cached", lambda key, make: key)
+    return trained_recogniser(scene, 0, library, settings)
+
+
+def test_what_a_training_depends_on_is_in_its_key(monkeypatch, scene, library):
+    def key(library=library, *, preset="draft", view=scene.view, job=None, **changes):
+        other = PreparedScene.__new__(PreparedScene)
+        vars(other).update(vars(scene) | {"job": scene.job if job is None else job, "view": view})
+        return key_of(monkeypatch, other, library, choose(preset, **changes))
+
+    job, entry = scene.job, library.entries[FEW[0]]
+    mesh = job.objects[0].mesh
+    keys = [
+        key(),
+        key(replace(library, entries={n: library.entries[n] for n in FEW[:2]})),
+        key(replace(library, entries=library.entries | {FEW[0]: entry.model_copy(update={"sha256": 64 * "0"})})),
+        key(job=replace(job, camera=replace(job.camera, fx=job.camera.fx + 1))),
+        key(job=replace(job, camera=replace(job.camera, to_world=job.camera.to_world + np.eye(4)[3] * 0.1))),
+        key(job=replace(job, metres_per_unit=1.0)),
+        key(job=replace(job, objects=(replace(job.objects[0], mesh=replace(mesh, vertices=mesh.vertices * 1.1)),))),
+        key(job=replace(job, objects=(replace(job.objects[0], mesh=replace(mesh, faces=mesh.faces[::-1])),))),
+        key(classifier="nearest"),
+        key(recogniser="paper"),
+        key(training_directions=64),
+        key(training_pixels=3000),
+        key(training_turns=3),
+        key(seed=1),
+    ]
+    assert len(set(keys)) == len(keys)
+    assert key() == keys[0]
+    assert key(pixels=77, order=2, verify=False) == keys[0]  # these have no part in it
+
+
+@pytest.mark.parametrize(("preset", "turns"), [("draft", 2), ("balanced", 2), ("accurate", 4), ("paper", 2)])
+def test_every_training_map_is_used_at_the_presets_turns(monkeypatch, scene, library, preset, turns):
+    seen = {}
+
+    def train(samples, **options):
+        for sample in samples:
+            seen.setdefault(sample.material, []).append(sample)
+        seen["method"] = options["method"]
+
+    monkeypatch.setattr(recognition, "cached", lambda key, make: make())
+    monkeypatch.setattr(recognition, "train", train)
+    trained_recogniser(scene, 0, library, choose(preset, training_directions=32, training_pixels=2000))
+    assert seen.pop("method").as_photos is (preset != "paper")
+    assert set(seen) == {*FEW, "reference/white-diffuse", "reference/chrome"}
+    for images in seen.values():
+        names = [image.light for image in images]
+        assert len(set(names)) == len(names) == 7 * turns
+        assert {names.count(n) for n in names} == {1} and len({n.partition("@")[0] for n in names}) == 7
+        pictures = np.stack([np.nan_to_num(image.radiance[image.mask]) for image in images])
+        assert min(np.abs(a - b).max() for i, a in enumerate(pictures) for b in pictures[:i]) > 0
+
+
+def photographed(scene, library, name, *, seed=5) -> Photo:
+    """The scene's object in a material under a light that is no training light."""
+    points = scene.points(0, textured=True)
+    light = SHLighting(positive_light(4, seed=seed) * [1.0, 0.9, 0.7])
+    image = np.zeros((*scene.regions[0].shape, 3), np.float32)
+    values = scene.transport(points, directions=256).radiance(library.load(name), light)[:, 0]
+    image[points.pixels[:, 0], points.pixels[:, 1]] = values
+    return Photo(image, np.ones(image.shape[:2], bool), 0)
+
+
+@pytest.fixture
+def settings(tmp_path, monkeypatch):
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+    return choose("draft", training_turns=1)
+
+
+def test_saturated_pixels_have_no_say(scene, library, settings):
+    photo = photographed(scene, library, FEW[1])
+    saturated = np.zeros_like(photo.usable)
+    saturated[60:100, 60:75] = True
+
+    def answer(value, usable, *, verify=False):
+        image = np.where(saturated[..., None], np.float32(value), photo.radiance)
+        scene.job = replace(scene.job, photo=Photo(image, usable, int((~usable).sum())))
+        return recognise_object(scene, 0, library, replace(settings, verify=verify))
+
+    assert answer(0, ~saturated) == answer(1, ~saturated) == answer(1e4, ~saturated)
+    assert answer(1e4, ~saturated) != answer(1e4, photo.usable)  # they would have had one
+    assert answer(1e4, ~saturated, verify=True).material == FEW[1]
+
+
+def test_the_likeliest_are_rendered_again_before_one_is_named(monkeypatch, scene, library, settings):
+    """A classifier that cannot decide names the wrong one first; under the photo's light the right one is found."""
+    scene.job = replace(scene.job, photo=photographed(scene, library, FEW[0]))
+    undecided = Recognition(FEW[1], ((FEW[1], 0.45), (FEW[0], 0.4), (FEW[2], 0.15)), False, 0.5)
+    monkeypatch.setattr(Recogniser, "judged", lambda self, vectors: undecided)
+    assert recognise_object(scene, 0, library, settings).material == FEW[0]
+    assert recognise_object(scene, 0, library, replace(settings, verify=False)) is undecided
