@@ -43,6 +43,39 @@ def test_svm_decides_as_scikit_learn_does(rng, classes):
     np.testing.assert_allclose(model.votes(query), classifier.pair_votes(expected, classes), atol=5e-3)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_grid_search_takes_the_best_of_its_grid(seed):
+    """Each cell, made again by scikit-learn alone: two clusters a class, so that a wide kernel is not enough."""
+    rng = np.random.default_rng(seed)
+    a, *_ = clusters(rng, classes=6, lights=9, windows=2, dims=6, spread=0.45)
+    labels, light, objects = (np.tile(np.repeat(np.arange(n), k), m) for n, k, m in ((3, 36, 1), (9, 2, 6), (54, 2, 1)))
+    model = classifier.train_svm(a, labels, light, objects, list("abc"), seed=seed)
+    unit = 1 / np.median(classifier.squared_distances(a, a)[~np.eye(len(a), dtype=bool)])
+    fold, quality = classifier.grouped_folds(light, seed=seed), {}
+    for c in classifier.C_GRID:
+        for g in classifier.GAMMA_GRID:
+            decision, offset = np.zeros((2, len(a), 3))
+            for f in range(fold.max() + 1):
+                svc = SVC(C=c, gamma=g * unit, decision_function_shape="ovo").fit(a[fold != f], labels[fold != f])
+                decision[fold == f], offset[fold == f] = svc.decision_function(a[fold == f]), svc.intercept_
+            for with_offset in (True, False):
+                votes = classifier.pair_votes(decision - (0 if with_offset else offset), 3)
+                own, others = votes[np.arange(len(a)), labels], votes.copy()
+                others[np.arange(len(a)), labels] = -np.inf
+                margin = own - others.max(1)
+                quality[c, g, with_offset] = (margin > 0).mean(), margin.mean()
+    best = max(quality, key=quality.get)
+    assert (model.c, round(model.gamma / unit, 3), bool(model.bias.any())) == best
+    assert model.held_out_accuracy == pytest.approx(quality[best][0])
+    assert best != (10.0, 1.0, True) and min(quality.values()) < (quality[best][0] - 0.05,)  # the choice matters
+
+
+def test_offsets_only_where_they_are_tried(rng):
+    x, labels, light, objects = clusters(rng, 3)
+    for offsets in (True,), (False,):
+        assert classifier.train_svm(x, labels, light, objects, list("abc"), offsets=offsets).bias.any() == offsets[0]
+
+
 def test_a_class_missing_from_training_half_does_not_shift_the_others(rng):
     x, labels, *_ = clusters(rng, 4)
     some = labels != 1

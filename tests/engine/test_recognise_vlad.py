@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from btfsep_engine.recognise import descriptors as dense
 from btfsep_engine.recognise import vlad
 
 
@@ -84,6 +85,33 @@ def test_a_flat_patch_says_little(rng):
     sift = rng.integers(1, 200, (2, 128)).astype(np.uint8)
     lengths = np.linalg.norm(vlad.weighted_sift(sift, np.array([0.0, 5.0]), 0.05), axis=1)
     assert lengths[0] == 0 and lengths[1] == pytest.approx(5 / 5.05)
+
+
+def described(rng, n=600):
+    return dense.Descriptors(*descriptors(rng, n), rng.uniform(0, 100, (n, 2)).astype(np.float32))
+
+
+def test_the_last_vector_is_that_of_the_whole_object(rng):
+    some, encoder = described(rng), vlad.learn_encoder(*descriptors(rng, 900), half_contrast=0.05)
+    rows = encoder.encode(some)
+    assert len(rows) == 5
+    whole, same = encoder.encode(some, windows=1)
+    np.testing.assert_allclose(rows[-1], whole, atol=1e-4)
+    np.testing.assert_array_equal(whole, same)
+    np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-5)
+    assert np.abs(rows[:4] - rows[-1]).max() > 0.01
+
+
+def test_the_papers_vectors_are_equation_2_on_raw_sift_and_nothing_else(rng):
+    some = described(rng)
+    encoder = vlad.learn_encoder(*descriptors(rng, 900), half_contrast=0.0, encoding=vlad.PAPER)
+    assert encoder.colour.shape == (150, 27) and encoder.sift.shape == (250, 128)
+    parts = (
+        naive_vlad(some.colour, encoder.colour),
+        naive_vlad(some.sift / 512.0, encoder.sift + encoder.sift_mean),
+    )
+    expected = np.concatenate([p.ravel() / np.linalg.norm(p) for p in parts]) / np.sqrt(2)
+    np.testing.assert_allclose(encoder.encode(some)[-1], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("count", [1, 2, 4, 8])

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What recognition is trained on and looks at: noise and blur, two scales, white balance, every window and the whole.
+
+Each of these moves the accuracy on photos by a few points only, which no small test could see: they are looked at
+themselves.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from btfsep_engine.images import linear_to_srgb
+from btfsep_engine.recognise import descriptors as dense
+from btfsep_engine.recognise import training, vlad
+from btfsep_engine.recognise.classifier import Nearest, scores
+from btfsep_engine.recognise.recogniser import Recogniser
+
+SIDE = 64
+STEP = np.where(np.arange(SIDE) < SIDE // 2, 0.5, 1.5)[None, :, None] * np.ones((SIDE, 1, 3))
+MASK = np.ones((SIDE, SIDE), bool)
+
+
+@pytest.fixture
+def described(monkeypatch):
+    """train(method) -> the images that a training describes, of 40 images of one flat step each."""
+    seen, extract = [], dense.extract
+
+    def spy(image, mask, **options):
+        seen.append(np.array(image))
+        return extract(image, mask, **options)
+
+    monkeypatch.setattr(dense, "extract", spy)
+
+    def run(name):
+        method = training.METHODS[name]
+        small = replace(method.encoding, colour_words=4, sift_words=4)
+        images = [training.TrainingImage("a/b"[: 3 - i % 2], f"light {i}", STEP, MASK) for i in range(40)]
+        training.train(images, method=replace(method, encoding=small), classifier="nearest")
+        return np.array(seen)
+
+    return run
+
+
+def test_training_images_have_the_noise_and_the_blur_of_photos(described):
+    images = described("tuned")[..., 0]
+    flat, mean = images[:, :, 5 : SIDE // 2 - 5], 1.0
+    noise = flat.std((1, 2)) / np.sqrt(0.5 * mean)  # shot noise: of the root of the signal
+    assert noise.min() < 0.03 and 0.13 < noise.max() < 0.16
+    assert noise.mean() == pytest.approx(np.mean(training.NOISES), abs=0.02)
+    assert np.corrcoef(flat[0].ravel(), flat[1].ravel())[0, 1] < 0.1
+    edge = images.mean(1)  # along the edge noise averages out
+    height = edge[:, SIDE // 2] - edge[:, SIDE // 2 - 1]
+    assert height.max() > 0.93  # 1 where it is sharp ...
+    assert 0.4 < height.min() < 0.6  # ... erf(1 / (2 sqrt 2 0.8)) = 0.47 under the widest blur
+
+
+def test_the_paper_knows_of_neither(described):
+    assert all(np.array_equal(image, STEP) for image in described("paper"))
+
+
+def test_there_are_two_scales(rng):
+    image = np.exp(0.3 * rng.normal(size=(160, 160, 3)))
+    mask = np.ones((160, 160), bool)
+    both = dense.extract(image, mask)
+    parts = [dense.extract(image, mask, settings=replace(dense.DEFAULT, bins=(edge,))) for edge in (4, 7)]
+    assert min(map(len, parts)) > 200
+    for field in ("colour", "sift", "contrast", "xy"):
+        np.testing.assert_array_equal(getattr(both, field), np.concatenate([getattr(p, field) for p in parts]))
+    assert both.xy[: len(parts[0])].min() < both.xy[len(parts[0]) :].min()  # large patches keep off the border
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_so_much_of_a_cast_is_taken_out(rng, share):
+    """Of a tint of the light by 2^t, 1 - share reaches the colour differences; 0.3 is what photos were best with."""
+    assert dense.DEFAULT.white_balance == 0.3
+    settings = replace(dense.DEFAULT, white_balance=share, floor=0.0)
+    image, valid = rng.uniform(0.5, 1.5, (40, 40, 3)), np.ones((40, 40), bool)
+    stops = np.array([0.4, 0.0, -0.6])
+    plain, tinted = (dense.normalise(image * 2**t, valid, settings=settings) for t in (0 * stops, stops))
+    change = (tinted - plain)[..., 1:].mean((0, 1))
+    assert change == pytest.approx((1 - share) * np.array([0.4, 0.2 + 0.6]), abs=0.01)
+
+
+def test_the_papers_patches_are_what_a_display_shows(rng):
+    image, valid = rng.uniform(0.5, 1.5, (40, 40, 3)) * [1.2, 1.0, 0.7], np.ones((40, 40), bool)
+    shown = dense.normalise(image, valid, settings=dense.PAPER)
+    luminance = image @ [0.2126, 0.7152, 0.0722]
+    mean = luminance[luminance <= np.percentile(luminance, 98)].mean()
+    np.testing.assert_allclose(shown, linear_to_srgb(0.18 * image / mean), atol=1e-3)
+    np.testing.assert_allclose(dense.normalise(64 * image, valid, settings=dense.PAPER), shown, atol=1e-5)
+
+
+def test_windows_and_the_whole_object_vote_alike():
+    """Two windows for each of two materials; the whole object decides, with one vote of five."""
+    model = Nearest(("a/a", "b/b"), np.eye(2), np.array([0, 1]))
+    recogniser = Recogniser(dense.DEFAULT, None, model)
+    slanted = np.array([0.8, 0.6])
+    vectors = np.array([slanted, slanted, slanted[::-1], slanted[::-1], [0.0, 1.0]])
+    answer = recogniser.judged(vectors)
+    assert answer.material == "b/b"
+    own = np.array([0.8, 0.8, 0.6, 0.6, 0.0])  # cosines with the first; 1 - d^2 / 2
+    votes = np.array([own, [0.6, 0.6, 0.8, 0.8, 1.0]]).mean(1)
+    assert answer.candidates[0][1] == pytest.approx(scores(votes, model.sharpness)[1])
+    assert recogniser.judged(vectors[:4]).candidates[0][1] == pytest.approx(0.5)
+
+
+def test_the_paper_trains_an_svm_with_offsets_on_plain_vectors(rng):
+    textures = {"a/a": 1.0, "b/b": 0.2}
+
+    def photo(name):
+        return np.exp(textures[name] * rng.normal(size=(SIDE, SIDE, 1))) * np.ones(3)
+
+    images = [training.TrainingImage(name, f"light {k}", photo(name), MASK) for name in textures for k in range(4)]
+    recogniser = training.train(images, method=training.METHODS["paper"])
+    assert recogniser.model.bias.any() and recogniser.encoder.encoding == vlad.PAPER
+    assert recogniser.encoder.length == 150 * 27 + 250 * 128
+    for name in textures:
+        assert recogniser.recognise(photo(name), MASK).material == name
