@@ -73,6 +73,21 @@ def test_what_is_foretold_is_what_modelling_does():
     assert found.change == pytest.approx(moved, rel=0.3)
 
 
+def test_a_third_of_a_stated_deviation_is_worth_it_and_a_fifth_is_not():
+    """The same scene and light, of which more or less is known beforehand."""
+    problem = photographed([bowl()], [GREY])
+    fit, solver, exposures = fit_together([problem], STRAIGHT)
+
+    def decided(change):
+        stated = replace(fit, stddev=fit.stddev * (moved / change))
+        return own_light([problem], [[GREY]], stated, solver, exposures, bounces=20)
+
+    moved = own_light([problem], [[GREY]], fit, solver, exposures, bounces=20).change
+    for change, worth in ((0.2, False), (0.3, True), (0.6, True)):
+        found = decided(change)
+        assert found.change == pytest.approx(change) and found.modelled is worth
+
+
 def test_modelling_it_takes_the_error_away():
     _, fit, after = both_ways(BRIGHT)
     truth = positive_light(2)

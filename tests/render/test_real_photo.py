@@ -4,11 +4,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import trimesh
 
+from btfsep_engine import images
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.cli import main
 from btfsep_engine.fit.censored import with_hidden_light
 from btfsep_engine.job.model import Photo
+from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate
@@ -102,6 +106,48 @@ def test_what_clipping_hides_is_in_the_stated_uncertainty():
     wider = with_hidden_light(judged_by_the_rest, problem.clipped, natural_prior(9))
     np.testing.assert_allclose(found.lighting.stddev, wider.stddev, rtol=1e-6)
     assert (found.lighting.stddev[1:] > 1.5 * judged_by_the_rest.stddev[1:]).all()
+
+
+@pytest.mark.parametrize("clipped_first", [True, False])
+def test_what_one_photo_clips_and_another_shows_is_not_hidden(clipped_first):
+    scenes = [scene_of_balls([(0, 0, 0)], limit=limit) for limit in (0.5, None)]
+    if not clipped_first:
+        scenes.reverse()
+
+    class Library:
+        def load(self, name):
+            return GREY
+
+    given = [[ObjectMaterial("test/grey", GREY, True)]] * 2
+    problems, rich = posed(scenes, given, all_chosen_points(scenes, SETTINGS), SETTINGS, both=False)
+    _, both, _, _, _ = chosen_fit(problems, rich, SETTINGS)
+    assert sorted(p.clipped > 0.1 for p in problems) == [False, True]
+    found = estimate(scenes[0], Library(), SETTINGS, material="test/grey", others=scenes[1:])
+    np.testing.assert_allclose(found.lighting.stddev, both.stddev, rtol=1e-6)
+
+
+def test_each_frame_of_a_sequence_is_clipped_as_it_is_itself(sphere_job_folder, capsys):
+    """A frame's light is the one that it gets alone, whatever the frames before it."""
+    folder, _ = sphere_job_folder
+    frames = folder / "frames"
+    frames.mkdir()
+    image = images.read_linear(folder / "photo.exr").pixels
+    images.write_png(frames / "1.png", 0.3 * image / image.max())
+    images.write_png(frames / "2.png", image / np.quantile(image[20:76, 20:76], 0.6))
+
+    def lights(pattern):
+        out = folder / f"of {pattern.replace('*', 'all')}"
+        command = ["sequence", str(folder), "--images", str(frames / pattern), "--material", "reference/white-diffuse"]
+        assert main([*command, "--order", "2", "--pixels", "600", "--directions", "64", "--out", str(out)]) == 0
+        capsys.readouterr()
+        return {path.name: read_lighting(path) for path in out.glob("[12].json")}
+
+    alone, together = {**lights("1.png"), **lights("2.png")}, lights("*.png")
+    assert set(together) == set(alone) == {"1.json", "2.json"}
+    for name, light in together.items():
+        np.testing.assert_allclose(light.stddev, alone[name].stddev, rtol=1e-6)
+    relative = [together[f"{i}.json"].stddev[1:] / together[f"{i}.json"].coefficients[0] for i in (1, 2)]
+    assert (relative[1] > 1.2 * relative[0]).all()  # clipping hides light
 
 
 def test_a_recognised_object_of_another_dye_does_not_colour_the_light():
