@@ -123,7 +123,17 @@ def clear() -> bpy.types.Scene:
     return scene
 
 
-def make_scene(object_name, material_name, world_hdri_path, *, resolution, rotation_z=0.0, seed=0, maps=None):
+def make_scene(
+    object_name,
+    material_name,
+    world_hdri_path,
+    *,
+    resolution,
+    rotation_z=0.0,
+    seed=0,
+    maps=None,
+    face_mm=materials.FACE_MM,
+):
     """A studio with one object.
 
     Parameters
@@ -135,6 +145,7 @@ def make_scene(object_name, material_name, world_hdri_path, *, resolution, rotat
     rotation_z : radians, turns the light
     seed : of the object's shape; the material's texels are of variation ``seed + 1`` (the library's is 0)
     maps : the material's maps, if not ``procedural.maps``' own
+    face_mm : edge of a face of the displaced mesh, about
 
     Returns
     -------
@@ -149,7 +160,7 @@ def make_scene(object_name, material_name, world_hdri_path, *, resolution, rotat
         scene.collection.objects.link(photo)
     else:
         maps = maps or materials.load_maps(material_name, variation=seed + 1)
-        photo = materials.displaced(base, material_name, maps)
+        photo = materials.displaced(base, material_name, maps, face_mm=face_mm)
         objects.set_corner_uv(base.data, objects.corner_uv(base.data) * (1e3 / maps.size_mm))
     base.hide_render = True
 

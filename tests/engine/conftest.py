@@ -39,7 +39,7 @@ def rng():
 
 @pytest.fixture
 def test_data() -> Path:
-    """The folder named by BTFSEP_TEST_DATA (meshes/, hdri/); the test is skipped where it is not set."""
+    """The folder named by BTFSEP_TEST_DATA (CONTRIBUTING.md); the test is skipped where it is not set."""
     folder = os.environ.get("BTFSEP_TEST_DATA", "")
     if not folder or not Path(folder).is_dir():
         pytest.skip("BTFSEP_TEST_DATA does not name a folder with real meshes and maps")

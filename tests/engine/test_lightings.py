@@ -222,8 +222,10 @@ def test_normalised(rng):
 
 
 def test_the_small_maps_are_the_real_ones(test_data):
-    for file in FOLDER.glob("*.exr"):
-        source = test_data / "hdri" / f"{file.stem}_1k.hdr"
-        if source.is_file():
-            x, full = sh.project_map(read_map(file), 4), sh.project_map(normalised(read_map(source)), 4)
-            assert np.linalg.norm(x - full) < 0.03 * np.linalg.norm(full)
+    sources = {file: test_data / "hdri" / f"{file.stem}_1k.hdr" for file in FOLDER.glob("*.exr")}
+    there = {file: source for file, source in sources.items() if source.is_file()}
+    if not there:
+        pytest.skip("the test data have none of these maps")
+    for file, source in there.items():
+        x, full = sh.project_map(read_map(file), 4), sh.project_map(normalised(read_map(source)), 4)
+        assert np.linalg.norm(x - full) < 0.03 * np.linalg.norm(full)

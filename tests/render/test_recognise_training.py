@@ -101,9 +101,14 @@ def photographed(scene, library, name, *, seed=5) -> Photo:
     return Photo(image, np.ones(image.shape[:2], bool), 0)
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.fixture
-def settings(tmp_path, monkeypatch):
-    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+def settings(cache, monkeypatch):
+    monkeypatch.setenv("BTFSEP_CACHE", cache)
     return choose("draft", training_turns=1)
 
 
@@ -129,3 +134,32 @@ def test_the_likeliest_are_rendered_again_before_one_is_named(monkeypatch, scene
     monkeypatch.setattr(Recogniser, "judged", lambda self, vectors: undecided)
     assert recognise_object(scene, 0, library, settings).material == FEW[0]
     assert recognise_object(scene, 0, library, replace(settings, verify=False)) is undecided
+
+
+class Listening(Reporter):
+    """Keeps the warnings."""
+
+    def __init__(self):
+        super().__init__()
+        self.said = []
+
+    def warn(self, message):
+        self.said.append(message)
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_a_material_left_out_is_named_by_its_nearest_and_said_to_be_unknown_below_the_limit(
+    monkeypatch, scene, library, settings, strict
+):
+    """The limit is what 99 % of the known materials reach; here one that the photo does, or does not, reach."""
+    without = replace(library, entries={name: library.entries[name] for name in FEW[:2]})
+    scene.job = replace(scene.job, photo=photographed(scene, library, FEW[2]))
+    recogniser = trained_recogniser(scene, 0, without, settings)
+    asked = replace(recogniser, model=replace(recogniser.model, known_vote=0.999 if strict else -1.0))
+    monkeypatch.setattr(recognition, "trained_recogniser", lambda *_: asked)
+    scene.reporter = Listening()
+    answer = recognise_object(scene, 0, without, settings)
+    assert answer.material in asked.materials and FEW[2] not in asked.materials
+    assert answer.unknown is strict and (answer.unknown_score > 1) is strict
+    said = [text for text in scene.reporter.said if "looks like none of the library's materials" in text]
+    assert len(said) == strict and all(answer.material in text for text in said)
