@@ -195,7 +195,8 @@ class EngineProcess:
         self._lines = queue.SimpleQueue()
         self._errors = tempfile.TemporaryFile()
         environment = {k: v for k, v in os.environ.items() if k not in {"PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP"}}
-        environment |= {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1"} | engine.environment
+        # Safe path: modules that lie in the current folder are not the engine's.
+        environment |= {"PYTHONUNBUFFERED": "1", "PYTHONUTF8": "1", "PYTHONSAFEPATH": "1"} | engine.environment
         # A group of its own, so that stopping it stops its children too.
         group = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if WINDOWS else {"start_new_session": True}
         command = [*engine.command, *map(str, arguments), "--json"]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The commands but `batch`, which runs them. Exit status 0: done; 2: the input is at fault; 1: a bug."""
 
+import os
 from pathlib import Path
 
 import click
@@ -191,6 +192,7 @@ cli.add_command(sequence)
 
 def main(arguments=None) -> int:
     """Runs a command; returns the exit status. Misuse of the command line is the input's fault (2)."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # no Python that we start takes modules from the current folder
     try:
         cli.main(args=arguments, prog_name="btfsep", standalone_mode=False)
     except click.Abort:

@@ -95,8 +95,8 @@ def try_backend(variant: str, library: str = "") -> str:
     if library:
         env["DRJIT_LIBLLVM_PATH"] = library
     try:
-        run = subprocess.run(
-            [sys.executable, "-c", TRIAL, variant], env=env, capture_output=True, text=True, timeout=TRIAL_SECONDS
+        run = subprocess.run(  # -P: nothing is imported from the current folder
+            [sys.executable, "-P", "-c", TRIAL, variant], env=env, capture_output=True, text=True, timeout=TRIAL_SECONDS
         )
     except subprocess.TimeoutExpired:
         return f"no answer in {TRIAL_SECONDS} s"

@@ -29,7 +29,7 @@ def run(*arguments, on_progress=None) -> dict:
     ------
     EngineFailed
     """
-    command = [sys.executable, "-m", "btfsep_engine", *map(str, arguments), "--json"]
+    command = [sys.executable, "-P", "-m", "btfsep_engine", *map(str, arguments), "--json"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         result = failure = None
         for line in child.stdout:

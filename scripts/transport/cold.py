@@ -73,7 +73,7 @@ def cold(options) -> str:
 
 
 def _run(job: Path, name: str, more: str, environment, light, options) -> tuple:
-    base = [sys.executable, "-m", "btfsep_engine", "estimate", str(job), "--json", "--material", name, more]
+    base = [sys.executable, "-P", "-m", "btfsep_engine", "estimate", str(job), "--json", "--material", name, more]
     base += ["--library", str(options.library)] if options.library else []
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     run = subprocess.run(base, env=environment, capture_output=True, text=True, cwd=ROOT)

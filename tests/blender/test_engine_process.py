@@ -180,3 +180,14 @@ def test_the_real_engines_own_words_on_a_file_that_is_not_there(tmp_path):
     ).wait()
     assert isinstance(last, Failed) and last.exit_code == 2
     assert "absent.json" in last.message and not last.details
+
+
+def test_modules_in_the_current_folder_do_not_run(tmp_path, monkeypatch):
+    """Not even those that `python -m` itself imports, before the engine has a say."""
+    (tmp_path / "planted.py").write_text("import os; open(os.environ['MARKER'], 'w')\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MARKER", str(tmp_path / "executed"))
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    last = EngineProcess(Engine((sys.executable, "-c", "import planted")), []).wait()
+    assert isinstance(last, Failed) and "No module named 'planted'" in last.details
+    assert not (tmp_path / "executed").exists()
