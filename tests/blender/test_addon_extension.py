@@ -3,6 +3,7 @@
 
 import json
 import os
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -35,9 +36,9 @@ print("FOUND", json.dumps({
 
 @pytest.fixture(scope="module")
 def extension(tmp_path_factory):
-    """The zip without dependencies."""
+    """The zip without dependencies, built as the README says: by whatever Python the script finds first."""
     folder = tmp_path_factory.mktemp("extension")
-    command = [sys.executable, ROOT / "scripts" / "build_extension", "--output", folder]
+    command = [ROOT / "scripts" / "build_extension", "--output", folder]
     built = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert built.returncode == 0, built.stdout + built.stderr
     (found,) = folder.glob("*.zip")
@@ -62,6 +63,13 @@ def test_the_zip_holds_the_addon_and_the_engine(extension):
     modules = {path.name for path in (ROOT / "blender_btfsep").glob("*.py")}
     assert modules <= set(names)
     assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", "ruff.toml"))]
+
+
+def test_zips_of_different_content_have_different_names():
+    name = runpy.run_path(str(ROOT / "scripts" / "build_extension"))["zip_name"]
+    contents = [(None, ["3.11"]), ("linux-x64", ["3.11"]), ("linux-x64", ["3.13"]), ("linux-x64", ["3.11", "3.13"])]
+    names = [name("0.1.0", *content) for content in [*contents, ("windows-x64", ["3.11"])]]
+    assert len(set(names)) == len(names) and names[2] == "btfsep-0.1.0-linux-x64-py313.zip"
 
 
 def test_it_installs_and_works_in_a_fresh_place(extension, tmp_path):
