@@ -13,10 +13,11 @@ ABANDONED = 24 * 3600.0  # seconds after which a scratch file is nobody's
 
 
 @contextmanager
-def replacing(path):
+def replacing(path, *, synced: bool = False):
     """Yields a scratch path beside ``path`` (same suffix); on success it takes the place of ``path``.
 
-    On any error the scratch file is removed and an older ``path`` is left as it was.
+    On any error the scratch file is removed and an older ``path`` is left as it was. ``synced`` : the content is on the
+    disk before it has the name, and the name before this returns.
 
     Raises
     ------
@@ -33,8 +34,12 @@ def replacing(path):
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(scratch, 0o666 & ~umask)  # mkstemp makes private files
+        if synced:
+            _sync(scratch, os.O_RDWR)
         os.replace(scratch, path)
         scratch = None
+        if synced and os.name != "nt":  # Windows opens no folders
+            _sync(path.parent, os.O_RDONLY)
     except OSError as error:
         raise InputError(
             f"cannot write {path}", error.strerror or str(error), "free space or choose a folder that can be written"
@@ -42,6 +47,14 @@ def replacing(path):
     finally:
         if scratch is not None and os.path.exists(scratch):
             os.unlink(scratch)
+
+
+def _sync(path, flags: int) -> None:
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def sweep(folder, pattern: str = ".writing-*") -> None:

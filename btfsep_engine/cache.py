@@ -1,15 +1,70 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where everything that can be made again is kept: one folder, one rule."""
+"""Where everything that can be made again is kept: one folder, and one kind of file that is whole or is not there.
 
+An entry holds arrays by name. In front of them stands the SHA-256 of the entry's own folder and name and of all that
+follows, so that a file that a disk, a crash or a person has changed, or put in the place of another, is made again.
+"""
+
+import hashlib
 import os
+import shutil
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 from platformdirs import user_cache_dir
 
+from btfsep_engine import atomic
+
 ENVIRONMENT = "BTFSEP_CACHE"  # names another folder
+DIGEST = 32  # bytes
 
 
 def cache_folder() -> Path:
     """$BTFSEP_CACHE, or the user's cache folder of this platform. It need not exist yet."""
     named = os.environ.get(ENVIRONMENT)
     return Path(named).expanduser() if named else Path(user_cache_dir("btfsep", appauthor=False))
+
+
+def read(path) -> dict | None:
+    """The arrays by name of the entry ``path``; None where there is none, or none that is whole."""
+    path = Path(path)
+    try:
+        if not path.is_file():  # a pipe would be waited for
+            return None
+        with open(path, "rb") as file:
+            if file.read(DIGEST) != _digest(path, file):
+                return None
+            file.seek(DIGEST)
+            names = np.load(file, allow_pickle=False)
+            return {str(name): np.load(file, allow_pickle=False) for name in names}
+    except (OSError, ValueError, EOFError):
+        return None
+
+
+def write(path, arrays: dict) -> None:
+    """Puts the entry there, in the place of whatever was, and sees to it that it outlives a crash of the machine.
+
+    Raises
+    ------
+    InputError
+        When it cannot be written: the caller goes on without.
+    """
+    path = Path(path)
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    atomic.sweep(path.parent)
+    with atomic.replacing(path, synced=True) as scratch, open(scratch, "w+b") as file:
+        file.write(bytes(DIGEST))
+        # one after the other: a zip would try again on a disk that is full
+        for part in (np.array(list(arrays)), *arrays.values()):
+            np.save(file, part, allow_pickle=False)
+        file.seek(DIGEST)
+        digest = _digest(path, file)
+        file.seek(0)
+        file.write(digest)
+
+
+def _digest(path: Path, file) -> bytes:
+    """Of the entry's place in the cache and of the rest of ``file``."""
+    return hashlib.file_digest(file, partial(hashlib.sha256, "/".join(path.parts[-2:]).encode())).digest()

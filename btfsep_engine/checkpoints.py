@@ -1,28 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Parts of a long run, kept until it is over, so that a run that was stopped goes on where it was.
 
-A folder of the cache is named by a digest of everything that the run depends on; each file in it is a part, written
-whole or not at all, with its own digest at the front. Parts follow each other; what is damaged, and all that comes
-after it, is made again.
+A folder of the cache is named by a digest of everything that the run depends on; each entry in it is a part. Parts
+follow each other; what is damaged, and all that comes after it, is made again.
 """
 
-import hashlib
-import io
 import shutil
 import time
-import zipfile
 from pathlib import Path
 
-import numpy as np
-
-from btfsep_engine import atomic
-from btfsep_engine.cache import cache_folder
+from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
 
 EVERY = 8  # calls of :meth:`Checkpoints.due` from one part to the next
 FORGOTTEN = 30 * 86400.0  # seconds after which the parts of a run that never ended are removed
-DIGEST = 32  # bytes
 
 
 class Checkpoints:
@@ -37,7 +29,7 @@ class Checkpoints:
     """
 
     def __init__(self, kind: str, key: str, *, every: int = EVERY, reporter: Reporter | None = None):
-        self.folder = cache_folder() / kind / key
+        self.folder = cache.cache_folder() / kind / key
         self.every, self.reporter = every, reporter or Reporter()
         self._count = self._steps = 0
         self._can_write = True
@@ -45,16 +37,7 @@ class Checkpoints:
 
     def load(self):
         """Yields the parts that are whole, in order: dicts of arrays."""
-        while True:
-            path = self._path(self._count)
-            try:
-                data = path.read_bytes()
-                if hashlib.sha256(data[DIGEST:]).digest() != data[:DIGEST]:
-                    return
-                with np.load(io.BytesIO(data[DIGEST:]), allow_pickle=False) as file:
-                    part = dict(file)
-            except (OSError, ValueError, zipfile.BadZipFile):
-                return
+        while (part := cache.read(self._path(self._count))) is not None:
             self._count += 1
             yield part
 
@@ -65,11 +48,8 @@ class Checkpoints:
 
     def save(self, part: dict) -> None:
         """Keeps the next part; where that cannot be done it is said once, and the run goes on."""
-        buffer = io.BytesIO()
-        np.savez(buffer, **part)
-        data = buffer.getvalue()
         try:
-            atomic.write_bytes(self._path(self._count), hashlib.sha256(data).digest() + data)
+            cache.write(self._path(self._count), part)
         except InputError as error:
             self._can_write = False
             self.reporter.warn(f"{error}; if this run is stopped, it will have to start anew")

@@ -6,18 +6,17 @@ factorised anew in the linear domain, and kept in the cache folder under the has
 """
 
 import json
-import tokenize
+from contextlib import suppress
 
 import numpy as np
 
-from btfsep_engine import atomic
+from btfsep_engine import cache
 from btfsep_engine.btf import reciprocity
 from btfsep_engine.btf.formats.colour import RGB
 from btfsep_engine.btf.formats.mapped import EXPORT, sha256
 from btfsep_engine.btf.formats.ubo2014 import LARGEST, BtfFile
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.recompress import LinearFactors, recompress
-from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
 
@@ -131,33 +130,14 @@ def converted(file: BtfFile, *, components: int, seed: int = 0, reporter: Report
         raise InputError(str(file.path), f"{file.texels} texels are too many to decode", "give a smaller resampling")
     components = max(1, min(components, 2 * sum(file.components) + 2))
     key = sha256(json.dumps(["linear", VERSION, file.sha256(), components, seed, file.components]).encode())
-    stored = cache_folder() / "materials" / f"{key[:32]}.npy"
-    factors = _load(stored, file)
-    if factors is None:
-        factors = recompress(file.decode, file.texels, file.pairs, components=components, seed=seed, reporter=reporter)
-        atomic.sweep(stored.parent)
-        try:
-            with atomic.replacing(stored) as scratch, open(scratch, "wb") as out:
-                for part in (np.float64(factors.relative_error), factors.spatial, factors.angular):
-                    np.save(out, part)  # one after the other: a zip would try again on a disk that is full
-        except InputError:
-            pass  # only costs the decoding next time
+    stored = cache.cache_folder() / "materials" / f"{key[:32]}.entry"
+    kept = cache.read(stored)
+    if kept is not None:
+        return LinearFactors(kept["spatial"], kept["angular"], float(kept["relative_error"]))
+    factors = recompress(file.decode, file.texels, file.pairs, components=components, seed=seed, reporter=reporter)
+    with suppress(InputError):  # only costs the decoding next time
+        cache.write(stored, vars(factors))
     return factors
-
-
-def _load(path, file: BtfFile) -> LinearFactors | None:
-    try:
-        with open(path, "rb") as kept:
-            error, spatial, angular = (np.load(kept, allow_pickle=False) for _ in range(3))
-            error = float(error)
-    except (OSError, ValueError, TypeError, EOFError, SyntaxError, MemoryError, tokenize.TokenError):
-        return None  # absent, damaged, or not ours
-    k = spatial.shape[-1] if spatial.ndim == 2 else -1
-    if spatial.shape != (file.texels, k) or angular.shape != (file.pairs, 3, k):
-        return None
-    if spatial.dtype != np.float32 or angular.dtype != np.float32:
-        return None
-    return LinearFactors(spatial, angular, error)
 
 
 def mean_abrdf_as_stored(file: BtfFile) -> np.ndarray:

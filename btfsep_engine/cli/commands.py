@@ -192,7 +192,8 @@ cli.add_command(sequence)
 
 def main(arguments=None) -> int:
     """Runs a command; returns the exit status. Misuse of the command line is the input's fault (2)."""
-    os.environ["PYTHONSAFEPATH"] = "1"  # no Python that we start takes modules from the current folder
+    if arguments is None:  # the process is ours: no Python that it starts takes modules from the current folder
+        os.environ["PYTHONSAFEPATH"] = "1"
     try:
         cli.main(args=arguments, prog_name="btfsep", standalone_mode=False)
     except click.Abort:

@@ -29,9 +29,7 @@ def examine(library_folder=None) -> dict:
         chosen = backend.choose_backend()
         failure = backend.try_backend(chosen.variant, chosen.library)
         if failure:
-            raise InputError(
-                "the renderer worked before and fails now", failure, f"remove {cache_folder() / 'backend.json'}"
-            )
+            raise InputError("the renderer worked before and fails now", failure, f"remove {backend.remembered()}")
         from btfsep_engine.pipeline.record import versions
 
         facts |= {name: str(value) for name, value in versions().items() if name not in ("btfsep", "python")}

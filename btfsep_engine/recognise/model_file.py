@@ -2,23 +2,22 @@
 """A recogniser in one file, and the cache of recognisers.
 
 The file is a NumPy ``.npz`` without pickled objects: arrays, and one JSON text for names, numbers and settings.
-Whatever does not fit is refused with an InputError; the cache trains again in that case.
+Whatever does not fit is refused with an InputError.
 """
 
 import dataclasses
+import functools
 import hashlib
 import json
 import logging
 import zipfile
 import zlib
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import __version__, atomic
-from btfsep_engine.cache import cache_folder
+from btfsep_engine import __version__, atomic, cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.recognise.classifier import Nearest, Svm
 from btfsep_engine.recognise.descriptors import Settings
@@ -36,6 +35,12 @@ ROOMS = ("btf", "job", "light", "recognise", "render")
 
 def save(path, recogniser: Recogniser) -> None:
     """Writes ``recogniser`` to ``path`` (.npz), whole or not at all. InputError where it cannot be written."""
+    with atomic.replacing(path) as scratch, open(scratch, "wb") as file:
+        np.savez(file, **_arrays(recogniser))
+
+
+def _arrays(recogniser: Recogniser) -> dict:
+    """All of a recogniser as arrays by name."""
     model, encoder = recogniser.model, recogniser.encoder
     arrays = {
         "encoder.colour": encoder.colour,
@@ -61,8 +66,7 @@ def save(path, recogniser: Recogniser) -> None:
         arrays |= {"model.weights": model.weights, "model.bias": model.bias}
     else:
         arrays["model.labels"] = model.labels
-    with atomic.replacing(path) as scratch, open(scratch, "wb") as file:
-        np.savez(file, header=np.array(json.dumps(header)), **arrays)
+    return {"header": np.array(json.dumps(header)), **arrays}
 
 
 def load(path) -> Recogniser:
@@ -158,7 +162,7 @@ def digest(*parts) -> str:
     return h.hexdigest()
 
 
-@cache
+@functools.cache
 def source_digest(engine: Path = ENGINE) -> str:
     """A key of the engine's version and of all code and constants that a training depends on: their source text."""
     files = [engine / name for name in SOURCES]
@@ -179,15 +183,13 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
     folder : instead of :func:`cache_folder`
     """
     name = digest(FORMAT, VERSION, source_digest(), key)[:32]
-    path = Path(folder or cache_folder()) / f"recogniser-{name}.npz"
-    if path.exists():
-        try:
-            return load(path)
-        except InputError as error:
-            log.info("recogniser trained again: %s", error)
+    path = Path(folder or cache.cache_folder()) / "recognisers" / f"{name}.entry"
+    kept = cache.read(path)
+    if kept is not None:
+        return _assemble(json.loads(str(kept["header"])), kept)
     recogniser = make()
     try:
-        save(path, recogniser)
+        cache.write(path, _arrays(recogniser))
     except InputError as error:
         log.info("recogniser not kept: %s", error)
     return recogniser

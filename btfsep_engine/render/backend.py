@@ -13,11 +13,12 @@ import platform
 import re
 import subprocess
 import sys
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
+from pathlib import Path
 
-from btfsep_engine.atomic import write_text
-from btfsep_engine.cache import cache_folder
+from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 
 LLVM_VARIANT, CUDA_VARIANT = "llvm_ad_rgb", "cuda_ad_rgb"
@@ -130,20 +131,19 @@ def choose_backend() -> Backend:
     InputError
         When nothing on this machine can render; it names what was tried and how to mend it.
     """
-    remembered = cache_folder() / "backend.json"
     fingerprint = _fingerprint()
-    try:
-        stored = json.loads(remembered.read_text())
-        if stored["fingerprint"] == fingerprint:
-            return Backend(**stored["backend"])
-    except (OSError, ValueError, KeyError, TypeError):
-        pass  # absent, or not ours: try again
+    kept = cache.read(remembered())
+    if kept is not None and str(kept["fingerprint"]) == fingerprint:
+        return Backend(**{field.name: str(kept[field.name]) for field in fields(Backend)})
     backend = _try_all()
-    try:
-        write_text(remembered, json.dumps({"fingerprint": fingerprint, "backend": asdict(backend)}))
-    except InputError:
-        pass  # a cache that cannot be written only costs the trial next time
+    with suppress(InputError):  # a cache that cannot be written only costs the trial next time
+        cache.write(remembered(), {"fingerprint": fingerprint, **asdict(backend)})
     return backend
+
+
+def remembered() -> Path:
+    """The cache entry that holds the choice."""
+    return cache.cache_folder() / "backend" / "choice.entry"
 
 
 def _try_all() -> Backend:

@@ -2,13 +2,13 @@
 """Where a material lies on a surface: UV charts in millimetres and tangent frames."""
 
 import hashlib
+from contextlib import suppress
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from btfsep_engine.atomic import replacing
-from btfsep_engine.cache import cache_folder
+from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 
@@ -186,13 +186,10 @@ def _xatlas_uv(mesh):
     key = hashlib.sha256(
         b"xatlas2" + np.ascontiguousarray(mesh.vertices).tobytes() + np.ascontiguousarray(mesh.faces).tobytes()
     ).hexdigest()
-    stored = cache_folder() / "charts" / f"{key[:32]}.npy"
-    try:
-        uv = np.load(stored, allow_pickle=False)
-        if uv.shape == (len(mesh.faces), 3, 2) and uv.dtype == np.float32:
-            return uv.astype(np.float64)
-    except (OSError, ValueError):
-        pass  # not there, or damaged: compute it
+    stored = cache.cache_folder() / "charts" / f"{key[:32]}.entry"
+    kept = cache.read(stored)
+    if kept is not None:
+        return kept["uv"].astype(np.float64)
     # charts must not break where a mesh file splits its vertices (seams of normals or of another UV)
     used, corner = np.unique(mesh.faces, return_inverse=True)  # a vertex of no face may be anywhere
     scaled = mesh.vertices[used] - mesh.vertices[used].mean(0)
@@ -214,11 +211,8 @@ def _xatlas_uv(mesh):
     chart = connected_components(links, directed=False)[1][indices[:, 0]]
     uv = np.asarray(coordinates, np.float64)[indices]
     uv = _physical_charts(mesh, uv, np.unique(chart, return_inverse=True)[1]).astype(np.float32)
-    try:
-        with replacing(stored) as scratch, open(scratch, "wb") as handle:
-            np.save(handle, uv)
-    except InputError:
-        pass  # a cache that cannot be written only costs time
+    with suppress(InputError):  # a cache that cannot be written only costs time
+        cache.write(stored, {"uv": uv})
     return uv.astype(np.float64)
 
 

@@ -40,7 +40,7 @@ def test_a_material_left_out_is_counted_under_the_training_of_an_estimate(librar
     )  # fmt: skip
     assert child.returncode == 0, child.stderr
     assert "preset draft, 14 training lights" in child.stdout
-    assert len(list((tmp_path / "cache").glob("recogniser-*.npz"))) == 1  # an estimate would find it there
+    assert len(list((tmp_path / "cache" / "recognisers").glob("*.entry"))) == 1  # an estimate would find it there
     (found,) = json.loads((tmp_path / "bench" / "sphere-128" / "draft-svm-hidden.json").read_text())
     answers = found["answers"]
     assert {a[0] for a in answers} == {THREE[2]} and len({a[1] for a in answers}) == len(answers) == 8

@@ -247,7 +247,7 @@ def test_cache_keeps_and_mends(svm, nearest, tmp_path, monkeypatch):
     assert model_file.cached("a", make).materials == svm.materials and len(calls) == 1
     assert model_file.cached("b", lambda: nearest).model.kind == "nearest"
     assert model_file.cached("a", make).model.kind == "svm"
-    for file in (tmp_path / "cache").iterdir():
+    for file in (tmp_path / "cache").rglob("*.entry"):
         file.write_bytes(b"broken")
     model_file.cached("a", make)
     assert len(calls) == 2
@@ -274,8 +274,8 @@ def test_two_at_once(svm, tmp_path):
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(got) == 2 and len(list(tmp_path.iterdir())) == 1
-    assert model_file.load(next(tmp_path.iterdir())).materials == svm.materials
+    assert len(got) == 2 and len([f for f in tmp_path.rglob("*") if f.is_file()]) == 1
+    assert model_file.cached("k", pytest.fail, folder=tmp_path).materials == svm.materials
 
 
 def test_digest_tells_contents_apart():

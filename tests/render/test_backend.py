@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The choice of libLLVM, with real libraries and with files that are none."""
 
-import json
-
 import pytest
 
+from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
 
@@ -18,11 +17,10 @@ def fresh(tmp_path, monkeypatch):
     backend.choose_backend.cache_clear()
 
 
-def test_this_machine_has_a_backend_and_remembers_it(tmp_path):
+def test_this_machine_has_a_backend_and_remembers_it():
     chosen = backend.choose_backend()
     assert chosen.variant in (backend.LLVM_VARIANT, backend.CUDA_VARIANT)
-    stored = json.loads((tmp_path / "cache" / "backend.json").read_text())
-    assert stored["backend"]["library"] == chosen.library
+    assert str(cache.read(backend.remembered())["library"]) == chosen.library
 
 
 def test_a_library_that_is_none_is_refused_with_a_remedy(tmp_path, monkeypatch):
@@ -35,7 +33,7 @@ def test_a_library_that_is_none_is_refused_with_a_remedy(tmp_path, monkeypatch):
     ) as caught:
         backend.choose_backend()
     assert "unset it" in str(caught.value)  # the others were not tried
-    assert not (tmp_path / "cache" / "backend.json").exists()
+    assert not backend.remembered().exists()
 
 
 def test_no_library_at_all_is_told(monkeypatch):
@@ -47,12 +45,12 @@ def test_no_library_at_all_is_told(monkeypatch):
     assert "unset" not in str(caught.value)
 
 
-def test_a_damaged_memory_is_ignored(tmp_path):
-    remembered = tmp_path / "cache" / "backend.json"
-    remembered.parent.mkdir()
+def test_a_damaged_memory_is_ignored():
+    remembered = backend.remembered()
+    remembered.parent.mkdir(parents=True)
     remembered.write_text("{damaged")
-    backend.choose_backend()
-    assert json.loads(remembered.read_text())["backend"]
+    chosen = backend.choose_backend()
+    assert str(cache.read(remembered)["variant"]) == chosen.variant
 
 
 @pytest.mark.parametrize(

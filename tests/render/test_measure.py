@@ -44,13 +44,13 @@ def write_maps(folder, *, rough=0.6, bumpy=True):
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     """A cache folder of the test's own, with what is known of the backend."""
-    from btfsep_engine.cache import cache_folder
+    from btfsep_engine.render.backend import remembered
 
-    known = cache_folder() / "backend.json"
+    known = remembered()
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
     if known.is_file():
-        (tmp_path / "cache").mkdir()
-        (tmp_path / "cache" / "backend.json").write_bytes(known.read_bytes())
+        remembered().parent.mkdir(parents=True)
+        remembered().write_bytes(known.read_bytes())
     return tmp_path / "cache"
 
 

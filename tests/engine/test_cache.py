@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Entries of the cache: what was written is read, anything else is as if it were not there."""
+
+import os
+
+import numpy as np
+import pytest
+
+from btfsep_engine import cache
+from btfsep_engine.errors import InputError
+
+ARRAYS = {
+    "numbers": np.arange(60, dtype=np.float32).reshape(3, 4, 5),
+    "text": np.array('{"a": [1, "ä"]}'),
+    "one": np.float64(0.25),
+    "half": np.linspace(0, 1, 7, dtype=np.float16),
+}
+
+
+@pytest.fixture
+def entry(tmp_path):
+    path = tmp_path / "kind" / "key.entry"
+    cache.write(path, ARRAYS)
+    return path
+
+
+def holds(path, arrays=ARRAYS) -> bool:
+    found = cache.read(path)
+    if found is None:
+        return False
+    assert list(found) == list(arrays)
+    for name, value in arrays.items():
+        assert found[name].dtype == np.asarray(value).dtype
+        np.testing.assert_array_equal(found[name], value)
+    return True
+
+
+def test_what_was_written_is_read(entry):
+    assert holds(entry) and [p.name for p in entry.parent.iterdir()] == ["key.entry"]
+    cache.write(entry, {"other": np.zeros(3)})
+    assert holds(entry, {"other": np.zeros(3)})
+    assert cache.read(entry.with_name("absent")) is None
+
+
+def test_no_damage_is_read_and_all_of_it_is_mended(entry):
+    """Many lengths, every byte with a bit flipped, and a float that has become NaN."""
+    whole = entry.read_bytes()
+    damaged = [whole[:length] for length in range(0, len(whole), 7)]
+    damaged += [whole[:i] + bytes([whole[i] ^ (1 << i % 8)]) + whole[i + 1 :] for i in range(len(whole))]
+    damaged += [whole + b"\0", whole * 2, b"\x93NUMPY\x01\x00v\x00{", bytes(len(whole))]
+    at = whole.index(ARRAYS["numbers"].tobytes())
+    damaged.append(whole[:at] + np.float32(np.nan).tobytes() + whole[at + 4 :])
+    for data in damaged:
+        entry.write_bytes(data)
+        assert cache.read(entry) is None
+    cache.write(entry, ARRAYS)
+    assert holds(entry)
+
+
+def test_an_entry_in_the_place_of_another_is_not_taken_for_it(entry, tmp_path):
+    for place in (entry.with_name("other.entry"), tmp_path / "other" / "key.entry"):
+        place.parent.mkdir(exist_ok=True)
+        place.write_bytes(entry.read_bytes())
+        assert cache.read(place) is None
+
+
+def folder(path):
+    (path / "inside").mkdir(parents=True)
+
+
+def loop(path):
+    path.symlink_to(path)
+
+
+def link_to_a_folder(path):
+    (path.parent.parent / "elsewhere").mkdir()
+    path.symlink_to(path.parent.parent / "elsewhere")
+
+
+@pytest.mark.parametrize("put", [folder, loop, link_to_a_folder, lambda path: os.mkfifo(path)])
+def test_whatever_is_in_its_place_makes_room(entry, put):
+    entry.unlink()
+    put(entry)
+    assert cache.read(entry) is None
+    cache.write(entry, ARRAYS)
+    assert holds(entry)
+
+
+def test_a_folder_that_cannot_be_is_an_error_that_says_so(tmp_path):
+    (tmp_path / "kind").write_text("in the way")
+    assert cache.read(tmp_path / "kind" / "key.entry") is None
+    with pytest.raises(InputError, match="cannot write"):
+        cache.write(tmp_path / "kind" / "key.entry", ARRAYS)
+
+
+def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_end(tmp_path, monkeypatch):
+    order, real_sync, real_replace = [], os.fsync, os.replace
+
+    def sync(handle):
+        order.append("folder" if os.path.isdir(f"/proc/self/fd/{handle}") else os.fstat(handle).st_size)
+        real_sync(handle)
+
+    def replace(old, new):
+        order.append("replace")
+        real_replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", sync)
+    monkeypatch.setattr(os, "replace", replace)
+    cache.write(tmp_path / "kind" / "key.entry", ARRAYS)
+    assert order == [(tmp_path / "kind" / "key.entry").stat().st_size, "replace", "folder"]
