@@ -72,5 +72,5 @@ def write_bytes(path, data: bytes) -> None:
 
 
 def write_text(path, text: str) -> None:
-    """Writes ``text`` as UTF-8 to ``path``, whole or not at all."""
-    write_bytes(path, text.encode())
+    """Writes ``text`` as UTF-8 to ``path``, whole or not at all; bytes of names that are none as \\udcXX."""
+    write_bytes(path, text.encode(errors="backslashreplace"))

@@ -67,4 +67,4 @@ def write(path, arrays: dict) -> None:
 
 def _digest(path: Path, file) -> bytes:
     """Of the entry's place in the cache and of the rest of ``file``."""
-    return hashlib.file_digest(file, partial(hashlib.sha256, "/".join(path.parts[-2:]).encode())).digest()
+    return hashlib.file_digest(file, partial(hashlib.sha256, os.fsencode("/".join(path.parts[-2:])))).digest()

@@ -6,6 +6,7 @@ The stored orientation is kept (EXIF rotation is not applied): a camera in pixel
 
 import contextlib
 import io
+import os
 import re
 import struct
 from dataclasses import dataclass
@@ -166,7 +167,7 @@ def write_exr(path, array, *, half: bool = False) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with atomic.replacing(path) as scratch, contextlib.redirect_stdout(io.StringIO()):
         try:
-            OpenEXR.File(header, channels).write(str(scratch))
+            OpenEXR.File(header, channels).write(str(scratch) if _is_text(scratch) else os.fsencode(scratch))
         except RuntimeError as error:
             raise OSError(str(error)) from error
 
@@ -305,22 +306,34 @@ def _webp_size(data: bytes):
     return width & 0x3FFF, height & 0x3FFF
 
 
+def _is_text(path: Path) -> bool:
+    """Whether a path is UTF-8; the names of files need not be."""
+    try:
+        return bool(str(path).encode())
+    except UnicodeEncodeError:
+        return False
+
+
 def _exr_parts(path: Path, max_pixels: int | None = None):
     """The parts of an EXR as (channels by name, header), flat images only.
 
     The library prints its complaints about damaged parts and leaves the part out; they are caught here.
     """
     said = io.StringIO()
+
+    def source():
+        return str(path) if _is_text(path) else io.BytesIO(path.read_bytes())
+
     try:
         with contextlib.redirect_stdout(said):
-            header_only = OpenEXR.File(str(path), header_only=True)
+            header_only = OpenEXR.File(source(), header_only=True)
             for part in header_only.parts:
                 low, high = part.header["displayWindow"]
                 _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
                 low, high = part.header["dataWindow"]
                 _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
             count = len(header_only.parts)
-            parts = OpenEXR.File(str(path), separate_channels=True).parts if count else []
+            parts = OpenEXR.File(source(), separate_channels=True).parts if count else []
     except (RuntimeError, ValueError, TypeError, KeyError, MemoryError) as error:
         raise InputError(path.name, "the EXR is truncated or damaged", "export it again") from error
     if len(parts) != count or not parts:

@@ -8,6 +8,7 @@ import csv
 import hashlib
 import io
 import json
+import os
 from pathlib import Path
 
 import click
@@ -35,9 +36,9 @@ def find_jobs(places, list_file=None) -> list[Path]:
     places = [Path(p) for p in places]
     if list_file is not None:
         try:
-            with click.open_file(str(list_file), encoding="utf-8") as lines:
+            with click.open_file(str(list_file), encoding="utf-8", errors="surrogateescape") as lines:
                 places += [Path(line.strip()) for line in lines if line.strip() and not line.startswith("#")]
-        except (OSError, UnicodeDecodeError) as error:
+        except OSError as error:
             raise InputError(f"--list {list_file}", str(error), "give a text file with a job folder a line") from error
     found = []
     for place in places:
@@ -84,7 +85,7 @@ def job_key(job: Path, *facts) -> str:
         if inside.parts[0] != RESULT and path.is_file():
             stat = path.stat()
             facts.append(f"{inside} {stat.st_size} {stat.st_mtime_ns}")
-    return hashlib.sha256("\n".join(facts).encode()).hexdigest()
+    return hashlib.sha256(os.fsencode("\n".join(facts))).hexdigest()
 
 
 def earlier(summary_file: Path) -> dict:
@@ -136,7 +137,8 @@ def run_batch(jobs, folders, arguments, *, library: str, lanes: int, again: bool
             entries[i] = old
     todo = [i for i, entry in enumerate(entries) if entry is None]
     kept = len(jobs) - len(todo)
-    commands = [["estimate", str(jobs[i]), "--out", str(folders[i]), *arguments] for i in todo]
+    # after "--": a folder may have a name like an option's
+    commands = [["estimate", "--out", str(folders[i]), *arguments, "--", str(jobs[i])] for i in todo]
     reporter.progress("batch", kept / len(jobs), f"{kept} of {len(jobs)} done before")
     for number, answer in run_all(commands, min(lanes, max(1, len(todo)))):
         i = todo[number]
@@ -161,7 +163,11 @@ def batch_command(estimate: click.Command) -> click.Command:
         JOB/result (or OUT/NAME) gets each job's results; batch.json and batch.csv sum them up. One that fails does not
         stop the others. What is there already for the same job and options is not made again.
         """
-        jobs = shard_of(find_jobs(places, list_file), shard)
+        every = find_jobs(places, list_file)
+        jobs = shard_of(every, shard)
+        if not jobs:  # a farm may give more tasks than there are jobs
+            words = f"shard {shard}: of {len(every)} jobs this one gets none; nothing was done"
+            return {"jobs": [], "done": 0, "failed": 0, "crashed": 0, "kept": 0, "summary": None}, words
         folders = result_folders(jobs, out)
         arguments = estimate_arguments(estimate, given)
         if summary is None:

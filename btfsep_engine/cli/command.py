@@ -44,7 +44,7 @@ def command(function):
             sys.exit(BUG)
         reporter.done(result)
         if not as_json and text:
-            click.echo(text)
+            click.echo(text.encode(errors="backslashreplace").decode())  # names of files need not be UTF-8
 
     return run
 

@@ -136,8 +136,8 @@ def train(*, job, library_folder, preset, reporter, **changes):
 @click.option("--lighting", required=True, type=click.Path(path_type=Path), help="lighting.json or an environment map.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Image to write, .exr or .png.")
 @click.option("--material", help="The material of all objects.")
-@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")
-@click.option("--bounces", type=int, help="Reflections followed.")
+@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: 512.")
+@click.option("--bounces", type=NumberOrAuto(), help="Reflections followed; auto: 8.")
 @estimate_options
 @command
 def relight(*, job, library_folder, preset, lighting, out, material, reporter, **changes):

@@ -18,7 +18,6 @@ from concurrent.futures.process import BrokenProcessPool
 from btfsep_engine.cli.commands import main
 
 DIED = 1  # exit status of a command whose process ended without an answer
-STOPPED = 130
 
 
 def outcome(arguments) -> dict:
@@ -26,7 +25,7 @@ def outcome(arguments) -> dict:
 
     Parameters
     ----------
-    arguments : list of str, without ``--json``
+    arguments : list of str, the command first, without ``--json``
 
     Returns
     -------
@@ -35,7 +34,7 @@ def outcome(arguments) -> dict:
     """
     said, complained = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(complained):
-        code = main([*arguments, "--json"])
+        code = main([arguments[0], "--json", *arguments[1:]])
     lines = [json.loads(line) for line in said.getvalue().splitlines() if line.startswith("{")]
     last = lines[-1] if lines else {}
     if code == 0 and last.get("type") == "done":

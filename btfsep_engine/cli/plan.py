@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from btfsep_engine.cli.command import LIBRARY, command, opened_library
+from btfsep_engine.cli.parameters import NumberOrAuto
 
 
 @click.command()
@@ -16,8 +17,8 @@ from btfsep_engine.cli.command import LIBRARY, command, opened_library
 @click.option("--order", type=int, help="Order of the spherical harmonics that would be reported, 0 to 9.")
 @click.option("--appearance", help="mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels that would be used, 0: all.")
-@click.option("--directions", type=int, help="Light directions per pixel.")
-@click.option("--bounces", type=int, help="Reflections followed; 1 leaves out light between surfaces.")
+@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: the usual number.")
+@click.option("--bounces", type=NumberOrAuto(), help="Reflections followed, 1: no light between surfaces; auto: 8.")
 @click.option("--preset", default="balanced", show_default=True, help="draft, balanced or accurate.")
 @click.option("--seed", type=int, help="Seed of every random choice.")
 @LIBRARY

@@ -115,8 +115,10 @@ def run_sequence(
     """
     started = time.perf_counter()
     settings = replace(settings, key_light="never")  # what it would cost, a frame would cost
-    if settings.estimator != "map" or settings.order == "auto":
-        raise InputError("a sequence", f"--order {settings.order}", "give one order for all frames")
+    if settings.estimator != "map":
+        raise InputError("a sequence", f"--estimator {settings.estimator}", "it goes with --estimator map only")
+    if settings.order == "auto":
+        raise InputError("a sequence", "--order auto", "give one order for all frames")
     with reporter.stage("reading"):
         files = frame_files(frames)
         job = load_job(folder, with_photo=False)

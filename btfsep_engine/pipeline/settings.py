@@ -45,7 +45,7 @@ class Settings:
     training_directions : light directions per pixel of the training images
     training_pixels : largest number of pixels of a training image
     training_turns : turns about the vertical in which each training map is used
-    seed : of every random choice
+    seed : of every random choice, 0 to 2^32 - 1
     """
 
     preset: str = "balanced"
@@ -150,6 +150,8 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         settings.directions == "auto" or (isinstance(settings.directions, int) and 16 <= settings.directions <= 65536)
     ):
         raise InputError("--directions", str(settings.directions), "choose 16 to 65536, or auto")
+    if not 0 <= settings.seed < 1 << 32:
+        raise InputError("--seed", str(settings.seed), f"choose 0 to {(1 << 32) - 1}")
     if settings.pixels < 0:
         raise InputError("--pixels", str(settings.pixels), "choose a number of pixels, or 0 for all")
     return settings

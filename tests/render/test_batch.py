@@ -3,6 +3,7 @@
 
 import csv
 import json
+import os
 import shutil
 
 import numpy as np
@@ -96,6 +97,34 @@ def test_places_shards_and_what_is_wrong_with_them(shots, tmp_path):
         find_jobs([])
     with pytest.raises(InputError, match="--list"):
         find_jobs([], tmp_path / "missing.txt")
+
+
+def test_a_shard_past_the_number_of_jobs_says_that_there_is_nothing_to_do(shots, tmp_path, capsys):
+    code, lines = run([shots, "--shard", "4/7", "--out", tmp_path / "out", *OPTIONS], capsys)
+    assert code == 0 and lines[-1]["result"] == {
+        **{"jobs": [], "done": 0, "failed": 0, "crashed": 0, "kept": 0},
+        "summary": None,
+    }
+    assert main(["batch", str(shots), "--shard", "4/7"]) == 0
+    assert capsys.readouterr().out == "shard 4/7: of 3 jobs this one gets none; nothing was done\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_jobs_of_any_name_are_estimated(shots, monkeypatch, capsys):
+    """Like an option's, and of bytes that are no text; named in a list, too."""
+    names = ["--a", os.fsdecode(b"caf\xe9")]
+    for old, new in zip("ac", names, strict=True):
+        (shots / old).rename(shots / new)
+    (shots / "--a" / names[1]).write_text("no part of the job")
+    shutil.rmtree(shots / "b")
+    (shots / "list.txt").write_bytes(b"caf\xe9\n")
+    monkeypatch.chdir(shots)
+    code, lines = run([".", *OPTIONS], capsys)
+    assert code == 0 and lines[-1]["result"]["done"] == 2, lines[-1]
+    assert all((shots / name / "result" / "lighting.json").is_file() for name in names)
+    assert b"caf\\udce9" in (shots / "batch.csv").read_bytes()
+    code, lines = run(["--list", "list.txt", *OPTIONS], capsys)
+    assert code == 0 and lines[-1]["result"]["done"] == 1
 
 
 def test_its_options_are_those_of_estimate_but_for_further_photos_of_one_light(capsys):

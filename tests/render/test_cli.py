@@ -2,6 +2,7 @@
 """The commands as a user runs them: results, JSON lines, errors in one sentence, exit status, nothing half-written."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -212,6 +213,8 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(sphere_job_folder, capsy
         ["estimate", "JOB", "--directions", "1"],
         ["estimate", "JOB", "--estimator", "bayes"],
         ["estimate", "JOB", "--order", "two"],
+        ["estimate", "JOB", "--seed", "-1"],
+        ["plan", "JOB", "--seed", str(2**32)],
         ["relight", "JOB", "--lighting", "none.json", "--out", "x.exr"],
         ["nonsense"],
         ["library", "show", "leather/nothing"],
@@ -258,3 +261,39 @@ def test_two_objects_share_one_light(sphere_job_folder, capsys):
     assert min(o["pixels"] for o in result["objects"]) > 10 and max(o["residual"] for o in result["objects"]) < 0.02
     found = read_lighting(result["lighting"]).coefficients
     assert np.linalg.norm(found - truth) < 0.03 * np.linalg.norm(truth)
+
+
+@pytest.mark.parametrize("command", ["plan", "sequence", "relight"])
+def test_auto_can_be_asked_for_wherever_it_is_the_default(sphere_job_folder, capsys, tmp_path, command):
+    folder, truth = sphere_job_folder
+    write_lighting(tmp_path / "light.json", exactly(truth))
+    own = {
+        "plan": [],
+        "sequence": ["--images", str(folder / "photo.exr")],
+        "relight": ["--lighting", str(tmp_path / "light.json")],
+    }[command]
+    found = []
+    for how in ([], ["--bounces", "auto", "--directions", "auto"]):
+        out = str(tmp_path / "out.exr") if command == "relight" else str(tmp_path / "out")
+        assert main([command, str(folder), *WHITE, "--preset", "draft", *own, *how, "--out", out, "--json"]) == 0
+        result = json_lines(capsys.readouterr().out)[-1]["result"]
+        assert (result["settings"]["bounces"], result["settings"]["directions"]) == ("auto", "auto")
+        found.append(images.read_linear(out).pixels if command == "relight" else result["settings"])
+    assert np.array_equal(*found)
+
+
+def test_folders_and_files_of_any_name(sphere_job_folder, capsys, tmp_path_factory):
+    """Bytes that are no text, and names like an option's: estimated as any other job."""
+    job, truth = sphere_job_folder
+    folder = tmp_path_factory.mktemp("shots") / os.fsdecode(b"--caf\xe9")
+    job.rename(folder)
+    (folder / os.fsdecode(b"notes\xff.txt")).write_text("beside the job")
+    light = folder / "light.json"
+    write_lighting(light, exactly(truth))
+    options = [*WHITE, "--preset", "draft"]
+    assert main(["relight", *options, "--lighting", str(light), "--out", str(folder / "photo.exr"), str(folder)]) == 0
+    assert main(["estimate", *options, "--order", "2", str(folder)]) == 0
+    assert b"caf\\udce9" in capsys.readouterr().out.encode()
+    found = read_lighting(folder / "result" / "lighting.json").coefficients
+    assert np.linalg.norm(found - truth) < 0.05 * np.linalg.norm(truth)
+    assert images.read_linear(folder / "result" / "lighting.exr").usable.all()
