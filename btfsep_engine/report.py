@@ -105,7 +105,7 @@ def write_estimate_report(path, found, settings) -> None:
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
     light = found.lighting
     whole, sky = seen_lighting(light)
-    indirect = scene.indirect(materials, whole, bounces=settings.reflections)
+    indirect = scene.indirect(materials, whole, settings, bounces=settings.reflections)
     shown = [m if textured or m.lines_up else m.mean_material() for m in materials]
     again = render_objects(
         scene,

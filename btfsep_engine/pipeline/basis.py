@@ -36,7 +36,7 @@ def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[
     if settings.transport == "reference":
         return _by_reference(scene, materials, chosen, lights, settings)
     directions, error = shared_directions(scene, materials, chosen, settings)
-    indirect = scene.indirect(materials, lights, bounces=settings.reflections, samples=settings.surface_samples)
+    indirect = scene.indirect(materials, lights, settings, bounces=settings.reflections)
     basis = []
     for i, (points, material) in enumerate(zip(chosen, materials, strict=True)):
         basis.append(scene.radiance(points, material, lights, directions=directions, indirect=indirect))

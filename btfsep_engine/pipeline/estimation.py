@@ -141,7 +141,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         with reporter.stage("transport"):
             straight = rich if rich is not None and settings.appearance == "textured" else problems
             used = [[appearance(m.material, settings) for m in found] for found in materials]
-            own = own_light(straight, used, fit, solver, exposures, bounces=MODELLED_BOUNCES)
+            own = own_light(straight, used, fit, solver, exposures, settings, bounces=MODELLED_BOUNCES)
             if own.modelled:
                 asked = replace(asked, bounces=MODELLED_BOUNCES)
                 problems = all_with_own_light(

@@ -75,7 +75,7 @@ def even_sky_bound(scene: PreparedScene, materials, points) -> float:
     return float(received.sum() / max(opened.sum(), 1e-12))
 
 
-def own_light(problems, materials, fit: Fit, solver, exposures, *, bounces: int) -> OwnLight:
+def own_light(problems, materials, fit: Fit, solver, exposures, settings, *, bounces: int) -> OwnLight:
     """Whether the scenes' own light is worth modelling.
 
     Parameters
@@ -83,6 +83,7 @@ def own_light(problems, materials, fit: Fit, solver, exposures, *, bounces: int)
     problems : list of pipeline.problem.Problem, of each photograph, their basis images without the scene's own light
     materials : for each photograph the Material of each object, as in the fit
     fit, solver, exposures : of `together.fit_together`
+    settings : Settings, of the samples between which the light goes
     bounces : that would be followed, >= 2
     """
     few = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
@@ -93,7 +94,7 @@ def own_light(problems, materials, fit: Fit, solver, exposures, *, bounces: int)
     problems = [p.up_to(sh.order_of(len(x))) for p in problems]
     light, added = SHLighting(np.asarray(x)), []
     for problem, own, some in zip(problems, materials, few, strict=True):
-        indirect = problem.scene.indirect(own, light, bounces=bounces)
+        indirect = problem.scene.indirect(own, light, settings, bounces=bounces)
         for material, all_points, probe in zip(own, problem.points, some, strict=True):
             transport = problem.scene.transport(probe, directions=INDIRECT_DIRECTIONS)
             added.append(carried_over(probe, indirect.reflected(transport, material)[:, 0], all_points))
@@ -124,9 +125,7 @@ def with_own_light(problem, materials, settings):
     settings : Settings, its bounces a number >= 2
     """
     scene = problem.scene
-    indirect = scene.indirect(
-        materials, SHBasis(settings.fit_order), bounces=settings.bounces, samples=settings.surface_samples
-    )
+    indirect = scene.indirect(materials, SHBasis(settings.fit_order), settings, bounces=settings.bounces)
     between = [
         indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), material)
         for material, points in zip(materials, problem.points, strict=True)

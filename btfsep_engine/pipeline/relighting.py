@@ -70,9 +70,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
     found = object_materials(scene, library, settings, names=names)
     with reporter.stage("transport"):
         materials = [m.material for m in found]
-        indirect = scene.indirect(
-            materials, light, bounces=settings.reflections, samples=settings.surface_samples, seed=settings.seed
-        )
+        indirect = scene.indirect(materials, light, settings, bounces=settings.reflections)
         image = render_objects(
             scene, materials, sky, textured=True, directions=settings.many_directions, indirect=indirect, sun=sun
         )[0]

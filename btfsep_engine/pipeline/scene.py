@@ -11,6 +11,7 @@ from btfsep_engine.job.model import Job
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.light.sun import Sun
+from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.beams import beam_radiance
 from btfsep_engine.render.point_transport import point_radiance
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
@@ -117,13 +118,11 @@ class PreparedScene:
         """The kernel for these points."""
         return Transport(self.tracer, points, directions=directions, millimetres_per_unit=self.millimetres_per_unit)
 
-    def indirect(
-        self, materials, lightings, *, bounces: int, samples: int | None = None, seed: int = 0
-    ) -> Indirect | None:
-        """Light between surfaces (``samples`` of them), or None where one bounce is all that is asked for.
+    def indirect(self, materials, lightings, settings: Settings, *, bounces: int) -> Indirect | None:
+        """Light between surfaces, or None where one bounce is all that is asked for.
 
-        ``materials`` has one Material (or None, unknown: black) per object, its unseen side included; occluders are
-        black.
+        The samples and their seed are the settings', so that one network serves all of an estimate. ``materials`` has
+        one Material (or None, unknown: black) per object, its unseen side included; occluders are black.
         """
         if bounces < 2:
             return None
@@ -131,6 +130,7 @@ class PreparedScene:
         albedos = [black if m is None else diffuse_albedo(m) for m in materials]
         unseen = [albedos[i] for i, _ in unseen_meshes(self.job)]
         albedos += [black] * len(self.job.occluders) + unseen
+        samples, seed = settings.surface_samples, settings.seed
         return Indirect(self.tracer, albedos, lightings, bounces=bounces - 1, samples=samples, seed=seed)
 
     def radiance(self, points: SurfacePoints, material, lightings, *, directions: int, indirect=None) -> np.ndarray:

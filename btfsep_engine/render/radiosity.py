@@ -6,8 +6,8 @@ with their material's albedo (radiosity; Goral et al. 1984). The radiosity of a 
 found under all M lightings at once; it is linear in the light, as everything else.
 """
 
+import weakref
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -17,7 +17,7 @@ from btfsep_engine.btf.model import Material, Mirror
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
-SAMPLES = 3000  # surface samples over the whole scene, each with two sides
+SAMPLES = 3000  # surface samples where none are named
 DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more samples would
 LANES = 1 << 20  # pairs of pixel and direction that are followed at once
 NEIGHBOURS = 3
@@ -42,7 +42,7 @@ class Network:
     """
 
     def __init__(self, tracer: Tracer, *, samples: int, seed: int):
-        self.tracer = tracer
+        self.tracer = weakref.proxy(tracer)  # a network is kept as long as its tracer, and must not keep it
         position, normal, self.mesh = self._samples(np.random.default_rng(seed), samples)
         self._tree = cKDTree(self._feature(position, normal))
         self.directions = fibonacci_sphere(DIRECTIONS)
@@ -111,7 +111,7 @@ class Network:
         return arrived, taps, weights / weights.sum(1, keepdims=True)
 
 
-_networks = WeakKeyDictionary()
+_networks = weakref.WeakKeyDictionary()
 
 
 def network(tracer: Tracer, *, samples: int, seed: int) -> Network:
@@ -131,7 +131,8 @@ class Indirect:
     albedos : one (3,) per mesh of the tracer; zeros for what reflects nothing or is not known
     lightings : light.lightings.Lightings
     bounces : number of reflections between surfaces that are followed, >= 1
-    samples : surface samples over the whole scene
+    samples : surface samples over the whole scene, each with two sides
+    seed : of their places
     """
 
     def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, samples: int | None = None, seed: int = 0):

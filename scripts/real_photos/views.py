@@ -12,6 +12,7 @@ from btfsep_engine.fit.least_squares import block_labels
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.sampling import spread
 from scripts.cycles import studio
@@ -107,7 +108,7 @@ def _compute(job, material, path: Path) -> None:
         region = scene.view.mesh == 0
         points = scene.points(0, region=region, textured=uv is not None)
         points = points.take(spread(points, PIXELS, seed=0))
-        indirect = scene.indirect([used], lights, bounces=BOUNCES)
+        indirect = scene.indirect([used], lights, Settings(), bounces=BOUNCES)
         out[f"basis {key}"] = scene.radiance(points, used, lights, directions=DIRECTIONS, indirect=indirect)
         out["pixels"] = points.pixels
         inside = distance_transform_cdt(np.pad(region, 1), "chessboard")[1:-1, 1:-1]

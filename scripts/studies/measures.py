@@ -69,6 +69,7 @@ def _basis(folder: str, material: str):
     from btfsep_engine.job.load import load_job
     from btfsep_engine.light.lightings import SHBasis
     from btfsep_engine.pipeline.scene import PreparedScene
+    from btfsep_engine.pipeline.settings import Settings
     from btfsep_engine.progress import Reporter
     from btfsep_engine.render.sampling import spread
 
@@ -78,7 +79,7 @@ def _basis(folder: str, material: str):
     told = open_library().load(material)
     told = told.mean_material() if hasattr(told, "mean_material") else told
     lights = SHBasis(scenes.ORDER)
-    indirect = scene.indirect([told], lights, bounces=4)
+    indirect = scene.indirect([told], lights, Settings(), bounces=4)
     return points.pixels, scene.radiance(points, told, lights, directions=512, indirect=indirect).astype(np.float64)
 
 

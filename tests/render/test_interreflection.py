@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """When the scene's own light is modelled: never for what cannot light itself, always where it changes the estimate."""
 
+import gc
 import json
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ import trimesh
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
 from btfsep_engine.job.model import Photo
+from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline import interreflection
 from btfsep_engine.pipeline.basis import basis_images
@@ -20,7 +23,9 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.progress import Reporter
+from btfsep_engine.render import radiosity
 from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.tracer import Tracer
 from tests.render.prepared import ball, bowl
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
 
@@ -45,7 +50,7 @@ def photographed(meshes, materials, *, settings=STRAIGHT, occluders=(), count=50
 
 def answer(problem, materials, settings=STRAIGHT):
     fit, solver, exposures = fit_together([problem], settings)
-    return own_light([problem], [materials], fit, solver, exposures, bounces=20), fit
+    return own_light([problem], [materials], fit, solver, exposures, settings, bounces=20), fit
 
 
 @pytest.mark.parametrize("settings", [STRAIGHT, replace(STRAIGHT, estimator="least-squares", order=2)])
@@ -155,3 +160,39 @@ def test_the_command_decides_by_itself_and_says_so(sphere_job_folder, capsys):
     result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
     assert "interreflections" not in result["choice"] and result["transport"]["bounces"] == 3
     assert main([*command, "--bounces", "0"]) != 0
+
+
+def test_one_estimate_makes_one_network_by_its_seed_and_keeps_nothing_of_it(sphere_job_folder, monkeypatch, capsys):
+    """The trial, the model and the report share the surface samples; after the job no scene is left in memory."""
+    folder, truth = sphere_job_folder
+    shape = trimesh.load(folder / "sphere.ply")
+    shape.update_faces(shape.triangles_center[:, 2] < 0.1)
+    shape.export(folder / "sphere.ply")
+    write_lighting(folder / "light.json", exactly(truth))
+    common = [str(folder), "--material", "reference/white-diffuse", "--preset", "draft", "--seed", "5", "--json"]
+    photo = ["--lighting", str(folder / "light.json"), "--out", str(folder / "photo.exr")]
+    assert main(["relight", *common, *photo]) == 0
+    gc.collect()
+    before = sum(isinstance(o, Tracer) for o in gc.get_objects())
+    made, kept, real = [], [], radiosity.Network
+
+    def counted(tracer, **how):
+        network = real(tracer, **how)
+        made.append(how)
+        kept.append(weakref.ref(network))
+        return network
+
+    monkeypatch.setattr(radiosity, "Network", counted)
+    capsys.readouterr()
+    assert main(["estimate", *common]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    assert result["choice"]["interreflections"].startswith("interreflections are modelled")
+    assert made == [{"samples": result["settings"]["surface_samples"], "seed": 5}]
+    gc.collect()
+    assert kept[0]() is None and sum(isinstance(o, Tracer) for o in gc.get_objects()) == before
+
+
+def test_the_seed_places_the_surface_samples():
+    tracer = Tracer([bowl()])
+    same, again, other = (radiosity.Network(tracer, samples=50, seed=n)._tree.data for n in (1, 1, 2))
+    assert np.array_equal(same, again) and not np.isclose(same, other).all(1).any()
