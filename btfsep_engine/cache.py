@@ -21,9 +21,13 @@ DIGEST = 32  # bytes
 
 
 def cache_folder() -> Path:
-    """$BTFSEP_CACHE, or the user's cache folder of this platform. It need not exist yet."""
+    """$BTFSEP_CACHE, or the user's cache folder of this platform. It need not exist yet, nor be one that can."""
     named = os.environ.get(ENVIRONMENT)
-    return Path(named).expanduser() if named else Path(user_cache_dir("btfsep", appauthor=False))
+    if named:
+        return Path(os.path.expanduser(named))
+    usual = Path(user_cache_dir("btfsep", appauthor=False))
+    # a user without a home would get a folder called "~", wherever a command is run
+    return usual if usual.is_absolute() else Path(os.devnull, "btfsep")
 
 
 def read(path) -> dict | None:

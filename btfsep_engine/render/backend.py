@@ -5,14 +5,17 @@ Some pairs of Dr.Jit and libLLVM abort the whole process, so a library is tried 
 only then loaded here. The choice is remembered in the cache folder until a candidate or Mitsuba changes.
 """
 
+import atexit
 import glob
 import importlib.metadata
 import json
 import os
 import platform
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -92,7 +95,7 @@ def try_backend(variant: str, library: str = "") -> str:
     -------
     str : "" when the image is right, else one line that says what happened
     """
-    env = dict(os.environ)
+    env = os.environ | {"HOME": kernel_home()}
     if library:
         env["DRJIT_LIBLLVM_PATH"] = library
     try:
@@ -108,6 +111,38 @@ def try_backend(variant: str, library: str = "") -> str:
     lines = [line for line in lines if "cannot open shared object file" in line][:1] or lines
     how = f"killed by signal {-run.returncode}" if run.returncode < 0 else f"exit status {run.returncode}"
     return f"{how}: {lines[-1].strip()[:200]}" if lines else how
+
+
+@lru_cache(maxsize=1)
+def kernel_home() -> str:
+    """Where Dr.Jit keeps its compiled kernels, in `.drjit`: HOME, or a folder of the cache, or one for this process.
+
+    Dr.Jit ends the process where it cannot make that folder.
+
+    Raises
+    ------
+    InputError
+        No folder at all can be written.
+    """
+    home = os.environ.get("HOME", "")
+    if os.name == "nt":  # there it is another, which is always made
+        return home
+    for folder in (Path(home), cache.cache_folder()):
+        with suppress(OSError):
+            if folder.is_absolute():
+                (folder / ".drjit").mkdir(parents=str(folder) != home, exist_ok=True)
+                if os.access(folder / ".drjit", os.W_OK | os.X_OK):
+                    return str(folder)
+    try:
+        own = tempfile.mkdtemp(prefix="btfsep-")
+    except OSError:
+        raise InputError(
+            "the renderer cannot start",
+            "neither the home nor the cache nor a temporary folder can be written",
+            f"set HOME or {cache.ENVIRONMENT} to a folder that can be written",
+        ) from None
+    atexit.register(shutil.rmtree, own, ignore_errors=True)
+    return own
 
 
 def has_cuda_driver() -> bool:
@@ -179,9 +214,17 @@ def import_mitsuba():
     backend = choose_backend()
     if backend.library:
         os.environ["DRJIT_LIBLLVM_PATH"] = backend.library
-    import mitsuba
+    home = os.environ.get("HOME")
+    os.environ["HOME"] = kernel_home()  # read once, when Dr.Jit begins
+    try:
+        import mitsuba
 
-    mitsuba.set_variant(backend.variant)
+        mitsuba.set_variant(backend.variant)
+    finally:
+        if home is None:
+            del os.environ["HOME"]
+        else:
+            os.environ["HOME"] = home
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
     from btfsep_engine.render.mitsuba_bsdf import register
 

@@ -1,20 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The choice of libLLVM, with real libraries and with files that are none."""
 
+import os
+import subprocess
+import sys
+import tempfile
+
 import pytest
 
 from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
 
+RENDERS = """
+import os
+before = os.environ.get("HOME")
+from btfsep_engine.render.backend import import_mitsuba
+mi = import_mitsuba()
+print(float((mi.Float([0.25, 0.75]) * 2).numpy()[0] * 2), os.environ.get("HOME") == before)
+"""
+
 
 @pytest.fixture(autouse=True)
 def fresh(tmp_path, monkeypatch):
     """An empty cache, and no memory of an earlier choice."""
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
-    backend.choose_backend.cache_clear()
+    for remembered in (backend.choose_backend, backend.kernel_home):
+        remembered.cache_clear()
     yield
-    backend.choose_backend.cache_clear()
+    for remembered in (backend.choose_backend, backend.kernel_home):
+        remembered.cache_clear()
 
 
 def test_this_machine_has_a_backend_and_remembers_it():
@@ -59,3 +74,42 @@ def test_a_damaged_memory_is_ignored():
 )
 def test_versions_are_read_from_names(name, version):
     assert backend.llvm_version(f"/usr/lib/{name}") == version
+
+
+@pytest.mark.parametrize("home", [None, "", "relative", "/nonexistent/home", "a file"])
+@pytest.mark.parametrize("cached", [True, False])
+def test_a_home_that_is_missing_or_cannot_be_written_is_no_obstacle(tmp_path, home, cached):
+    """In a process of its own: Dr.Jit begins once, and would end it. Nothing is left where the command runs."""
+    (tmp_path / "file").write_text("no folder")
+    environment = os.environ | {
+        "BTFSEP_CACHE": str(tmp_path / ("cache" if cached else "file")),
+        "TMPDIR": str(tmp_path),
+    }
+    environment.pop("HOME", None)
+    if home is not None:
+        environment["HOME"] = str(tmp_path / "file") if home == "a file" else home
+    (tmp_path / "here").mkdir()
+    run = subprocess.run(
+        [sys.executable, "-c", RENDERS], cwd=tmp_path / "here", env=environment, capture_output=True, text=True
+    )
+    assert run.returncode == 0 and run.stdout.split() == ["1.0", "True"], run.stderr
+    assert not list((tmp_path / "here").iterdir()) and not list(tmp_path.glob("btfsep-*"))
+    assert (tmp_path / "cache" / ".drjit").is_dir() == (tmp_path / "cache").exists() == cached
+
+
+def test_where_no_folder_can_be_written_that_is_said(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("no folder")
+    for name in ("HOME", "BTFSEP_CACHE"):
+        monkeypatch.setenv(name, str(tmp_path / "file"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
+    backend.kernel_home.cache_clear()
+    with pytest.raises(InputError, match="temporary folder can be written; set HOME or BTFSEP_CACHE"):
+        backend.kernel_home()
+
+
+def test_a_user_without_a_home_has_a_cache_that_is_never_there(monkeypatch):
+    monkeypatch.delenv("BTFSEP_CACHE")
+    monkeypatch.setattr(cache, "user_cache_dir", lambda *_, **__: "~/.cache/btfsep")
+    with pytest.raises(InputError, match="cannot write"):
+        cache.write(cache.cache_folder() / "kind" / "key.entry", {})
+    assert cache.read(cache.cache_folder() / "kind" / "key.entry") is None
