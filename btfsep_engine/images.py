@@ -12,7 +12,6 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import OpenEXR
 
@@ -21,7 +20,10 @@ from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
 
 MAX_SIDE = 20000  # pixels; more than any camera has, and a guard against files that claim absurd sizes
-MAX_PIXELS = 2**28
+MAX_PIXELS = 2**27  # decoded: 4 GB
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MAX_PIXELS))  # it is read when the library is loaded
+import cv2  # noqa: E402
+
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
 COLORSPACES = ("auto", "srgb", "linear")
@@ -111,6 +113,22 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
     return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped)
+
+
+def declared_size(path) -> tuple[int, int] | None:
+    """(width, height) that an image claims, before any of its pixels is decoded; None where it does not say.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or claims an absurd size.
+    """
+    path = Path(path)
+    data = _read_bytes(path)
+    if data[:4] != b"\x76\x2f\x31\x01":
+        return _declared_size(data)
+    (low, high), *_ = _exr_windows(path)
+    return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
 
 
 def resized(pixels, side: int) -> np.ndarray:
@@ -319,26 +337,32 @@ def _exr_parts(path: Path, max_pixels: int | None = None):
 
     The library prints its complaints about damaged parts and leaves the part out; they are caught here.
     """
-    said = io.StringIO()
-
-    def source():
-        return str(path) if _is_text(path) else io.BytesIO(path.read_bytes())
-
-    try:
-        with contextlib.redirect_stdout(said):
-            header_only = OpenEXR.File(source(), header_only=True)
-            for part in header_only.parts:
-                low, high = part.header["displayWindow"]
-                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
-                low, high = part.header["dataWindow"]
-                _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
-            count = len(header_only.parts)
-            parts = OpenEXR.File(source(), separate_channels=True).parts if count else []
-    except (RuntimeError, ValueError, TypeError, KeyError, MemoryError) as error:
-        raise InputError(path.name, "the EXR is truncated or damaged", "export it again") from error
-    if len(parts) != count or not parts:
+    count = len(_exr_windows(path, max_pixels)) // 2
+    parts = _exr_opened(path, separate_channels=True)
+    if len(parts) != count:
         raise InputError(path.name, "the EXR is truncated or damaged", "export it again")
     return [(part.channels, part.header) for part in parts if "deep" not in str(part.header.get("type", ""))]
+
+
+def _exr_windows(path: Path, max_pixels: int | None = None) -> list:
+    """The display and the data window of each part, (low, high) corners, by the headers alone; sizes are checked."""
+    parts = _exr_opened(path, header_only=True)
+    windows = [part.header[name] for part in parts for name in ("displayWindow", "dataWindow")]
+    for low, high in windows:
+        _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
+    return windows
+
+
+def _exr_opened(path: Path, **how) -> list:
+    """The library's own parts; at least one."""
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            parts = OpenEXR.File(str(path) if _is_text(path) else io.BytesIO(path.read_bytes()), **how).parts
+    except (RuntimeError, ValueError, TypeError, KeyError, MemoryError) as error:
+        raise InputError(path.name, "the EXR is truncated or damaged", "export it again") from error
+    if not parts:
+        raise InputError(path.name, "the EXR is truncated or damaged", "export it again")
+    return parts
 
 
 def _read_exr(path: Path, max_pixels: int | None = None):

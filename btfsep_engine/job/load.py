@@ -125,6 +125,9 @@ class _Folder:
 
 
 def _camera(schema: CameraSchema) -> Camera:
+    if schema.width * schema.height > images.MAX_PIXELS:
+        got = f"{schema.width} x {schema.height} pixels"
+        raise InputError("job.json: camera", got, f"at most {images.MAX_PIXELS // 10**6} million are taken")
     to_world = np.array(schema.to_world, np.float64)
     what = "job.json: camera.to_world"
     if not np.array_equal(to_world[3], [0, 0, 0, 1]):
@@ -156,19 +159,26 @@ def read_photo(path, camera: Camera, *, colorspace: str = "auto") -> Photo:
     InputError
         When it cannot be read, or is not of the camera's size.
     """
-    return _checked(images.read_linear(path, colorspace=colorspace), Path(path).name, camera, [])
+    return _read(path, Path(path).name, colorspace, camera, [])
 
 
 def _photo(reader: _Folder, schema: JobSchema, camera: Camera, notes: list) -> Photo:
     path = reader.path(schema.image, "job.json: image")
-    return _checked(images.read_linear(path, colorspace=schema.image_colorspace), schema.image, camera, notes)
+    return _read(path, schema.image, schema.image_colorspace, camera, notes)
 
 
-def _checked(image, name: str, camera: Camera, notes: list) -> Photo:
+def _fits(size, name: str, camera: Camera) -> None:
+    """InputError unless an image's (width, height) is the camera's; None: not known yet."""
+    if size not in (None, (camera.width, camera.height)):
+        got = f"it has {size[0]} x {size[1]} pixels and the camera {camera.width} x {camera.height}"
+        raise InputError(name, got, "export it at the camera's size")
+
+
+def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Photo:
+    _fits(images.declared_size(path), name, camera)  # before it is decoded: a small file can claim gigabytes
+    image = images.read_linear(path, colorspace=colorspace)
     height, width = image.pixels.shape[:2]
-    if (width, height) != (camera.width, camera.height):
-        got = f"it has {width} x {height} pixels and the camera {camera.width} x {camera.height}"
-        raise InputError(name, got, "export the photo and the camera at the same size")
+    _fits((width, height), name, camera)
     finite = np.isfinite(image.pixels).all(-1)
     if not finite.all():
         rows, columns = np.nonzero(~finite)
@@ -208,10 +218,10 @@ def _mesh(reader: _Folder, schema, what: str, notes: list) -> TriangleMesh:
 def _mask(reader: _Folder, schema, camera: Camera):
     if schema.mask is None:
         return None
-    mask = images.read_mask(reader.path(schema.mask, f"object '{schema.name}': mask"))
-    if mask.shape != (camera.height, camera.width):
-        got = f"the mask has {mask.shape[1]} x {mask.shape[0]} pixels and the photo {camera.width} x {camera.height}"
-        raise InputError(schema.mask, got, "export the mask at the size of the photo")
+    path = reader.path(schema.mask, f"object '{schema.name}': mask")
+    _fits(images.declared_size(path), schema.mask, camera)
+    mask = images.read_mask(path)
+    _fits(mask.shape[::-1], schema.mask, camera)
     if not mask.any():
         raise InputError(schema.mask, "the mask is empty", "paint what may be used white, or set it to null")
     return mask
@@ -269,10 +279,10 @@ def _depth_object(reader: _Folder, schema: JobSchema, camera: Camera) -> JobObje
         raise InputError("job.json", "it has both depth and meshes of objects", "keep one of them")
     if len(schema.objects) > 1:
         raise InputError("job.json: objects", "a job with depth has one surface", "keep one object")
-    depth = images.read_depth(reader.path(schema.depth, "job.json: depth"))
-    if depth.shape != (camera.height, camera.width):
-        got = f"it has {depth.shape[1]} x {depth.shape[0]} pixels and the photo {camera.width} x {camera.height}"
-        raise InputError(schema.depth, got, "export the depth at the size of the photo")
+    path = reader.path(schema.depth, "job.json: depth")
+    _fits(images.declared_size(path), schema.depth, camera)
+    depth = images.read_depth(path)
+    _fits(depth.shape[::-1], schema.depth, camera)
     bad = np.isnan(depth) | (depth < 0)
     if bad.any():
         rows, columns = np.nonzero(bad)

@@ -3,6 +3,8 @@
 
 import os
 import struct
+import subprocess
+import sys
 import zlib
 
 import cv2
@@ -243,11 +245,28 @@ def png_that_claims(width, height):
     )
 
 
-@pytest.mark.parametrize(("width", "height"), [(20001, 1), (1, 20001), (19000, 19000), (2**31 - 1, 2**31 - 1)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(20001, 1), (1, 20001), (19000, 19000), (16385, 8193), (2**31 - 1, 2**31 - 1)]
+)
 def test_absurd_sizes_are_refused_before_anything_is_decoded(tmp_path, width, height):
     (tmp_path / "a.png").write_bytes(png_that_claims(width, height))
     with pytest.raises(InputError, match=f"{width} x {height} pixels"):
         images.read_linear(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("first", ["btfsep_engine.images", "btfsep_engine.recognise"])
+def test_what_does_not_say_its_size_is_bounded_by_opencv(first):
+    """A bitmap of 15 bytes that claims 400 million pixels; whichever of our modules loads OpenCV."""
+    code = f"""
+import {first}, cv2, numpy
+try:
+    cv2.imdecode(numpy.frombuffer(b"P4 20000 20000\\n", numpy.uint8), -1)
+except cv2.error as error:
+    print(error)
+"""
+    environment = {k: v for k, v in os.environ.items() if k != "OPENCV_IO_MAX_IMAGE_PIXELS"}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert "MAX_IMAGE_PIXELS" in run.stdout, run.stderr
 
 
 def test_no_pixels(tmp_path):

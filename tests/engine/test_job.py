@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from btfsep_engine import images
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
@@ -264,9 +265,23 @@ def test_a_photo_that_is_white_all_over(job):
 
 def test_masks_that_are_wrong(job):
     cv2.imwrite(str(job.folder / "small.png"), np.full((4, 12), 255, np.uint8))
-    fails(job, "the mask has 12 x 4 pixels and the photo 12 x 8", "objects.0.mask", "small.png")
+    fails(job, "it has 12 x 4 pixels and the camera 12 x 8", "objects.0.mask", "small.png")
     cv2.imwrite(str(job.folder / "black.png"), np.zeros((8, 12), np.uint8))
     fails(job, "the mask is empty", "objects.0.mask", "black.png")
+
+
+@pytest.mark.parametrize("what", ["image", "objects.0.mask"])
+def test_what_is_not_of_the_cameras_size_is_not_even_decoded(job, monkeypatch, what):
+    """A good PNG of 40 kB whose pixels would take 200 MB: its header is enough."""
+    cv2.imwrite(str(job.folder / "large.png"), np.zeros((6000, 6000), np.uint8))
+    assert (job.folder / "large.png").stat().st_size < 50_000
+    monkeypatch.setattr(images, "_decode", lambda *_: pytest.fail("decoded"))
+    fails(job, "large.png; it has 6000 x 6000 pixels and the camera 12 x 8", what, "large.png")
+
+
+def test_a_camera_of_more_pixels_than_any_image_may_have(job):
+    job.tree["camera"] |= {"width": 20000, "height": 20000}
+    fails(job, "job.json: camera; 20000 x 20000 pixels; at most 134 million")
 
 
 def test_uv_of_a_mesh_that_has_none(job):
@@ -305,7 +320,7 @@ def test_depths_that_are_wrong(job):
     fails(depth_job(job, depth), "depth.exr; 1 depths are NaN or negative, first x 5, y 2")
     fails(depth_job(job, -np.ones((8, 12))), "96 depths are NaN or negative")
     fails(depth_job(job, np.zeros((8, 12))), "no surface in it")
-    fails(depth_job(job, np.ones((8, 11))), "it has 11 x 8 pixels and the photo 12 x 8")
+    fails(depth_job(job, np.ones((8, 11))), "it has 11 x 8 pixels and the camera 12 x 8")
     job.exr("depth.exr", np.ones((8, 12, 2), np.float32), "UA")
     fails(job, "no channel in it is a depth")
 
