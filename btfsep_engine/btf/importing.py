@@ -78,7 +78,7 @@ def read_source(
         raise InputError(f"{components} components", "that many cannot be kept", "use 1 to 1024")
     if _is_btf(source):
         if gamma is not None or scale != 1:
-            raise InputError("gamma and scale", ".btf files hold linear values", "leave them away")
+            raise InputError("gamma and scale", ".btf files hold linear values", "leave them out")
         file = open_btf(source)
         size = _texel_mm(file.header.width, texel_mm, size_mm, file.header.pixels_per_mm)
         included = linear.cosine_included(file, cosine, reporter=reporter)

@@ -73,7 +73,7 @@ def result_folders(jobs, out) -> list[Path]:
     folders = [Path(out) / job.resolve().name for job in jobs]
     twice = {f.name for f in folders if folders.count(f) > 1}
     if twice:
-        raise InputError("--out", f"two job folders are named '{min(twice)}'", "leave --out away, or rename one")
+        raise InputError("--out", f"two job folders are named '{min(twice)}'", "leave out --out, or rename one")
     return folders
 
 

@@ -77,7 +77,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
         from btfsep_engine.btf.procedural import NAMES
 
         if name not in NAMES:
-            raise InputError(f"material '{name}'", "it was not made from procedural maps", "leave --maps away")
+            raise InputError(f"material '{name}'", "it was not made from procedural maps", "leave out --maps")
         export_maps(name, maps, resolution=resolution)
         result = {**result, "maps": str(maps)}
     return result, words.facts(result)

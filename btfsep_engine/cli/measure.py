@@ -19,7 +19,7 @@ def _number(name: str, words: str):
 @click.option("--name", required=True, help="Its name in the library.")
 @click.option("--class", "material_class", required=True, help="Its class: carpet, fabric, felt, leather, stone, …")
 @click.option("--size-mm", required=True, type=float, help="What the (longer) edge of the maps spans on the material.")
-@click.option("--height-mm", type=float, help="From black to white of the height map; needless with normals alone.")
+@click.option("--height-mm", type=float, help="From black to white of the height map; not needed with normals alone.")
 @click.option("--library", "folder", required=True, type=click.Path(path_type=Path), help="Folder to add it to.")
 @click.option("--texels", type=int, help="Along an edge; time grows with their square.  [default: 2 a mm, 80 to 160]")
 @_number("components", "Components of the factorisation.")

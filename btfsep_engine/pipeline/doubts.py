@@ -32,7 +32,6 @@ class Thresholds:
     explained : relative misfit of the photo, under which nothing is left that could speak of anything
     condition : of a least-squares fit
     clipped : share of an object's pixels
-    unknown : expected error of order 2
     """
 
     shift: float = 1.5

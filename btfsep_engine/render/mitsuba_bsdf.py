@@ -34,7 +34,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.render.hemisphere_sampling import DirectionTaps, LightSampling
 
 NAME = "btf"
-SMALLEST_COSINE = 1e-3  # of the eye, as in appearance.light_tables
+SMALLEST_COSINE = 1e-3  # of the eye, as in appearance.LightTables
 
 _held = weakref.WeakValueDictionary()
 

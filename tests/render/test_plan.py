@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 from btfsep_engine import images
+from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli.main import main
+from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import read_lighting
+from btfsep_engine.pipeline.sequence import run_sequence
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
 from tests.render.progress_lines import assert_whole_run
 
 WHITE = ["--material", "reference/white-diffuse"]
@@ -77,6 +82,13 @@ def test_a_sequence_gives_each_frame_what_it_gives_alone(sphere_job_folder, caps
     first = read_lighting(folder / "sequence" / "f8.json").coefficients
     assert np.allclose(first, own, rtol=1e-5, atol=1e-6)
     assert main([*command[:3], str(frames / "*.png"), *WHITE]) == 2
+
+
+def test_a_sequence_by_another_estimator_or_of_no_order_says_which_option_is_at_fault(sphere_job_folder):
+    folder, _ = sphere_job_folder
+    for settings, words in ((choose("paper"), "--estimator least-squares"), (choose(order="auto"), "--order auto")):
+        with pytest.raises(InputError, match=f"a sequence; {words}"):
+            run_sequence(folder, open_library(), settings, frames=folder / "photo.exr", reporter=Reporter())
 
 
 def test_frames_of_a_sequence_are_coded_as_the_job_says(sphere_job_folder, capsys, tmp_path):

@@ -137,7 +137,7 @@ def import_images(
     """
     reporter, directions = reporter or Reporter(), ubo2003_directions()
     if not 0 < scale < np.inf or not (gamma is None or 0.1 <= gamma <= 10):
-        raise InputError("scale or gamma", "they have to be positive", "leave them away, or give 1 and 2.2")
+        raise InputError("scale or gamma", "they have to be positive", "leave them out, or give 1 and 2.2")
     with Members(source) as members, scratch_folder() as scratch:
         found = find_images(members)
         reader = _Reader(members, scratch / "fixed.hdr", gamma)
