@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What of a scene the job has as occluders, against Blender's own render."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+import trimesh
+from bpy_extras.object_utils import world_to_camera_view
+
+from blender_btfsep import export
+from blender_btfsep.errors import InputError
+from tests.blender.test_export import add_cube, make_photo
+
+
+def test_occluders_are_what_the_render_shows(scene, tmp_path, add_camera):
+    camera = add_camera(scene, (0, -9, 0))
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    thing, floor = add_cube("Thing"), add_cube("Floor", location=(0, 0, -3))
+    hidden, ghost = add_cube("Hidden"), add_cube("Ghost")
+    hidden.hide_render = True
+    ghost.visible_shadow = False
+    array = floor.modifiers.new("Array", "ARRAY")
+    array.count = 3
+    parent = bpy.data.objects.new("Instancer", None)
+    scene.collection.objects.link(parent)
+    parent.instance_type = "COLLECTION"
+    parent.instance_collection = bpy.data.collections.new("Pieces")
+    piece = add_cube("Piece", location=(5, 0, 0))
+    parent.instance_collection.objects.link(piece)
+    scene.collection.objects.unlink(piece)
+    parent.location = (0, 0, 7)
+    bpy.context.view_layer.update()
+    path = export.export_job(scene, tmp_path / "job", image_path=make_photo(tmp_path), camera=camera, objects=[thing])
+    job = json.loads(path.read_text())
+    assert [o["mesh"] for o in job["occluders"]] == ["Floor.ply", "Instancer.ply"]
+    assert len(trimesh.load(path.parent / "Floor.ply").faces) == 36
+    assert np.allclose(trimesh.load(path.parent / "Instancer.ply").centroid, (5, 0, 7))
+
+
+def visibility(view_layer):
+    """All that hides something, as it stands."""
+    layers = [view_layer.layer_collection, *view_layer.layer_collection.children]
+    return (
+        {o.name: (o.hide_viewport, o.hide_render, o.show_instancer_for_viewport) for o in bpy.data.objects},
+        {o.name: o.hide_get() for o in view_layer.objects},
+        {c.name: (c.hide_viewport, c.hide_render) for c in bpy.data.collections},
+        {layer.name: (layer.exclude, layer.hide_viewport, layer.holdout, layer.indirect_only) for layer in layers},
+    )
+
+
+def test_the_render_decides_what_casts_shadows_not_the_viewport(scene, tmp_path, add_camera, render):
+    """Each way of hiding, by the object and by its collection; Blender's own render is asked what it shows."""
+    camera = add_camera(scene, (0, -20, 0))
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    ways = ["plain", "H", "monitor", "camera", "both", "eye", "collection monitor", "collection camera", "excluded"]
+    ways += ["holdout", "indirect", "instance H", "instance camera"]
+    view_layer, things = bpy.context.view_layer, {}
+    for number, way in enumerate(ways):
+        thing = things[way] = add_cube(way, location=(2.5 * (number % 5) - 5, 0, 2.5 * (number // 5) - 2.5))
+        collection = bpy.data.collections.new(way)
+        collection.objects.link(thing)
+        scene.collection.objects.unlink(thing)
+        if way.startswith("instance"):
+            thing = things[way] = bpy.data.objects.new(f"{way} owner", None)
+            thing.instance_type, thing.instance_collection = "COLLECTION", collection
+            scene.collection.objects.link(thing)
+        else:
+            scene.collection.children.link(collection)
+    layer_of = view_layer.layer_collection.children
+    view_layer.update()
+    things["H"].hide_set(True)
+    things["instance H"].hide_set(True)
+    things["monitor"].hide_viewport = things["both"].hide_viewport = True
+    things["camera"].hide_render = things["both"].hide_render = True
+    bpy.data.objects["instance camera"].hide_render = True
+    layer_of["eye"].hide_viewport = layer_of["excluded"].exclude = True
+    layer_of["holdout"].holdout = layer_of["indirect"].indirect_only = True
+    bpy.data.collections["collection monitor"].hide_viewport = True
+    bpy.data.collections["collection camera"].hide_render = True
+
+    shown = ["H", "collection_monitor", "eye", "holdout", "indirect", "instance_H_owner", "monitor", "plain"]
+    world = bpy.data.worlds.new("Black")
+    world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0, 0, 0, 1)
+    scene.world = world
+    material = bpy.data.materials.new("Emits")
+    material.use_nodes = True
+    emission = material.node_tree.nodes.new("ShaderNodeEmission")
+    output = material.node_tree.get_output_node("ALL")
+    material.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    for way in ways:
+        bpy.data.objects[way].data.materials.append(material)
+    before = visibility(view_layer)
+    picture = render(scene)
+    seen = []
+    for way in ways:
+        spot = world_to_camera_view(scene, camera, bpy.data.objects[way].location)
+        if picture[int((1 - spot.y) * 64), int(spot.x * 96)].max() > 0.5:
+            seen.append(things[way].name.replace(" ", "_"))
+    # a holdout and what shows indirectly only are not in the picture, but their shadows are
+    assert sorted([*seen, "holdout", "indirect"]) == shown
+
+    photo, floor = make_photo(tmp_path), add_cube("Fitted", location=(0, 0, -9))
+    path = export.export_job(scene, tmp_path / "job", image_path=photo, camera=camera, objects=[floor])
+    assert sorted(o["mesh"] for o in json.loads(path.read_text())["occluders"]) == [f"{name}.ply" for name in shown]
+    bpy.data.objects.remove(floor)
+    assert visibility(view_layer) == before
+
+    chosen = [things[way] for way in ways if way != "excluded" and things[way].type == "MESH"]
+    path = export.export_job(scene, tmp_path / "fit", image_path=photo, camera=camera, objects=chosen)
+    job = json.loads(path.read_text())
+    assert [o["name"] for o in job["objects"]] == [o.name for o in chosen]
+    assert [o["mesh"] for o in job["occluders"]] == ["instance_H_owner.ply"] and visibility(view_layer) == before
+    with pytest.raises(InputError, match="'excluded'; it has no faces, or the view layer excludes it"):
+        export.export_job(scene, tmp_path / "no", image_path=photo, camera=camera, objects=[things["excluded"]])
+    assert visibility(view_layer) == before
