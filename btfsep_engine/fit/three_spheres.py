@@ -30,7 +30,7 @@ def three_spheres(estimate, truth) -> dict:
     Parameters
     ----------
     estimate, truth : (h, w, 3) float, environment maps, linear Rec.709, each in any scale and of any size, w = 2 h.
-        Radiance below zero (a series of spherical harmonics may dip there) counts as 0; the protocol has none.
+        Radiance below zero counts as 0; the protocol has none.
 
     Returns
     -------

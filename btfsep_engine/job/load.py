@@ -16,6 +16,7 @@ from btfsep_engine.job.schema import CameraSchema, JobSchema, SurfaceSchema, par
 
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
 BASE_COLOUR_SIDE = 2048  # of an image of base colours: larger ones are averaged down
+BASE_COLOUR_PIXELS = 2**26  # and these are too many: no camera says how many there are to be
 
 
 def load_job(folder, *, with_photo: bool = True) -> Job:
@@ -265,7 +266,7 @@ def _surface(reader: _Folder, schema: SurfaceSchema | None, mesh: TriangleMesh, 
 
 def _base_colours(path: Path, name: str) -> np.ndarray:
     """(n, n, 3) float32, linear, in [0, 1]."""
-    pixels = images.read_linear(path).pixels
+    pixels = images.read_linear(path, max_pixels=BASE_COLOUR_PIXELS).pixels
     good = (pixels >= -1e-3) & (pixels <= 1 + 1e-3)  # and no NaN; halves round
     if not good.all():
         rows, columns = np.nonzero(~good.all(-1))

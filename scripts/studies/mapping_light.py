@@ -88,7 +88,7 @@ def losses(mesh: TriangleMesh, mappings: dict, material, lights, *, kinds=KINDS)
     maps = [EnvironmentMaps(read_map(path)[None], ("light",)) for path in lights]
     true = scenes["own"]
     points = true.points(0, textured=True)
-    mean = material.mean_material() if hasattr(material, "mean_material") else material
+    mean = material.mean_material()
 
     def shown(scene, textured=True):
         some = scene.points(0, textured=textured)

@@ -77,7 +77,7 @@ def _basis(folder: str, material: str):
     points = scene.points(0, textured=False)
     points = points.take(spread(points, RERENDER_PIXELS))
     told = open_library().load(material)
-    told = told.mean_material() if hasattr(told, "mean_material") else told
+    told = told.mean_material()
     lights = SHBasis(scenes.ORDER)
     indirect = scene.indirect([told], lights, Settings(), bounces=4)
     return points.pixels, scene.radiance(points, told, lights, directions=512, indirect=indirect).astype(np.float64)

@@ -118,7 +118,7 @@ def test_claims_are_looked_at_before_anything_is_decoded(valid, tmp_path):
     """Whoever decodes 9 million pixels first and looks then needs more than is allowed here."""
     for suffix, content in valid[:2] + valid[3:6]:
         (tmp_path / (NAME + suffix)).write_bytes(claimed(content, 3000, 3000))
-        with pytest.raises(InputError, match=f"3000 x 3000 pixels; {MAX_PIXELS}"), address_space(8 << 20):
+        with pytest.raises(InputError, match=f"3000 x 3000 pixels; .* {MAX_PIXELS} in all"), address_space(8 << 20):
             read(tmp_path, tmp_path)
         (tmp_path / (NAME + suffix)).unlink()
 

@@ -12,6 +12,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.images import srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
+from tests.engine.test_images import png_that_claims
 from tests.engine.test_job import changed, fails
 
 WHOLE = {"base_color": [0.1, 0.2, 1], "roughness": 0.3, "metallic": 1, "specular": 0, "emission": [0, 0, 0]}
@@ -58,6 +59,11 @@ def test_large_images_are_averaged_down(job):
     assert cube.surface.image.shape == (2048, 2048, 3)
     np.testing.assert_allclose(cube.surface.image.mean(), 0.5, atol=1e-3)
     assert np.ptp(cube.surface.image) < 0.75  # 2.4 columns each
+
+
+def test_an_image_of_base_colours_that_claims_gigabytes_is_refused_undecoded(job):
+    (job.folder / "paint.png").write_bytes(png_that_claims(8193, 8192))
+    fails(with_surface(job, {}), "8193 x 8192 pixels; the limit", "objects.0.surface.base_color", "paint.png")
 
 
 def test_a_surface_from_depth_takes_numbers(job):
