@@ -85,9 +85,9 @@ def test_a_third_of_a_stated_deviation_is_worth_it_and_a_fifth_is_not():
 
     def decided(change):
         stated = replace(fit, stddev=fit.stddev * (moved / change))
-        return own_light([problem], [[GREY]], stated, solver, exposures, bounces=20)
+        return own_light([problem], [[GREY]], stated, solver, exposures, STRAIGHT, bounces=20)
 
-    moved = own_light([problem], [[GREY]], fit, solver, exposures, bounces=20).change
+    moved = own_light([problem], [[GREY]], fit, solver, exposures, STRAIGHT, bounces=20).change
     for change, worth in ((0.2, False), (0.3, True), (0.6, True)):
         found = decided(change)
         assert found.change == pytest.approx(change) and found.modelled is worth
