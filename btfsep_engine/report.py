@@ -67,9 +67,9 @@ def write_row(path, panels, *, title: str = "") -> None:
 
 
 def render_objects(
-    scene, materials, lightings, *, textured: bool, directions: int, indirect=None, sun=None
+    scene, materials, lightings, *, textured: bool, directions: int, indirect=None, suns=()
 ) -> np.ndarray:
-    """Images (M, h, w, 3) float32 of a prepared scene's objects, NaN where none is; with a ``sun`` beside each light.
+    """Images (M, h, w, 3) float32 of a prepared scene's objects, NaN where none is; ``suns`` shine beside each light.
 
     A material without a texture needs no charts. Large objects are rendered at `PIXELS` pixels and filled from the
     nearest of them.
@@ -81,7 +81,7 @@ def render_objects(
         points = scene.points(index, region=region, textured=textured and material.has_texture)
         points = points.take(spread(points, PIXELS))
         values = scene.radiance(points, material, lightings, directions=directions, indirect=indirect)
-        if sun is not None:
+        for sun in suns:
             values = values + scene.sun_radiance(points, material, sun)[:, None]
         if len(points) < region.sum():
             values = values[cKDTree(points.pixels).query(np.argwhere(region))[1]]
@@ -114,7 +114,7 @@ def write_estimate_report(path, found, settings) -> None:
         textured=textured,
         directions=DIRECTIONS,
         indirect=indirect,
-        sun=light.sun,
+        suns=light.suns,
     )[0]
     sample = render_objects(
         scene, materials, training_lights(rotations=1).selected([0]), textured=True, directions=DIRECTIONS
@@ -126,12 +126,14 @@ def write_estimate_report(path, found, settings) -> None:
     error = np.linalg.norm((again - photo)[compared]) / max(np.linalg.norm(photo[compared]), 1e-30)
     size = (128, 256)
     estimated = lighting_map(light, *size)
+    count = len(light.suns)
+    suns = {0: "", 1: " and a sun"}.get(count, f" and {count} suns")
     names = ", ".join(dict.fromkeys(m.name for m in found.materials))
     panels = [
         ("photo", display(photo, factor)),
         (names, display(np.where(region[..., None], sample * exposure(sample, region), background))),
         (
-            f"estimated light, order {settings.order}{' and a sun' if light.sun else ''}",
+            f"estimated light, order {settings.order}{suns}",
             display(estimated, exposure(estimated, ...)),
         ),
         ("re-rendered", display(np.where(region[..., None], again * factor, background))),

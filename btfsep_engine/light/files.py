@@ -20,7 +20,8 @@ from btfsep_engine.light.sun import Sun
 
 MAX_ORDER = 64
 MAP_SIZE = 256, 512  # of lighting.exr, height and width
-SKY_EXACT = 1e-4  # of the first coefficient: how exactly sky and sun add up to the coefficients
+SKY_EXACT = 1e-4  # of the largest coefficient: how exactly sky and suns add up to the coefficients
+MOST_LAMPS = 64  # of a file
 Rgb = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
@@ -35,7 +36,8 @@ class Lighting:
     stddev : the same shape, standard deviations, >= 0
     determined : ((L + 1)^2,) bool, whether the photo determines the row
     exposure_ev : the exposure that had been applied to the photo, in stops; carried along, not applied
-    sun : the key light that is part of the coefficients, or None where none stands out
+    suns : the key lights that are part of the coefficients, put in order: the brightest first; each knows its share
+    interval : (2, terms, 3), the ends of the range that holds 95 % of what each coefficient may be, or None
     """
 
     order: int
@@ -43,7 +45,8 @@ class Lighting:
     stddev: np.ndarray
     determined: np.ndarray
     exposure_ev: float = 0.0
-    sun: Sun | None = None
+    suns: tuple[Sun, ...] = ()
+    interval: np.ndarray | None = None
 
     def __post_init__(self):
         terms = sh.term_count(self.order)
@@ -56,11 +59,23 @@ class Lighting:
             if value.shape != shape:
                 raise ValueError(f"{name} of order {self.order} has the shape {value.shape}, not {shape}")
             object.__setattr__(self, name, value)
+        if self.interval is not None:
+            interval = np.asarray(self.interval, np.float64)
+            if interval.shape != (2, terms, 3) or (interval[0] > interval[1]).any():
+                raise ValueError(f"interval of the shape {interval.shape}, or its ends the wrong way round")
+            object.__setattr__(self, "interval", interval)
+        suns = sorted(self.suns, key=lambda sun: -sun.irradiance.mean())
+        told = [s if s.share is not None else replace(s, share=s.share_of(self.coefficients)) for s in suns]
+        object.__setattr__(self, "suns", tuple(told))
 
     @property
     def sky(self) -> np.ndarray:
-        """(terms, 3), the coefficients without the sun."""
-        return self.coefficients if self.sun is None else self.coefficients - self.sun.coefficients(self.order)
+        """(terms, 3), the coefficients without the suns."""
+        return self.without(self.suns)
+
+    def without(self, suns) -> np.ndarray:
+        """(terms, 3), the coefficients without these of its suns."""
+        return self.coefficients - sum(sun.coefficients(self.order) for sun in suns)
 
 
 def exactly(coefficients, *, exposure_ev: float = 0.0) -> Lighting:
@@ -73,13 +88,27 @@ NotNegative = Annotated[float, Field(ge=0)]
 Degrees = Annotated[float, Field(ge=0, le=180)]
 
 
-class SunSchema(Strict):
+class BeamSchema(Strict):
     direction: Annotated[list[float], Field(min_length=3, max_length=3)]
     irradiance: Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
     stddev: Annotated[list[NotNegative], Field(min_length=3, max_length=3)]
     size_degrees: Degrees = 0.0
-    widest_degrees: Degrees = 0.0
+
+
+class SunSchema(BeamSchema):
+    widest_degrees: Degrees = 0.0  # these two: of files written before there could be several; not looked at
     evidence: float = 0.0
+    sky: list[Rgb]
+
+
+class LampSchema(BeamSchema):
+    direction_stddev_degrees: Degrees = 0.0
+    share: NotNegative | None = None
+    share_stddev: NotNegative = 0.0
+
+
+class SunsSchema(Strict):
+    lamps: Annotated[list[LampSchema], Field(min_length=1, max_length=MOST_LAMPS)]
     sky: list[Rgb]
 
 
@@ -91,9 +120,12 @@ class LightingSchema(Strict):
     coefficients: list[Rgb]
     stddev: list[Rgb] | None = None
     determined: list[bool] | None = None
+    low: list[Rgb] | None = None
+    high: list[Rgb] | None = None
     frame: Literal["blender-z-up"]
     exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
     sun: SunSchema | None = None
+    suns: SunsSchema | None = None
 
 
 def read_lighting(path) -> Lighting:
@@ -107,38 +139,60 @@ def read_lighting(path) -> Lighting:
     path = Path(path)
     schema = parse(LightingSchema, path.name, _read_bytes(path), kind="a BTFsep lighting")
     terms = sh.term_count(schema.order)
-    for key in ("coefficients", "stddev", "determined"):
+    for key in ("coefficients", "stddev", "determined", "low", "high"):
         rows = getattr(schema, key)
         if rows is not None and len(rows) != terms:
             got = f"it has {len(rows)} rows, and order {schema.order} has {terms}"
             raise InputError(f"{path.name}: {key}", got, "write (order + 1)^2 rows")
     if schema.stddev is not None and min(min(row) for row in schema.stddev) < 0:
         raise InputError(f"{path.name}: stddev", "a standard deviation is negative", "write the positive root")
-    sun = None if schema.sun is None else _sun(path.name, schema)
+    interval = None
+    if schema.low is not None or schema.high is not None:
+        if schema.low is None or schema.high is None or (np.array(schema.low) > np.array(schema.high)).any():
+            raise InputError(f"{path.name}: low, high", "they are no ranges", "write both, low <= high, or neither")
+        interval = np.array([schema.low, schema.high])
     return Lighting(
         schema.order,
         np.array(schema.coefficients),
         np.zeros((terms, 3)) if schema.stddev is None else np.array(schema.stddev),
         np.ones(terms, bool) if schema.determined is None else np.array(schema.determined),
         schema.exposure_ev,
-        sun,
+        _suns(path.name, schema),
+        interval,
     )
 
 
-def _sun(name: str, schema: LightingSchema) -> Sun:
-    """The sun of a file called ``name``, checked. Raises InputError."""
-    told = schema.sun
-    if not 0.99 < np.linalg.norm(told.direction) < 1.01:
-        raise InputError(f"{name}: sun.direction", f"its length is not 1: {told.direction}", "write a unit vector")
-    if len(told.sky) != len(schema.coefficients):
-        got = f"it has {len(told.sky)} rows, and the coefficients have {len(schema.coefficients)}"
-        raise InputError(f"{name}: sun.sky", got, "write the coefficients without the sun")
-    sun = Sun(**told.model_dump(exclude={"sky"}))
-    total = np.array(told.sky) + sun.coefficients(schema.order)
-    if np.abs(total - schema.coefficients).max() > SKY_EXACT * np.abs(schema.coefficients).max():
-        got = "sky and sun do not add up to the coefficients"
-        raise InputError(f"{name}: sun", got, "change all three of them together, or leave the sun out")
-    return sun
+def _suns(name: str, schema: LightingSchema) -> tuple[Sun, ...]:
+    """The key lights of a file called ``name``, checked: those of ``suns`` where it is there, else that of ``sun``.
+
+    Raises InputError.
+    """
+    out = ()
+    if schema.sun is not None:
+        out = _checked(name, "sun", schema, {"sun": schema.sun})
+    if schema.suns is not None:
+        lamps = {f"suns.lamps[{i}]": lamp for i, lamp in enumerate(schema.suns.lamps)}
+        out = _checked(name, "suns", schema, lamps)
+    return out
+
+
+def _checked(name: str, key: str, schema: LightingSchema, beams: dict[str, BeamSchema]) -> tuple[Sun, ...]:
+    """The suns that ``beams`` tell of, by where each stands in the file; with the sky of ``key`` they are the light."""
+    sky = getattr(schema, key).sky
+    for where, told in beams.items():
+        if not 0.99 < np.linalg.norm(told.direction) < 1.01:
+            got = f"its length is not 1: {told.direction}"
+            raise InputError(f"{name}: {where}.direction", got, "write a unit vector")
+    if len(sky) != len(schema.coefficients):
+        got = f"it has {len(sky)} rows, and the coefficients have {len(schema.coefficients)}"
+        raise InputError(f"{name}: {key}.sky", got, "write the coefficients without what stands beside it")
+    suns = tuple(Sun(**told.model_dump(exclude={"sky", "widest_degrees", "evidence"})) for told in beams.values())
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers as large as they come; they do not add up then
+        off = np.abs(np.array(sky) + sum(sun.coefficients(schema.order) for sun in suns) - schema.coefficients).max()
+    if not off <= SKY_EXACT * np.abs(schema.coefficients).max():
+        got = "sky and key lights do not add up to the coefficients"
+        raise InputError(f"{name}: {key}", got, "change all of them together, or leave the key lights out")
+    return suns
 
 
 def write_lighting(path, lighting: Lighting) -> None:
@@ -149,7 +203,8 @@ def write_lighting(path, lighting: Lighting) -> None:
     ValueError
         Something in it is not finite (a bug: nothing that is not finite is ever stored).
     """
-    if not (np.isfinite(lighting.coefficients).all() and np.isfinite(lighting.stddev).all()):
+    arrays = (lighting.coefficients, lighting.stddev, 0.0 if lighting.interval is None else lighting.interval)
+    if not all(np.isfinite(each).all() for each in arrays):
         raise ValueError("a lighting that is not finite")
     fields = {
         "format": "btfsep-lighting",
@@ -162,10 +217,14 @@ def write_lighting(path, lighting: Lighting) -> None:
         "frame": "blender-z-up",
         "exposure_ev": float(lighting.exposure_ev),
     }
-    if lighting.sun is not None:
-        if not np.isfinite(lighting.sun.irradiance).all():
+    if lighting.interval is not None:
+        fields["low"], fields["high"] = lighting.interval.tolist()
+    if lighting.suns:
+        if not all(np.isfinite(sun.irradiance).all() for sun in lighting.suns):
             raise ValueError("a sun that is not finite")
-        fields["sun"] = {**sun_record(lighting.sun), "sky": lighting.sky.tolist()}
+        first = lighting.suns[:1]  # who knows of one only takes the rest for sky
+        fields["sun"] = {**beam_record(*first), "sky": lighting.without(first).tolist()}
+        fields["suns"] = {"lamps": [sun_record(sun) for sun in lighting.suns], "sky": lighting.sky.tolist()}
     lines = []
     for key, value in fields.items():
         text = json.dumps(value, allow_nan=False)
@@ -175,29 +234,42 @@ def write_lighting(path, lighting: Lighting) -> None:
     atomic.write_text(path, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
-def sun_record(sun: Sun) -> dict:
-    """The sun for JSON."""
+def beam_record(sun: Sun) -> dict:
+    """What lights of a sun, for JSON."""
     return {
         "direction": sun.direction.tolist(),
         "irradiance": sun.irradiance.tolist(),
         "stddev": sun.stddev.tolist(),
         "size_degrees": float(sun.size_degrees),
-        "widest_degrees": float(sun.widest_degrees),
-        "evidence": float(sun.evidence),
     }
 
 
-def lighting_map(lighting: Lighting, height: int, width: int) -> np.ndarray:
-    """The lighting as an equirectangular map (height, width, 3), nowhere negative (`positivity.positive_radiance`).
+def sun_record(sun: Sun) -> dict:
+    """All of a sun, for JSON."""
+    more = ("direction_stddev_degrees", "share", "share_stddev")
+    return {**beam_record(sun), **{key: float(getattr(sun, key)) for key in more}}
+
+
+def lighting_map(lighting: Lighting, height: int, width: int, *, radiance=None) -> np.ndarray:
+    """The lighting as an equirectangular map (height, width, 3), nowhere negative.
 
     A sun is a disc of its irradiance, so that its shadows are sharp when the map lights a scene.
+
+    Parameters
+    ----------
+    radiance : the sky's own, (m, 3), >= 0, of unit directions (m, 3), which knows more of it than a series does;
+        without it the sky is what its coefficients stand for (`positivity.positive_radiance`)
     """
-    image = positive_radiance(lighting.sky, pixel_directions(height, width))
-    return image if lighting.sun is None else image + lighting.sun.to_map(height, width)
+    directions = pixel_directions(height, width)
+    if radiance is None:
+        sky = positive_radiance(lighting.sky, directions)
+    else:
+        sky = np.asarray(radiance(directions.reshape(-1, 3)), np.float64).reshape(height, width, 3)
+    return sky + sum(sun.to_map(height, width) for sun in lighting.suns)
 
 
 def seen_lighting(lighting: Lighting):
-    """All of the light, and the light without its sun, as surfaces are to see it: nowhere negative.
+    """All of the light, and the light without its suns, as surfaces are to see it: nowhere negative.
 
     Returns
     -------
@@ -205,14 +277,16 @@ def seen_lighting(lighting: Lighting):
     """
     if positive_share(lighting.sky)[0] == 0:
         return SHLighting(lighting.coefficients), SHLighting(lighting.sky)
-    without = replace(lighting, sun=None, coefficients=lighting.sky)
+    without = replace(lighting, suns=(), coefficients=lighting.sky)
     whole, sky = (EnvironmentMaps(lighting_map(each, 128, 256)[None], ("light",)) for each in (lighting, without))
     return whole, sky
 
 
-def write_lighting_exr(path, lighting: Lighting, *, height: int = MAP_SIZE[0], width: int = MAP_SIZE[1]) -> None:
-    """Writes `lighting_map`, 32-bit float EXR."""
-    images.write_exr(path, lighting_map(lighting, height, width))
+def write_lighting_exr(
+    path, lighting: Lighting, *, radiance=None, height: int = MAP_SIZE[0], width: int = MAP_SIZE[1]
+) -> None:
+    """Writes `lighting_map`, 32-bit float EXR; ``radiance`` is its."""
+    images.write_exr(path, lighting_map(lighting, height, width, radiance=radiance))
 
 
 def read_any_lighting(path, order: int = 9) -> Lighting:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A key light: the part of a light that comes from one direction, from a disc so small that a series cannot hold it."""
+"""A key light: a part of a light that comes from one direction, from a disc so small that a series cannot hold it."""
 
 from dataclasses import dataclass
 
@@ -22,16 +22,18 @@ class Sun:
     irradiance : (3,) float64, linear Rec.709, >= 0, on a surface that faces it, in the photo's own scale
     stddev : (3,) of the irradiance
     size_degrees : its most probable width; 0: a point will do
-    widest_degrees : the largest width that the photo allows
-    evidence : logarithm of how much better the photo is explained with it
+    direction_stddev_degrees : of the direction
+    share : of the light's mean radiance, its own; None: what the irradiance is of the light that it is put into
+    share_stddev : of the share
     """
 
     direction: np.ndarray
     irradiance: np.ndarray
     stddev: np.ndarray
     size_degrees: float = 0.0
-    widest_degrees: float = 0.0
-    evidence: float = 0.0
+    direction_stddev_degrees: float = 0.0
+    share: float | None = None
+    share_stddev: float = 0.0
 
     def __post_init__(self):
         for name in ("direction", "irradiance", "stddev"):
@@ -41,6 +43,11 @@ class Sun:
     def coefficients(self, order: int) -> np.ndarray:
         """The sun in spherical harmonics: ((order + 1)^2, 3)."""
         return beam_shape(self.direction, order, size_degrees=self.size_degrees)[:, None] * self.irradiance
+
+    def share_of(self, coefficients) -> float:
+        """Its part of the mean radiance of the whole light with these coefficients ((L + 1)^2, 3); 0 of a black one."""
+        whole = np.sqrt(4 * np.pi) * np.mean(coefficients[0])
+        return float(self.irradiance.mean() / whole) if whole > 0 else 0.0
 
     def directions(self, count: int) -> np.ndarray:
         """Directions to points spread evenly over the disc: (count, 3), or (1, 3) where a point will do."""

@@ -178,8 +178,8 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     known = fit.determined
     if known is None:
         known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
-    sun = None if key is None else key.sun
-    lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev, sun)
+    suns = () if key is None else (key.sun,)
+    lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev, suns)
     with reporter.stage("checks"):
         doubts = all_doubts(problems, photos, materials, fit, solver, measured, lighting, settings)
     for doubt in doubts:

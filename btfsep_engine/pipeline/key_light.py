@@ -232,11 +232,11 @@ class Search:
             split.irradiance,
             split.stddev,
             size_degrees=size,
-            widest_degrees=2 * round(float(np.degrees(widest)), 3),
-            evidence=float(gain),
         )
         parts = np.split(beam, np.cumsum(counts)[:-1])
-        return KeyLight(sun, split.fit, with_it, split.sky, parts), words(sun, split.fit)
+        return KeyLight(sun, split.fit, with_it, split.sky, parts), words(
+            sun, split.fit, widest=2 * np.degrees(widest), gain=gain
+        )
 
     def _part(self, irradiance) -> float:
         """How much of the light a beam is, by the fit without it."""
@@ -295,14 +295,14 @@ def peaks(sky, evidence) -> list:
     return out
 
 
-def words(sun: Sun, fit: Fit) -> str:
+def words(sun: Sun, fit: Fit, *, widest: float, gain: float) -> str:
     """The key light for people."""
     share = sun.irradiance.mean() / (ALL_OF_IT * fit.coefficients[0].mean())
-    wide = max(sun.widest_degrees, 1.0)
+    wide = max(widest, 1.0)
     height = np.degrees(np.arcsin(np.clip(sun.direction[2], -1, 1)))
     azimuth = np.degrees(np.arctan2(sun.direction[1], sun.direction[0]))
     return (
         f"a key light is split off: {100 * share:.0f} % of the light, from {height:.0f} degrees above the horizon, "
         f"azimuth {azimuth:.0f} degrees (from +X towards +Y), less than {wide:.0f} degrees wide "
-        f"(logarithm of the evidence {sun.evidence:.0f})"
+        f"(logarithm of the evidence {gain:.0f})"
     )

@@ -25,14 +25,14 @@ def lighting_of(path):
 
     Returns
     -------
-    all of the light, the same without its sun, and the Sun or None
+    all of the light, the same without its suns, and the tuple of them
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
         light = read_lighting(path)
-        return *seen_lighting(light), light.sun
+        return *seen_lighting(light), light.suns
     light = EnvironmentMaps(read_map(path)[None], (path.stem,))
-    return light, light, None
+    return light, light, ()
 
 
 def earlier_materials(job, result) -> list:
@@ -57,7 +57,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
     """
     with reporter.stage("reading"):
         job = load_job(folder)
-        light, sky, sun = lighting_of(lighting)
+        light, sky, suns = lighting_of(lighting)
         suffix = Path(out).suffix.lower()
         if suffix not in (".exr", ".png"):
             raise InputError("--out", f"'{out}'", "name an .exr (linear) or a .png (for looking at)")
@@ -72,7 +72,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
         materials = [m.material for m in found]
         indirect = scene.indirect(materials, light, settings, bounces=settings.reflections)
         image = render_objects(
-            scene, materials, sky, textured=True, directions=settings.many_directions, indirect=indirect, sun=sun
+            scene, materials, sky, textured=True, directions=settings.many_directions, indirect=indirect, suns=suns
         )[0]
     shown = np.isfinite(image).all(-1)
     image = np.where(shown[..., None], image, 0).astype(np.float32)

@@ -95,6 +95,6 @@ def test_surfaces_see_the_light_that_the_map_shows():
     assert isinstance(whole, SHLighting) and np.array_equal(whole.coefficients, sky.coefficients)
     sun = Sun((0, 0.6, 0.8), (3, 2, 1), (0, 0, 0), size_degrees=5)
     sunny = exactly(ringing.coefficients + sun.coefficients(4))
-    whole, sky = seen_lighting(type(sunny)(4, sunny.coefficients, sunny.stddev, sunny.determined, 0.0, sun))
+    whole, sky = seen_lighting(type(sunny)(4, sunny.coefficients, sunny.stddev, sunny.determined, 0.0, (sun,)))
     np.testing.assert_allclose(sky.maps[0], lighting_map(ringing, 128, 256), atol=1e-9)
     np.testing.assert_allclose(whole.maps[0] - sky.maps[0], sun.to_map(128, 256), atol=1e-9)

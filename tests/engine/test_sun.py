@@ -20,11 +20,11 @@ DIRECTION = np.array([0.48, -0.6, 0.64])
 
 def sunny(order=4, size=2.0) -> Lighting:
     rng = np.random.default_rng(3)
-    sun = Sun(DIRECTION, [3.0, 2.5, 2.0], [0.3, 0.2, 0.2], size_degrees=size, widest_degrees=6.0, evidence=42.0)
+    sun = Sun(DIRECTION, [3.0, 2.5, 2.0], [0.3, 0.2, 0.2], size_degrees=size)
     sky = rng.normal(size=(sh.term_count(order), 3)) * 0.1
     sky[0] = 2.0
     x = sky + sun.coefficients(order)
-    return Lighting(order, x, np.full_like(x, 0.1), np.ones(len(x), bool), 0.0, sun)
+    return Lighting(order, x, np.full_like(x, 0.1), np.ones(len(x), bool), 0.0, (sun,))
 
 
 @pytest.mark.parametrize("size", [0.0, 2.0, 20.0])
@@ -58,16 +58,15 @@ def test_the_file_holds_all_of_the_light_and_the_sun_beside_it(tmp_path):
     assert np.allclose(data["coefficients"], light.coefficients)  # who knows of no sun reads all of the light
     assert np.allclose(data["sun"]["sky"], light.sky)
     back = read_lighting(tmp_path / "l.json")
-    assert np.allclose(back.sky, light.sky) and np.allclose(back.sun.direction, DIRECTION)
-    assert np.allclose(back.sun.irradiance, light.sun.irradiance) and np.allclose(back.sun.stddev, light.sun.stddev)
-    told = (back.sun.size_degrees, back.sun.widest_degrees, back.sun.evidence)
-    assert told == (2.0, 6.0, 42.0)
+    assert np.allclose(back.sky, light.sky) and back.suns[0].size_degrees == 2
+    for key in ("direction", "irradiance", "stddev"):
+        assert np.allclose(getattr(back.suns[0], key), getattr(light.suns[0], key))
     # the map is the same light: projected, it has the coefficients again
     assert np.abs(sh.project_map(lighting_map(back, 256, 512), 4) - light.coefficients).max() < 0.01
     # without one there is none in the file
     write_lighting(tmp_path / "plain.json", exactly(light.coefficients))
-    assert "sun" not in json.loads((tmp_path / "plain.json").read_text())
-    assert read_lighting(tmp_path / "plain.json").sun is None
+    assert not {"sun", "suns"} & set(json.loads((tmp_path / "plain.json").read_text()))
+    assert read_lighting(tmp_path / "plain.json").suns == ()
 
 
 @pytest.mark.parametrize(
