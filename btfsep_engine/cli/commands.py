@@ -60,12 +60,11 @@ def doctor(*, library_folder, reporter):
 @click.option("--material", help="The material of all objects, instead of recognition.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]")
 @click.option("--order", type=NumberOrAuto(), help="Order of the spherical harmonics, 0 to 9, or auto.")
-@click.option("--estimator", help="map (natural-light prior) or least-squares (the paper's).")
-@click.option("--light", help="positive (nowhere too dark) or free.")
+@click.option("--estimator", help="map (natural light and lamps, by evidence) or least-squares (the paper's).")
 @click.option(
     "--robust/--no-robust", default=None, help="Leave out pixels that the light does not explain: things in front."
 )
-@click.option("--key-light", help="auto (a sun or lamp is split off where the photo asks for it) or never.")
+@click.option("--key-light", help="auto (lamps of a fifth of the light or more are told apart from the sky) or never.")
 @click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
 @click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")

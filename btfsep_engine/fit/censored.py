@@ -1,156 +1,64 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clipped pixels as inequalities: a channel that stands at the largest code was at least as bright as that.
 
-A clipped value b >= limit says little where the light already explains more than the limit, and where it explains less
-it speaks like a measurement above the limit. That is Tobin's model (1958, "Estimation of relationships for limited
-dependent variables"), fitted by turns (EM): with the light found so far, predicted value p and misfit s, a clipped
-channel enters as what is to be expected of it,
+Tobin's model (1958): a clipped channel whose limit lies z = (limit - p) / s above what the light predicts, p, with
+misfit s, contributes log Phi(-z) in place of a square. Its slope and curvature by p are
 
-    E[b | b >= limit] = p + s h((limit - p) / s),    h(z) = phi(z) / (1 - Phi(z)).
+    h(z) / s  and  -h (h - z) / s^2,    h(z) = phi(z) / (1 - Phi(z)),
 
-Far above the limit this is p, which leaves the channel free. Pixels of which every channel is explained are left out,
-so that they do not count as evidence; pixels with a channel that is not clipped are used from the start.
-
-With nothing clipped this is the plain fit.
-
-What is clipped is what the brightest light falls on. The pixels that are left look as if the light were more even than
-it is, and a prior whose scale they choose states too little: of photographs by Cycles with 30 and 60 % of the pixels
-clipped, 95 % intervals held 86 and 73 % of the coefficients (under three lights that nothing was chosen on: 72 and 58).
-`with_hidden_light` adds what clipping hides, a part of natural light's variance that grows with the clipped share: then
-they hold 94 and 90 % (85 and 81).
+so that a Gauss-Newton step sees it as a measurement of p + s / (h - z) with the weight h (h - z), between 0 (the light
+explains more than the limit: it says nothing) and 1 (far less: it speaks like a measurement above the limit). So what
+is clipped counts for as much evidence as it is, and no more. With nothing clipped this is the plain fit.
 """
-
-from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import log_ndtr
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.least_squares import Fit
-from btfsep_engine.fit.map_estimate import DETERMINED, LightSolver
+from btfsep_engine.fit.log_normal import LightSolver
 
-ROUNDS = 8
-SETTLED = 2e-3  # relative change of the coefficients
-HIDDEN = 0.65  # of natural light's deviation: what stays unknown where every channel is clipped
+ROUNDS = 6
+SETTLED = 5e-3  # relative change of the coefficients
 FARTHEST = 6.0  # misfits below the limit: a pixel that is farther below is wrong in another way
+LIGHTEST = 1e-3  # a weight: less says nothing
 
 
-@dataclass(frozen=True)
-class CensoredFit:
-    """A fit with inequalities.
-
-    Attributes
-    ----------
-    fit : Fit, of the pixels that were used; ``solver`` : the LightSolver that made it
-    used : (p,) bool
-    radiance : (p, 3), the photograph with the clipped channels as they entered
-    active : (p, 3) bool, clipped channels of which the light explains less than the limit
-    rounds : fits that were made
-    """
-
-    fit: Fit
-    solver: LightSolver
-    used: np.ndarray
-    radiance: np.ndarray
-    active: np.ndarray
-    rounds: int
-
-
-def solve_censored(
-    basis, radiance, clipped, *, blocks, prior, order: int, partly: bool = True, rounds: int = ROUNDS
-) -> CensoredFit:
-    """The most probable light where some channels of some pixels are lower bounds.
+def working_values(solver: LightSolver, radiance, clipped) -> tuple[np.ndarray, np.ndarray]:
+    """What stands for clipped channels in a fit by squares.
 
     Parameters
     ----------
-    basis : (p, terms, 3) float, A; radiance : (p, 3) float, b, at the limit where clipped, linear
+    solver : log_normal.LightSolver of the p pixels
+    radiance : (p, 3) float, at the limit where clipped, linear
     clipped : (p, 3) bool
-    blocks, prior, order : of `LightSolver`
-    partly : whether a pixel's own channels that are not clipped are used from the start
-    rounds : the largest number of fits after the first
 
     Returns
     -------
-    CensoredFit
+    values (p, 3) and weights (p, 3) in [0, 1] for `LightSolver.solve`
 
     Raises
     ------
     InputError
-        Where every pixel is clipped.
+        Where every channel of every pixel is clipped.
     """
-    basis, clipped = np.asarray(basis), np.asarray(clipped, bool)
-    measured = np.array(radiance, np.float64)
-    whole, some = ~clipped.any(1), ~clipped.all(1)
-    if not whole.any():
+    b, clipped = np.array(radiance, np.float64), np.asarray(clipped, bool)
+    if clipped.all():
         raise InputError("the fit", "every pixel is clipped", "give a photo with a shorter exposure")
-    active = np.zeros_like(clipped)
-    used, b = whole, measured
-    solver, fit = _solved(basis, b, used, blocks, prior, order)
-    count = 1
-    if whole.all():
-        return CensoredFit(fit, solver, used, b, active, count)
-    x = fit.all_coefficients
-    for _ in range(rounds):
-        predicted = _predicted(basis, x)
-        now = clipped & (predicted < measured)
-        spread = np.sqrt(np.square(measured - predicted)[whole].mean(0))
-        z = np.minimum((measured - predicted) / np.maximum(spread, 1e-300), FARTHEST)
-        b = np.where(clipped, predicted + spread * _hazard(z), measured)
-        wanted = whole | now.any(1) | (some if partly else False)
-        if not np.array_equal(wanted, used):
-            used = wanted
-            solver, fit = _solved(basis, b, used, blocks, prior, order)
-        else:
-            fit = solver.solve(b[used])
-        count += 1
-        before, x = x, fit.all_coefficients
-        settled = np.linalg.norm(x - before) <= SETTLED * np.linalg.norm(x)
-        if settled and np.array_equal(now, active):
+    weights = np.where(clipped, 0.0, 1.0)
+    if not clipped.any():
+        return b, weights
+    fit, values = solver.solve(b, weights=weights), b
+    for _ in range(ROUNDS):
+        predicted = solver.basis.predicted(fit.every)
+        left = np.where(clipped, 0.0, b - predicted)
+        s = np.sqrt(np.square(left).sum(0) / np.maximum((~clipped).sum(0), 1))
+        s = np.maximum(s, 1e-3 * np.abs(predicted).mean(0) + 1e-300)
+        z = np.clip((b - predicted) / s, -FARTHEST, FARTHEST)
+        hazard = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(-z))
+        weight = hazard * (hazard - z)
+        weights = np.where(clipped, np.where(weight > LIGHTEST, np.minimum(weight, 1.0), 0.0), 1.0)
+        values = np.where(clipped, b - s * z + s / np.maximum(hazard - z, 1e-9), b)
+        before, fit = fit.every, solver.solve(values, weights=weights, start=fit)
+        if np.linalg.norm(fit.every - before) <= SETTLED * np.linalg.norm(before):
             break
-        active = now
-    return CensoredFit(fit, solver, used, b, active, count)
-
-
-def with_hidden_light(fit: Fit, share: float, prior) -> Fit:
-    """The fit with the uncertainty that clipping leaves.
-
-    Parameters
-    ----------
-    fit : Fit of a light with a prior; share : of the channels of the object's pixels that are clipped, 0 to 1
-    prior : light.natural.NaturalPrior of the fit
-
-    Returns
-    -------
-    Fit with wider ``stddev``, ``covariance``, and fewer of its coefficients ``determined``
-    """
-    if share <= 0:
-        return fit
-    relative = HIDDEN * np.sqrt(share)  # to natural light of the fit's level
-    added = relative * fit.coefficients[0].mean() * prior.deviation[:, None]
-    terms, few = len(fit.coefficients), len(fit.covariance) // 3
-    known = fit.all_determined & (np.square(relative / fit.prior_scale) < DETERMINED)
-    return replace(
-        fit,
-        stddev=np.hypot(fit.stddev, added[:terms]),
-        covariance=fit.covariance + np.diag(np.broadcast_to(added[:few] ** 2, (few, 3)).ravel()),
-        determined=known[:terms],
-        all_determined=known,
-    )
-
-
-def _hazard(z) -> np.ndarray:
-    """phi(z) / (1 - Phi(z)) of the normal distribution, in logarithms: both run out far above the mean.
-
-    ``scipy.stats`` has both, and takes longer to import than a fit.
-    """
-    return np.exp(-0.5 * np.square(z) - 0.5 * np.log(2 * np.pi) - log_ndtr(-z))
-
-
-def _solved(basis, b, used, blocks, prior, order: int):
-    solver = LightSolver(basis[used], blocks=blocks[used], prior=prior, order=order)
-    return solver, solver.solve(b[used])
-
-
-def _predicted(basis, x) -> np.ndarray:
-    """A x: (p, 3)."""
-    return np.stack([basis[:, :, c] @ x[:, c].astype(basis.dtype) for c in range(3)], 1).astype(np.float64)
+    return values, weights

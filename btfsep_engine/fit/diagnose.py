@@ -92,14 +92,14 @@ def diagnose(solver, fit, radiance, *, blocks, position, normal, open_share) -> 
 
     Parameters
     ----------
-    solver : map_estimate.LightSolver
+    solver : log_normal.LightSolver
     fit : its Fit of ``radiance : (p, 3)``
     blocks, position, normal, open_share : of the p points
     """
-    left_of = solver.smoother(fit.found)
+    left_of = solver.smoother(fit)
     left = left_of(radiance)
-    weight = 1 / solver.factorised.response
-    columns = hypotheses(radiance - left, fit.all_coefficients, position=position, normal=normal, open_share=open_share)
+    weight = 1 / solver.basis.response
+    columns = hypotheses(radiance - left, fit.every, position=position, normal=normal, open_share=open_share)
     return {
         name: effect(left * weight, np.stack([left_of(c) * weight for c in each]), blocks)
         for name, each in columns.items()

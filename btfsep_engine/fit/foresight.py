@@ -1,38 +1,44 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a geometry, a view and a material could determine, before any photograph is looked at.
 
-The posterior's covariance holds no pixel's value: with an assumed noise it is known beforehand,
+About a light theta the posterior's covariance holds no pixel's value: with an assumed noise it is known beforehand,
 
-    cov x = v F (F^T A^T N^-1 A F + 1 / q)^-1 F^T,    q = s^2 / v,
+    cov x = J_x (I + J^T J)^-1 J_x^T,
 
-for light of level 1 that varies as natural light does on average (s = 1) and misfit of the relative size `noise`.
+J_x the derivative of the light by the white unknowns of `light.log_field`, J that of the rows R x of `fit.products`.
+What is stated of single coefficients is about even light; the expected error is over lights drawn from the prior.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit.expected_error import expected_error
-from btfsep_engine.fit.factorised import Factorised
-from btfsep_engine.fit.map_estimate import DETERMINED, FIRST_CORRELATION, REFLECTANCE_SPREAD, cholesky, coarsening_of
+from btfsep_engine.fit.least_squares import DETERMINED
+from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.linear_algebra import one_thread
+from btfsep_engine.fit.log_normal import REFLECTANCE
+from btfsep_engine.fit.products import Basis, Photograph
+from btfsep_engine.light.log_field import natural_field
 
-CHANNELS_TOGETHER = 0.8  # correlation of misfit between channels, as texture and shape make it
-LIGHTS = 40  # drawn from the prior, for the expected error
-DRAWS = 10  # truths for each of them
+LIGHTS = 24  # drawn from the prior, for the expected error
+DRAWS = 60  # truths for each of them
+CALM = 0.6  # of the prior's deviations: lights that are drawn have no peak that a fit would take for a lamp
 
 
 @dataclass(frozen=True)
 class Foresight:
-    """What could be known, of light of level 1.
+    """What could be known, of light of radiance 1.
 
     Attributes
     ----------
     stddev : (terms, 3), expected standard deviation of each reported coefficient
     share : (terms,) posterior over prior variance, 0 (the photo decides) to 1 (it says nothing)
     determined, all_determined : (terms,), (all terms,) bool
-    covariance : (3 terms, 3 terms) of the reported ones, row by row and in it channel by channel, without the model's
-        part; prior : the same before the photo, without the level's own spread
+    covariance : (3 terms, 3 terms) of the reported ones, row by row and in it channel by channel; prior : the same
+        before the photo, without the level's own spread
     effective_degrees_of_freedom : of a channel's unknowns
     condition : of the reported orders
     expected : as `expected_error.expected_error`
@@ -49,14 +55,12 @@ class Foresight:
     expected: dict
 
 
-def foresee(basis, *, blocks, prior, order: int, noise: float, seed: int = 0) -> Foresight:
+def foresee(basis, *, normals, order: int, noise: float, seed: int = 0) -> Foresight:
     """What a photo of these pixels could determine.
 
     Parameters
     ----------
-    basis : (p, terms, 3) float, A, at the prior's order
-    blocks : (p,) int
-    prior : light.natural.NaturalPrior
+    basis : (p, terms, 3) float, A, of order 9; normals : (p, 3), unit, world
     order : the order that would be reported
     noise : misfit of a pixel over the photo's root mean square
 
@@ -65,54 +69,63 @@ def foresee(basis, *, blocks, prior, order: int, noise: float, seed: int = 0) ->
     InputError
         Without pixels, or where the material reflects nothing.
     """
-    f, terms = Factorised(basis, blocks, prior), sh.term_count(order)
-    # under even light of level 1 every channel's root mean square is 1: the responses are brought to that
-    v = noise**2
-    q = 1 / (v * coarsening_of(f.pixels))
-    channels = np.full((3, 3), CHANNELS_TOGETHER) + (1 - CHANNELS_TOGETHER) * np.eye(3)
-    matrix = q * f.whitened_gram(FIRST_CORRELATION, np.linalg.inv(channels))
-    matrix[np.diag_indices_from(matrix)] += 1
-    root, unknown = f.whitening.root(cholesky(matrix))
-    freedom = f.terms - unknown / 3
-    natural = prior.deviation**2 + prior.mean**2  # the mean square of a coefficient
-    shared = noise**2 * FIRST_CORRELATION / (1 + FIRST_CORRELATION)  # of a pixel's misfit, its block's
-    model = shared * natural[:, None]
-    variance = f.variances(root)
-    stddev = np.sqrt(variance + model + REFLECTANCE_SPREAD**2 * natural[:, None])
-    varies = prior.deviation**2
-    varies = np.where(np.arange(len(varies)) == 0, 1.0, varies)
-    share = (variance + model).mean(1) / varies
-    before = np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3)
-    before = np.einsum("tu,cd->tcud", np.diag(varies[:terms]), before)
-    singular = f.singular_values(terms)
+    ready, model = Basis(basis, normals), LightModel(natural_field())
+    terms, all_terms = sh.term_count(order), ready.terms
+    random = np.random.default_rng(seed)
+    with one_thread():
+        even = np.zeros(model.unknowns)
+        even[: len(model.field.mean)] = -model.field.mean / model.field.deviation  # of radiance 1 everywhere
+        factor, by_coefficient = _about(ready, model, even, noise)
+        root = solve_triangular(factor, by_coefficient.T, lower=True).T  # (all terms * 3, unknowns)
+        variance = np.square(root).sum(1).reshape(all_terms, 3)
+        natural = np.square(by_coefficient).sum(1).reshape(all_terms, 3)
+        white = np.square(solve_triangular(factor, np.eye(len(factor)), lower=True)).sum()
+        prior = by_coefficient[: 3 * terms] @ by_coefficient[: 3 * terms].T
+        expected = [_expected(ready, model, even, noise, random) for _ in range(LIGHTS)]
+    varies = natural.mean(1)
+    varies[0] = 4 * np.pi  # of the level squared
+    share = variance.mean(1) / varies
+    stddev = np.sqrt(variance + REFLECTANCE**2 * natural)
+    singular = ready.singular_values(terms)
+    prior[:3, :3] = 4 * np.pi * np.eye(3)
     return Foresight(
         stddev[:terms],
         np.clip(share, 0, 1)[:terms],
-        (share < DETERMINED)[:terms],
-        share < DETERMINED,
-        f.covariance(root, terms),
-        before.reshape(3 * terms, 3 * terms),
-        freedom,
+        (share < DETERMINED**2)[:terms],
+        share < DETERMINED**2,
+        root[: 3 * terms] @ root[: 3 * terms].T,
+        prior,
+        (len(factor) - float(white)) / 3,
         float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
-        _expected(f, root, prior, model, seed),
+        {
+            key: {part: float(np.median([e[key][part] for e in expected])) for part in ("median", "low", "high")}
+            for key in expected[0]
+        },
     )
 
 
-def _expected(f: Factorised, root, prior, model, seed: int) -> dict:
-    """Means over lights of the prior of their expected errors."""
-    few = min(f.terms, 9)
-    posterior = f.covariance(root, few) + np.diag(np.repeat(model[:few, 0], 3))
-    together = np.full((3, 3), prior.correlation) + (1 - prior.correlation) * np.eye(3)
-    natural = np.kron(np.diag(prior.deviation[:few] ** 2), together)
-    values, vectors = np.linalg.eigh(natural)
-    spread = vectors * np.sqrt(np.maximum(values, 0))
-    random = np.random.default_rng(seed)
-    lights = prior.mean[:few].repeat(3) + random.standard_normal((LIGHTS, 3 * few)) @ spread.T
-    each = [expected_error(x.reshape(few, 3), posterior, draws=DRAWS, seed=seed + i) for i, x in enumerate(lights)]
-    return {
-        key: {part: float(np.median([e[key][part] for e in each])) for part in ("median", "low", "high")}
-        for key in each[0]
-    }
+def _about(ready: Basis, model: LightModel, white, noise: float):
+    """The posterior's factor about a light, and J_x, (3 terms, unknowns), row by row and in it channel by channel."""
+    x, radiance = model.light(white)
+    photo = Photograph(ready, np.maximum(ready.predicted(x.T), 0))
+    inside = x / photo.level[:, None]
+    photo.learn_from(inside)
+    photo.effective = 1.5  # channels' misfits go together, as texture and shape make them
+    rows = photo.rows(noise**2 * photo.mean_square)
+    j = model.jacobian(white, radiance / photo.level[:, None], rows.root)
+    j_x = model.jacobian(white, radiance, [np.eye(ready.terms)] * 3)
+    j_x = j_x.reshape(3, ready.terms, -1).transpose(1, 0, 2).reshape(3 * ready.terms, -1)
+    return np.linalg.cholesky(np.eye(model.unknowns) + j.T @ j), j_x
+
+
+def _expected(ready: Basis, model: LightModel, even, noise: float, random) -> dict:
+    """The expected error of one light of the prior."""
+    white = even + CALM * random.standard_normal(model.unknowns)
+    white[0] = even[0]
+    factor, _ = _about(ready, model, white, noise)
+    steps = solve_triangular(factor.T, random.standard_normal((model.unknowns, DRAWS)), lower=False).T
+    samples = np.stack([model.light(white + step)[0].T for step in steps])
+    return expected_error(model.light(white)[0].T, samples)
 
 
 def over_directions(covariance, directions) -> np.ndarray:

@@ -10,14 +10,16 @@ over blocks of neighbouring pixels, because misfit (texture, shape, what the bas
 counting every pixel as an independent measurement would state a spread that is far too small.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from btfsep_engine import sh
 from btfsep_engine.errors import InputError
 
 BLOCK = 16  # edge in pixels of the blocks whose residuals are taken to be one piece of evidence
 WORST_CONDITION = 1e10
+DETERMINED = 0.5  # of what nature varies a coefficient by: known to better than that
 
 
 @dataclass(frozen=True)
@@ -36,16 +38,15 @@ class Fit:
     effective_degrees_of_freedom : of a channel's unknowns, how many the photo decides (all, without a prior)
     all_coefficients : with all orders of the fit, where it has more than it reports; else None
     determined : (terms,) bool, where the fit itself can say (with a prior); else None
-    noise : standard deviation of a pixel's misfit over the photo's root mean square; None without a prior
-    block_correlation : the misfit's variance that a block shares, over a pixel's own; None without a prior
-    prior_scale : how strongly the light varies, over what natural light does on average; None without a prior
-    left_over : (p, 3) float64, b - A x
-    all_determined : as `determined`, of all orders of the fit
-    covariance : of the first coefficients, orders 0 to 2, row by row and in it channel by channel; None where the fit
-        does not state how they go together
-    found : map_estimate.Found, what the evidence chose; None without a prior
-    shared_residual : of the residual, what neighbouring pixels share (`Factorised.shared_misfit`); None without a prior
-    free_residual, free_coefficients : of the light that is free to be negative, where this one is not; else None
+    all_determined : the same of all orders of the fit
+    noise : a pixel's own misfit over the photo's root mean square; None without a prior
+    left_over : (p, 3) float64, b - A x; None with a prior
+    samples : (n, all terms, 3), lights as probable as the posterior has them; None without a prior
+    interval : (2, terms, 3), the ends of the range that holds 95 % of them
+    lamps : log_normal.Lamp, the brightest first
+    tint : colour.Tint, what of the light's colour was taken to be the object's; None without a prior
+    evidence : logarithm of how probable the photo is under the model, comparable for the same photo alone
+    found : log_normal.Found, how the fit was found
     """
 
     coefficients: np.ndarray
@@ -58,16 +59,35 @@ class Fit:
     effective_degrees_of_freedom: float
     all_coefficients: np.ndarray | None = None
     determined: np.ndarray | None = None
-    noise: float | None = None
-    block_correlation: float | None = None
-    prior_scale: float | None = None
-    left_over: np.ndarray | None = None
     all_determined: np.ndarray | None = None
-    covariance: np.ndarray | None = None
+    noise: float | None = None
+    left_over: np.ndarray | None = None
+    samples: np.ndarray | None = None
+    interval: np.ndarray | None = None
+    lamps: tuple = ()
+    tint: object | None = None
+    evidence: float | None = None
     found: object | None = None
-    shared_residual: float | None = None
-    free_residual: float | None = None
-    free_coefficients: np.ndarray | None = None
+
+    @property
+    def every(self) -> np.ndarray:
+        """The coefficients of all orders of the fit."""
+        return self.coefficients if self.all_coefficients is None else self.all_coefficients
+
+
+def reported_up_to(fit: Fit, order: int, solver) -> Fit:
+    """The same fit, of a `log_normal.LightSolver`, with fewer orders reported."""
+    terms = sh.term_count(order)
+    singular = solver.basis.singular_values(terms)
+    return replace(
+        fit,
+        coefficients=fit.coefficients[:terms],
+        stddev=fit.stddev[:terms],
+        determined=fit.determined[:terms],
+        interval=fit.interval[:, :terms],
+        singular_values=singular,
+        condition=float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
+    )
 
 
 def block_labels(pixels) -> np.ndarray:
@@ -155,4 +175,4 @@ def determined(coefficients, stddev, natural_amplitude) -> np.ndarray:
     """
     level = np.abs(coefficients[0]).mean()
     spread = np.sqrt((np.asarray(stddev) ** 2).mean(1))
-    return spread < 0.5 * np.asarray(natural_amplitude) * level
+    return spread < DETERMINED * np.asarray(natural_amplitude) * level

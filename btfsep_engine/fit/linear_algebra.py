@@ -3,11 +3,7 @@
 
 from functools import lru_cache
 
-import numpy as np
-from scipy.linalg import lapack
 from threadpoolctl import ThreadpoolController
-
-SMALL = 40  # rows: from here on down LAPACK inverts as fast as halves
 
 
 def one_thread():
@@ -21,25 +17,3 @@ def one_thread():
 @lru_cache(maxsize=1)
 def _controller() -> ThreadpoolController:
     return ThreadpoolController()
-
-
-def triangular_inverse(lower) -> np.ndarray:
-    """The inverse of a lower triangular matrix (n, n), by halves:
-
-        ((A, 0), (B, C))^-1 = ((A^-1, 0), (-C^-1 B A^-1, C^-1)),
-
-    almost all of it products of full matrices, which LAPACK's dtrtri does not make.
-    """
-    out = np.zeros(lower.shape)
-    _invert(np.asarray(lower), out)
-    return out
-
-
-def _invert(lower, out):
-    n, half = len(lower), len(lower) // 2
-    if n <= SMALL:
-        out[:] = lapack.dtrtri(lower, lower=1)[0]
-        return
-    _invert(lower[:half, :half], out[:half, :half])
-    _invert(lower[half:, half:], out[half:, half:])
-    out[half:, :half] = -out[half:, half:] @ (lower[half:, :half] @ out[:half, :half])

@@ -13,7 +13,8 @@ log s ~ N(0, `SPREAD`^2), against a noise that a block of neighbouring pixels sh
 
 import numpy as np
 
-from btfsep_engine.fit.map_estimate import LightSolver
+from btfsep_engine import sh
+from btfsep_engine.fit.log_normal import LightSolver
 
 SPREAD = 0.5  # of the logarithm of a material's reflectance, from piece to piece of a class
 LIMITS = (0.1, 10.0)
@@ -21,14 +22,14 @@ TURNS = 25
 SETTLED = 1e-3  # relative change of a scale
 
 
-def free_scales(basis, radiance, *, blocks, prior, order: int, free) -> np.ndarray:
+def free_scales(basis, radiance, *, normals, blocks, free) -> np.ndarray:
     """The scale of each object's reflectance over the material's in the library.
 
     Parameters
     ----------
     basis : list of (p, terms, 3) float, A of each object; radiance : list of (p, 3) float, b
     blocks : list of (p,) int, no number in two objects
-    prior, order : of `LightSolver`
+    normals : list of (p, 3)
     free : bool of each object: those that may differ; at least one may not
 
     Returns
@@ -45,23 +46,22 @@ def free_scales(basis, radiance, *, blocks, prior, order: int, free) -> np.ndarr
     scales = np.ones((len(basis), 3))
     if not any(free):
         return scales
-    solver = LightSolver(np.concatenate(basis), blocks=np.concatenate(blocks), prior=prior, order=order)
+    order = sh.order_of(basis[0].shape[1])
+    solver = LightSolver(np.concatenate(basis), normals=np.concatenate(normals), order=order)
     held = [i for i, each in enumerate(free) if not each]
     # the light that the known objects see is the first guess: all together would begin with a compromise
     first = LightSolver(
-        np.concatenate([basis[i] for i in held]),
-        blocks=np.concatenate([blocks[i] for i in held]),
-        prior=prior,
-        order=order,
+        np.concatenate([basis[i] for i in held]), normals=np.concatenate([normals[i] for i in held]), order=order
     )
-    x = first.solve(np.concatenate([radiance[i] for i in held])).all_coefficients
+    x, fit = first.solve(np.concatenate([radiance[i] for i in held])).every, None
     for _ in range(TURNS):
         before = scales.copy()
         for i in np.flatnonzero(free):
             scales[i] = _scale(basis[i], radiance[i], blocks[i], x)
         if np.abs(scales / before - 1).max() < SETTLED:
             break
-        x = solver.solve(np.concatenate([b / s for b, s in zip(radiance, scales, strict=True)])).all_coefficients
+        fit = solver.solve(np.concatenate([b / s for b, s in zip(radiance, scales, strict=True)]), start=fit)
+        x = fit.every
     return scales
 
 

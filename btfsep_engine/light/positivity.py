@@ -19,9 +19,8 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
+from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
 from btfsep_engine.images import luminance
-from btfsep_engine.light.maps import training_lights
 
 DIRECTIONS = 400  # 10 degrees apart, finer than the kernel is wide
 FLOOR = 0.5  # of the blurred luminance: no place is darker
@@ -40,25 +39,6 @@ def positive_window(order: int) -> np.ndarray:
     polynomial = (legendre[:, : half + 1] * np.sqrt(np.arange(half + 1) + 0.5)) @ vectors[:, -1]
     moments = legendre.T @ (weight * polynomial**2)
     return moments / moments[0]
-
-
-@lru_cache(maxsize=10)
-def blurred_basis(order: int) -> np.ndarray:
-    """The light blurred, in :data:`DIRECTIONS` directions: (directions, terms) float64, to be multiplied with x."""
-    per_term = np.repeat(positive_window(order), 2 * np.arange(order + 1) + 1)
-    return sh.evaluate(order, fibonacci_sphere(DIRECTIONS)) * per_term
-
-
-@lru_cache(maxsize=10)
-def darkest_share(order: int) -> float:
-    """The darkest place of any training light, blurred, in any channel, over that light's mean radiance: above 0.
-
-    No light of nature is black over a third of the sky: what this says beyond "not negative".
-    """
-    x = training_lights(rotations=1).coefficients(order)
-    mean = x[:, 0].mean(-1) * sh.evaluate(0, np.array([[0.0, 0.0, 1.0]]))[0, 0]
-    blurred = np.einsum("dt,mtc->mdc", blurred_basis(order), x)
-    return float(max(0.0, (blurred.min((1, 2)) / mean).min()))
 
 
 def positive_radiance(coefficients, directions) -> np.ndarray:

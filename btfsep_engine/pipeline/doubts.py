@@ -25,8 +25,6 @@ class Thresholds:
     blocked, diffuse : chi^2 of one degree of freedom, which real shapes and textures raise above 1; blocked_size : of
         what an even sky would be in the gaps (white without any reflections has 0.66 and more, what radiosity smooths
         away in narrow gaps up to 0.3)
-    contrast : of the light, over what natural light has (`Fit.prior_scale`)
-    negative : the darkest radiance of the light, over its brightest
     clamped : share of the light's power that is negative, where series of a low order end always somewhat below zero
     residual : relative misfit of an object
     explained : relative misfit of the photo, under which nothing is left that could speak of anything
@@ -42,8 +40,6 @@ class Thresholds:
     blocked: float = 60.0
     blocked_size: float = 0.4
     diffuse: float = 40.0
-    contrast: float = 3.0
-    negative: float = -0.45
     clamped: float = 0.1
     residual: float = 0.55
     explained: float = 0.02
@@ -66,12 +62,6 @@ def alignment_doubt(shift: Shift | None, t: Thresholds = THRESHOLDS) -> str | No
     )
 
 
-def light_is_negative(x) -> float:
-    """The darkest radiance of a light (terms, 3) over its brightest."""
-    radiance = sh.to_map(x, 32, 64)
-    return float(radiance.min() / max(radiance.max(), 1e-300))
-
-
 def clamped_share(x) -> float:
     """The power of a light (terms, 3) where it is negative, over that of where it is not."""
     radiance = sh.to_map(x, 32, 64)
@@ -79,15 +69,13 @@ def clamped_share(x) -> float:
     return float((area * np.maximum(-radiance, 0)).sum() / max((area * np.maximum(radiance, 0)).sum(), 1e-300))
 
 
-def structure_doubts(
-    effects: dict[str, Effect], *, contrast: float, negative: float, residual: float, names, t=THRESHOLDS
-) -> list[str]:
+def structure_doubts(effects: dict[str, Effect], *, residual: float, names, t=THRESHOLDS) -> list[str]:
     """What the residual's structure speaks for.
 
     Parameters
     ----------
     effects : of `fit.diagnose.diagnose`
-    contrast : `Fit.prior_scale`; negative : `light_is_negative`; residual : of the fit, relative
+    residual : of the fit, relative
     names : of the materials
     """
     out = []
@@ -104,16 +92,9 @@ def structure_doubts(
             "places that see little of the sky are brighter than they should be: reflections from surfaces that are "
             "not modelled (more --bounces, or the neighbours as objects with a material)"
         )
-    reasons = []
     if speaks and diffuse.chi2 > t.diffuse:
-        reasons.append("what is left over looks like shading")
-    if contrast > t.contrast:
-        reasons.append(f"the light would have {contrast:.1f} times the contrast of natural light")
-    if negative < t.negative:
-        reasons.append("the light would be far below zero in places")
-    if reasons:
         out.append(
-            f"the material ({material}) does not go with the photo: {' and '.join(reasons)}; "
-            "its gloss or its class may be wrong"
+            f"the material ({material}) does not go with the photo: what is left over looks like shading; its gloss or "
+            "its class may be wrong"
         )
     return out

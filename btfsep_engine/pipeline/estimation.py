@@ -9,25 +9,23 @@ import numpy as np
 
 from btfsep_engine import report, sh
 from btfsep_engine.btf.model import Material
-from btfsep_engine.fit.censored import with_hidden_light
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.least_squares import Fit, determined
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.light.natural import natural_amplitude, natural_prior
+from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.pipeline.basis import finer
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
     clamped_share,
-    light_is_negative,
     structure_doubts,
 )
 from btfsep_engine.pipeline.given import given_materials
 from btfsep_engine.pipeline.interreflection import open_share, own_light
-from btfsep_engine.pipeline.key_light import key_light
+from btfsep_engine.pipeline.lamps import key_lights
 from btfsep_engine.pipeline.modelling import (
     all_chosen_points,
     all_with_own_light,
@@ -38,6 +36,7 @@ from btfsep_engine.pipeline.modelling import (
 )
 from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.record import run_record, write_json
+from btfsep_engine.pipeline.reflectance import nearer_materials
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import stacked
@@ -46,6 +45,10 @@ UNSEEN = (
     "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
     "reflections by what the camera does not see, the stated uncertainty knows nothing"
 )
+
+
+UNKNOWN_COLOUR = 0.5  # probability, from which on it is said that the object's colour is not known
+BROAD = 30.0  # a lamp that is no sun: exp(BROAD cos), 15 degrees wide
 
 
 @dataclass(frozen=True)
@@ -158,16 +161,19 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     if rich is not None and settings.appearance == "textured":
         problems = rich
     used = [[appearance(m.material, settings) for m in found] for found in materials]
-    with reporter.stage("key light"):
-        key, choice["key_light"] = key_light(problems, used, fit, solver, exposures, settings)
-    if key is not None:
-        fit, solver = key.fit, key.solver
-    if settings.estimator == "map":
-        # what one photograph clips, another of the same light may show
-        hidden = min(p.clipped for p in problems)
-        fit = with_hidden_light(fit, hidden, natural_prior(settings.fit_order))
+    if settings.estimator == "map" and problems[0].transport["by"] == "kernel" and settings.appearance == "mean":
+        with reporter.stage("reflectance"):
+            bounced = replace(
+                settings, bounces=problems[0].transport["bounces"], directions=problems[0].transport["directions"]
+            )
+            near = nearer_materials(problems, used, fit, solver, exposures, bounced)
+        problems, fit, solver, exposures = near.problems, near.fit, near.solver, near.exposures
+        choice["reflectance"] = near.why
+    suns, choice["key_light"] = key_lights(fit, settings)
+    choice["light"] = light_words(fit)
+    choice["colour"] = colour_words(fit)
     measured, photos = [p.radiance() for p in problems], []
-    shown = predictions(problems, fit, key)
+    shown = [p.predicted(fit.every) for p in problems]
     for problem, b, exposure, image in zip(problems, measured, exposures, shown, strict=True):
         left = b - exposure * image
         residuals = [
@@ -178,8 +184,9 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     known = fit.determined
     if known is None:
         known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
-    suns = () if key is None else (key.sun,)
-    lighting = Lighting(settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev, suns)
+    lighting = Lighting(
+        settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev, suns=suns, interval=fit.interval
+    )
     with reporter.stage("checks"):
         doubts = all_doubts(problems, photos, materials, fit, solver, measured, lighting, settings)
     for doubt in doubts:
@@ -197,25 +204,6 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         choice,
         photos,
     )
-
-
-def predictions(problems, fit: Fit, key=None) -> list:
-    """What the light, with its key light where it has one, makes of each photograph's points, at the first's exposure.
-
-    Parameters
-    ----------
-    problems : list of pipeline.problem.Problem
-    fit : Fit of all of the light
-    key : key_light.KeyLight or None
-
-    Returns
-    -------
-    list of (p, 3)
-    """
-    if key is not None:
-        return [p.predicted(key.sky) + beam for p, beam in zip(problems, key.images, strict=True)]
-    fitted = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
-    return [p.predicted(fitted) for p in problems]
 
 
 def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting: Lighting, settings) -> list[str]:
@@ -241,10 +229,7 @@ def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting
             open_share=np.concatenate([open_share(q.scene, p) for q in problems for p in q.points]),
         )
         names = [m.name for found in materials for m in found]
-        negative = light_is_negative(fit.coefficients if fit.free_coefficients is None else fit.free_coefficients)
-        out += structure_doubts(
-            effects, contrast=fit.prior_scale, negative=negative, residual=fit.residual, names=names
-        )
+        out += structure_doubts(effects, residual=fit.residual, names=names)
     for photo, found in zip(photos, materials, strict=True):
         for obj, m, residual in zip(photo.scene.job.objects, found, photo.residuals, strict=True):
             if residual > THRESHOLDS.residual:
@@ -252,7 +237,7 @@ def all_doubts(problems, photos, materials, fit: Fit, solver, measured, lighting
                     f"the light explains object '{obj.name}' poorly (relative residual {residual:.2f}): the material "
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
-    return out + uncertainty_doubts(fit, lighting, settings)
+    return out + colour_doubts(fit) + uncertainty_doubts(fit, lighting, settings)
 
 
 def uncertainty_doubts(fit: Fit, lighting: Lighting, settings: Settings) -> list[str]:
@@ -310,7 +295,8 @@ def run_estimate(
             report.write_estimate_report(out / "report.png", found, settings)
     with reporter.stage("writing"):
         write_lighting(out / "lighting.json", found.lighting)
-        write_lighting_exr(out / "lighting.exr", found.lighting)
+        radiance = None if found.fit.found is None else sky_radiance(found.fit, found.lighting)
+        write_lighting_exr(out / "lighting.exr", found.lighting, radiance=radiance)
     result = result_record(found, settings)
     result["seconds"]["total"] = round(time.perf_counter() - started, 4)
     write_json(out / "result.json", result)
@@ -336,19 +322,17 @@ def result_record(found: Estimate, settings: Settings) -> dict:
             )
         ],
         "residual": fit.residual,
-        "residual_free_light": fit.free_residual,
         "residual_per_channel": fit.residual_per_channel,
         "order": settings.order,
         "estimator": settings.estimator,
         "fit_order": settings.fit_order,
         "effective_degrees_of_freedom": fit.effective_degrees_of_freedom,
         "noise": fit.noise,
-        "block_correlation": fit.block_correlation,
-        "prior_scale": fit.prior_scale,
+        "lamps": [lamp_record(lamp) for lamp in fit.lamps],
+        "object_tint": None if fit.tint is None else fit.tint.object_tint,
+        "colour_unknown": None if fit.tint is None else fit.tint.unknown,
         "determined": determined_words(found.lighting.determined, fit.all_determined),
-        "expected_error": None
-        if fit.covariance is None
-        else expected_error(fit.coefficients, fit.covariance, seed=settings.seed),
+        "expected_error": None if fit.samples is None else expected_error(fit.coefficients, fit.samples),
         "choice": found.choice,
         "photos": [
             {
@@ -364,6 +348,66 @@ def result_record(found: Estimate, settings: Settings) -> dict:
         "saturated_pixels": scene.job.photo.saturated,
         **run_record(settings, scene.reporter),
     }
+
+
+def sky_radiance(fit: Fit, lighting: Lighting):
+    """The fit's own positive radiance (directions (m, 3) -> (m, 3)), with the lamps that are no suns as broad discs."""
+    kept = [lamp for lamp in fit.lamps if not any(np.allclose(lamp.direction, sun.direction) for sun in lighting.suns)]
+
+    def radiance(directions):
+        out = fit.found.radiance(directions)
+        for lamp in kept:
+            disc = np.exp(BROAD * (np.asarray(directions) @ lamp.direction - 1))  # of integral 2 pi / BROAD
+            out = out + disc[:, None] * (lamp.irradiance * BROAD / (2 * np.pi))
+        return out
+
+    return radiance
+
+
+def lamp_record(lamp) -> dict:
+    """A lamp of the fit for JSON."""
+    return {
+        "direction": lamp.direction,
+        "direction_stddev_degrees": lamp.degrees,
+        "irradiance": lamp.irradiance,
+        "stddev": lamp.stddev,
+        "share": lamp.share,
+        "share_stddev": lamp.share_stddev,
+    }
+
+
+def light_words(fit: Fit) -> str:
+    """Which model of the light the photo asked for."""
+    if fit.found is None:
+        return "spherical harmonics by least squares"
+    lamps = len(fit.lamps)
+    beside = f" and {lamps} lamp{'s' if lamps > 1 else ''}" if lamps else ""
+    plain = fit.found.solution.model.field.order == 0
+    return f"even light{beside}: nothing richer explains the photo better" if plain else f"a free sky{beside}"
+
+
+def colour_words(fit: Fit) -> str:
+    """Whose colour a tint was taken to be."""
+    if fit.tint is None:
+        return "the light's colour is what the material's leaves over"
+    if fit.tint.unknown > UNKNOWN_COLOUR:
+        return (
+            "the object's colour is not the material's, and not known: the light was taken to be as little coloured as "
+            "light usually is"
+        )
+    return "the object's colour was taken to be the material's"
+
+
+def colour_doubts(fit: Fit) -> list[str]:
+    """That the object's colour is not known."""
+    if fit.tint is None or fit.tint.unknown <= UNKNOWN_COLOUR:
+        return []
+    r, g, b = 1 / fit.tint.gain
+    return [
+        "the object's colour is not known: no usual light makes the material look like the photo; the object was taken "
+        f"to reflect {r:.2f}, {g:.2f}, {b:.2f} times (red, green, blue) its material, and what the light's colour is, "
+        "is known only as well as lights usually scatter; give the object's colour ('surface'), if you know it"
+    ]
 
 
 def determined_words(reported, fitted=None) -> str:

@@ -17,7 +17,7 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import Fit, solve
 from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS, PreparedScene
-from btfsep_engine.pipeline.together import stacked
+from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
 from btfsep_engine.render.surface import SurfacePoints
@@ -90,7 +90,7 @@ def own_light(problems, materials, fit: Fit, solver, exposures, settings, *, bou
     bound = max(even_sky_bound(q.scene, m, p) for q, m, p in zip(problems, materials, few, strict=True))
     if bound < NEGLIGIBLE:
         return OwnLight(False, bound, None, None, words(False, bound, None, None))
-    x = fit.coefficients if fit.all_coefficients is None else fit.all_coefficients
+    x = fit.every
     problems = [p.up_to(sh.order_of(len(x))) for p in problems]
     light, added = SHLighting(np.asarray(x)), []
     for problem, own, some in zip(problems, materials, few, strict=True):
@@ -105,8 +105,8 @@ def own_light(problems, materials, fit: Fit, solver, exposures, settings, *, bou
     rest = measured - added
     if share > MOST:  # inside a cavity more than the photo holds: nothing is left that could be fitted
         return OwnLight(True, bound, share, np.inf, words(True, bound, share, np.inf))
-    if solver:  # under the same prior and noise: one solution instead of a search for both
-        again = solver.fit(solver.factorised.measure(rest), fit.found)
+    if solver:  # of the same model, from its light on
+        again = solver.solve(rest, weights=all_weights(problems), start=fit)
     else:
         again = solve(basis, rest, blocks=blocks)
     terms = len(fit.coefficients)  # a solver may state more than are reported

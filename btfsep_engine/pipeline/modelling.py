@@ -7,7 +7,7 @@ import numpy as np
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.map_estimate import reported_up_to
+from btfsep_engine.fit.least_squares import reported_up_to
 from btfsep_engine.pipeline.interreflection import with_own_light
 from btfsep_engine.pipeline.model_choice import (
     appearance_choice,
@@ -145,12 +145,7 @@ def chosen_fit(problems, rich, settings: Settings):
     if rich is not None:
         other = fit_together(rich, settings)
         left = [
-            np.concatenate(
-                [
-                    p.radiance() / e - p.predicted(f.coefficients if f.all_coefficients is None else f.all_coefficients)
-                    for p, e in zip(posed_problems, es, strict=True)
-                ]
-            )
+            np.concatenate([p.radiance() / e - p.predicted(f.every) for p, e in zip(posed_problems, es, strict=True)])
             for posed_problems, (f, _, es) in ((problems, (fit, solver, exposures)), (rich, other))
         ]
         appearance_name, choice["appearance"] = appearance_choice(*left, stacked(problems)[1])

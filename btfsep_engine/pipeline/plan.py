@@ -14,7 +14,6 @@ from btfsep_engine.conventions import direction_to_equirect, pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
 from btfsep_engine.job.load import load_job
-from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import determined_words
 from btfsep_engine.pipeline.given import given_materials
 from btfsep_engine.pipeline.model_choice import texture_contrast
@@ -73,11 +72,8 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
     if noise is None:
         noise = max(_expected_noise(m, p, scene, textured) for m, p in zip(materials, chosen, strict=True))
     with reporter.stage("plan"):
-        prior = natural_prior(settings.fit_order)
         order = min(settings.order, settings.fit_order)
-        found = foresee(
-            problem.all_basis, blocks=problem.blocks, prior=prior, order=order, noise=noise, seed=settings.seed
-        )
+        found = foresee(problem.all_basis, normals=problem.normals, order=order, noise=noise, seed=settings.seed)
     eye = np.concatenate([p.to_eye for p in chosen]).mean(0)
     with reporter.stage("writing"):
         draw_plan(out / "plan.png", found, eye / max(np.linalg.norm(eye), 1e-12), names)

@@ -23,6 +23,7 @@ class Problem:
     basis : list of (p, terms, 3) float32, their basis images
     transport : how the basis images were made, for ``result.json``
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
+    weights : (p, 3) in [0, 1], 1 over the variance of each value; None: all 1
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     clipped : share of the channels of the chosen points that are saturated, 0 to 1
@@ -34,6 +35,7 @@ class Problem:
     basis: list
     transport: dict
     measured: np.ndarray | None = None
+    weights: np.ndarray | None = None
     scales: np.ndarray | None = None
     left_out: int | None = None
     clipped: float = 0.0
@@ -53,6 +55,11 @@ class Problem:
     def pixels(self) -> np.ndarray:
         """(p, 2) row and column, of all objects."""
         return np.concatenate([p.pixels for p in self.points])
+
+    @property
+    def normals(self) -> np.ndarray:
+        """(p, 3) unit, world, of all objects."""
+        return np.concatenate([p.normal for p in self.points])
 
     def radiance(self, photo=None) -> np.ndarray:
         """(p, 3) to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
@@ -74,6 +81,7 @@ class Problem:
             points=[p.take(np.flatnonzero(u)) for p, u in zip(self.points, parts, strict=True)],
             basis=[a[u] for a, u in zip(self.basis, parts, strict=True)],
             measured=None if self.measured is None else self.measured[used],
+            weights=None if self.weights is None else self.weights[used],
             between=self.between and [a[u] for a, u in zip(self.between, parts, strict=True)],
         )
 

@@ -10,13 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.fit.censored import solve_censored
+from btfsep_engine.fit.censored import working_values
 from btfsep_engine.fit.robust import outliers
 from btfsep_engine.fit.white_balance import free_scales
-from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.together import light_solver
 
+STIFF = 4.0  # times the coarsening of an estimate, where pixels are looked for that stand apart
 PHOTOS_OWN = "the light's scale is the photo's own: its exposure and white balance cannot be told from the light's"
 
 
@@ -64,53 +65,41 @@ def as_real_photos(problems, rich, materials, settings):
     out = []
     for i, (problem, found) in enumerate(zip(problems, materials, strict=True)):
         clipped = np.concatenate([clipped_channels(problem.scene, p) for p in problem.points])
-        used, measured = np.ones(len(clipped), bool), None
+        used, measured, weights = np.ones(len(clipped), bool), None, None
+        solving = replace(settings, order=settings.fit_order)
         if clipped.any():
-            bounded = solve_censored(
-                problem.all_basis,
-                problem.radiance(),
-                clipped,
-                blocks=problem.blocks,
-                prior=natural_prior(settings.fit_order),
-                order=settings.fit_order,
-            )
-            used, measured = bounded.used, bounded.radiance
+            measured, weights = working_values(light_solver([problem], solving), problem.radiance(), clipped)
+            used = weights.any(1)
             for part in problem.by_object(used):  # views into it: no object may vanish from the fit
                 if not part.any():
                     part[:] = True
-        problem = replace(problem, measured=measured, clipped=float(clipped.mean()))
+        problem = replace(problem, measured=measured, weights=weights, clipped=float(clipped.mean()))
         one = problem.kept(used)
         if settings.robust:
-            out_of_line = outliers(
-                one.all_basis,
-                one.radiance(),
-                blocks=one.blocks,
-                prior=natural_prior(settings.fit_order),
-                order=settings.fit_order,
-            )
+            stiff = light_solver([one], solving, coarsening=STIFF)
+            out_of_line = outliers(stiff, one.radiance(), weights=one.weights)
             for part in one.by_object(out_of_line):  # views into it: no object may vanish from the fit
                 part &= not part.all()
             used[used] = ~out_of_line
             one = replace(problem, left_out=int(out_of_line.sum())).kept(used)
-        scales = scales_of(one, [not m.given for m in found], settings)
+        scales = scales_of(one, [not m.given for m in found])
         both = [one]
         if rich is not None:
-            same = replace(rich[i], measured=measured, clipped=problem.clipped, left_out=one.left_out)
+            same = replace(rich[i], measured=measured, weights=weights, clipped=problem.clipped, left_out=one.left_out)
             both.append(same.kept(used))
         out.append([_divided(p, scales) for p in both])
     return [each[0] for each in out], None if rich is None else [each[1] for each in out]
 
 
-def scales_of(problem: Problem, recognised, settings) -> np.ndarray | None:
+def scales_of(problem: Problem, recognised) -> np.ndarray | None:
     """(objects, 3) of a problem, or None where no object's material is better known than another's."""
     if all(recognised) or not any(recognised):
         return None
     return free_scales(
         problem.basis,
         problem.by_object(problem.radiance()),
+        normals=problem.by_object(problem.normals),
         blocks=problem.by_object(problem.blocks),
-        prior=natural_prior(settings.fit_order),
-        order=settings.fit_order,
         free=recognised,
     )
 

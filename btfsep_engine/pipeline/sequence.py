@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.censored import with_hidden_light
 from btfsep_engine.fit.expected_error import expected_error
-from btfsep_engine.fit.map_estimate import LightSolver
+from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.job.load import load_job, read_photo
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import determined_words, material_record, object_materials
 from btfsep_engine.pipeline.modelling import appearance, part_of
 from btfsep_engine.pipeline.problem import pose, shares
@@ -61,38 +60,43 @@ def _parts(name: str) -> list[str]:
     return out
 
 
+WORSE = 1.2  # of the last frame's residual: from there on a frame's model is looked for anew
+
+
 class FrameSolver:
     """Frames of one view, solved with what stands still.
 
     Parameters
     ----------
-    basis : (p, terms, 3); blocks : (p,); pixels : (p, 2) row and column
+    basis : (p, terms, 3); normals : (p, 3) unit; pixels : (p, 2) row and column
     settings : Settings
     """
 
-    def __init__(self, basis, blocks, pixels, settings: Settings):
-        self.basis, self.blocks, self.pixels, self.settings = basis, blocks, pixels, settings
-        self.prior = natural_prior(settings.fit_order)
+    def __init__(self, basis, normals, pixels, settings: Settings):
+        self.basis, self.normals, self.pixels, self.settings = basis, normals, pixels, settings
         self.solver = self._solver(slice(None))
+        self.before: Fit | None = None
 
     def _solver(self, chosen) -> LightSolver:
         return LightSolver(
-            self.basis[chosen],
-            blocks=self.blocks[chosen],
-            prior=self.prior,
-            order=int(self.settings.order),
-            positive=self.settings.positive,
+            self.basis[chosen], normals=self.normals[chosen], order=int(self.settings.order), seed=self.settings.seed
         )
 
     def solve(self, photo):
-        """The Fit of a `job.model.Photo`, and how many of the pixels were saturated."""
+        """The Fit of a `job.model.Photo`, and how many of the pixels were saturated.
+
+        A frame keeps the last one's model, from its light on, unless that explains it much worse (`WORSE`).
+        """
         rows, columns = self.pixels.T
         usable = photo.usable[rows, columns]
         lost = int((~usable).sum())
         solver = self._solver(usable) if lost else self.solver
-        fit = solver.solve(photo.radiance[rows[usable], columns[usable]])
-        if photo.clipped is not None:
-            fit = with_hidden_light(fit, float(photo.clipped[rows, columns].mean()), self.prior)
+        b = photo.radiance[rows[usable], columns[usable]]
+        before = self.before
+        fit = solver.solve(b, start=before)
+        if before is not None and fit.residual > WORSE * before.residual:
+            fit = solver.solve(b)
+        self.before = fit
         return fit, lost
 
 
@@ -114,7 +118,6 @@ def run_sequence(
     dict, the content of sequence.json and ``out``
     """
     started = time.perf_counter()
-    settings = replace(settings, key_light="never")  # what it would cost, a frame would cost
     if settings.estimator != "map":
         raise InputError("a sequence", f"--estimator {settings.estimator}", "it goes with --estimator map only")
     if settings.order == "auto":
@@ -137,7 +140,7 @@ def run_sequence(
         ]
         problem = pose(scene, [appearance(m.material, settings) for m in found], points, settings)
     with reporter.stage("factorising"):
-        solver = FrameSolver(problem.all_basis, problem.blocks, problem.pixels, settings)
+        solver = FrameSolver(problem.all_basis, problem.normals, problem.pixels, settings)
     lights, solving = [], []
     for i, file in enumerate(files):
         with reporter.timed("reading"):
@@ -157,7 +160,7 @@ def run_sequence(
                 "lighting": f"{file.stem}.json",
                 "residual": fit.residual,
                 "determined": determined_words(fit.determined, fit.all_determined),
-                "expected_error": expected_error(fit.coefficients, fit.covariance, seed=settings.seed),
+                "expected_error": expected_error(fit.coefficients, fit.samples),
                 "saturated_pixels": lost,
                 "milliseconds": round(1000 * solving[-1], 2),
             }

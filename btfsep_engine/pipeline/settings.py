@@ -8,7 +8,6 @@ from btfsep_engine.errors import InputError
 LARGEST_ORDER = 9
 ESTIMATORS = ("map", "least-squares")
 TRANSPORTS = ("kernel", "reference")
-LIGHTS = ("positive", "free")
 IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 8  # where interreflections are modelled and no number was asked for
 
@@ -22,11 +21,10 @@ class Settings:
     preset : the name of the preset that these settings started from
     order : order of the spherical harmonics, 0 to 9, or "auto": with "map" the highest of which the photo determines
         something, with "least-squares" the lowest that cross-validation cannot tell from the best
-    estimator : "map" (all orders up to 9 under a prior of natural light, ``order`` of them reported) or
+    estimator : "map" (the most probable light of a field and lamps, all orders up to 9, ``order`` of them reported) or
         "least-squares" (the paper's: the orders up to ``order`` and no others)
-    light : "positive" (with "map": the most probable light that is nowhere too dark, `fit.positive`) or "free"
     robust : whether pixels that the light does not explain are left out (with "map"; `fit.robust.outliers`)
-    key_light : "auto" (a sun or lamp is split off where the photo asks for it, pipeline/key_light.py) or "never"
+    key_light : "auto" (lamps of a fifth of the light or more are told apart from the sky, pipeline/lamps.py) or "never"
     appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
         (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
@@ -51,7 +49,6 @@ class Settings:
     preset: str = "balanced"
     order: int | str = 4
     estimator: str = "map"
-    light: str = "positive"
     robust: bool = False
     key_light: str = "auto"
     appearance: str = "auto"
@@ -76,11 +73,6 @@ class Settings:
         return LARGEST_ORDER if self.estimator == "map" or self.order == "auto" else self.order
 
     @property
-    def positive(self) -> bool:
-        """Whether the light is kept from being too dark anywhere."""
-        return self.estimator == "map" and self.light == "positive"
-
-    @property
     def many_directions(self) -> int:
         """The number of light directions for images that are looked at."""
         return IMAGE_DIRECTIONS if self.directions == "auto" else self.directions
@@ -92,7 +84,7 @@ class Settings:
 
 
 PRESETS = {
-    "draft": Settings("draft", pixels=2000, key_light="never", training_pixels=8000, training_directions=128),
+    "draft": Settings("draft", pixels=2000, training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
         "accurate",
@@ -130,8 +122,6 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}, or auto")
     if settings.estimator not in ESTIMATORS:
         raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
-    if settings.light not in LIGHTS:
-        raise InputError("--light", f"'{settings.light}'", f"choose one of {', '.join(LIGHTS)}")
     if settings.robust and settings.estimator != "map":
         raise InputError("--robust", f"with --estimator {settings.estimator}", "it goes with --estimator map only")
     if settings.key_light not in ("auto", "never"):

@@ -9,8 +9,7 @@ images do not change, so that they are factorised once and a turn takes millisec
 import numpy as np
 
 from btfsep_engine.fit.least_squares import Fit, solve
-from btfsep_engine.fit.map_estimate import LightSolver
-from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.pipeline.problem import Problem
 
 TURNS = 30
@@ -18,16 +17,22 @@ SETTLED = 1e-4  # relative change of an exposure
 APART = 1 << 30  # blocks' numbers of one photo
 
 
-def light_solver(problems: list[Problem], settings) -> LightSolver:
-    """The factorised basis images of all photos together, for the estimator with a prior."""
-    basis, blocks = stacked(problems)
+def light_solver(problems: list[Problem], settings, *, coarsening: float = 1.0) -> LightSolver:
+    """The basis images of all photos together made ready, for the estimator with a prior."""
     return LightSolver(
-        basis,
-        blocks=blocks,
-        prior=natural_prior(settings.fit_order),
+        stacked(problems)[0],
+        normals=np.concatenate([p.normals for p in problems]),
         order=min(settings.order, settings.fit_order),
-        positive=settings.positive,
+        seed=settings.seed,
+        coarsening=coarsening,
     )
+
+
+def all_weights(problems: list[Problem]):
+    """(p, 3) of all photos, None where none has any."""
+    if all(p.weights is None for p in problems):
+        return None
+    return np.concatenate([np.ones((len(p.blocks), 3)) if p.weights is None else p.weights for p in problems])
 
 
 def stacked(problems: list[Problem]):
@@ -52,10 +57,10 @@ def fit_together(problems: list[Problem], settings) -> tuple[Fit, LightSolver | 
     solver = light_solver(problems, settings) if settings.estimator == "map" else None
     basis, blocks = (None, None) if solver else stacked(problems)
     measured = [p.radiance().astype(np.float64) for p in problems]
-    exposures = [1.0] * len(problems)
+    exposures, fit, weights = [1.0] * len(problems), None, all_weights(problems)
     for _ in range(TURNS if len(problems) > 1 else 1):
         b = np.concatenate([m / e for m, e in zip(measured, exposures, strict=True)])
-        fit = solver.solve(b) if solver else solve(basis, b, blocks=blocks)
+        fit = solver.solve(b, weights=weights, start=fit) if solver else solve(basis, b, blocks=blocks)
         before, exposures = (
             exposures,
             [1.0] + [exposure_of(p, m, fit) for p, m in zip(problems[1:], measured[1:], strict=True)],
@@ -67,6 +72,6 @@ def fit_together(problems: list[Problem], settings) -> tuple[Fit, LightSolver | 
 
 def exposure_of(problem: Problem, measured, fit: Fit) -> float:
     """The factor on the light that explains a photo best, least squares, > 0."""
-    predicted = problem.predicted(fit.coefficients if fit.all_coefficients is None else fit.all_coefficients)
+    predicted = problem.predicted(fit.every)
     factor = float((predicted * measured).sum() / max(float(np.square(predicted).sum()), 1e-300))
     return max(factor, 1e-6)

@@ -21,14 +21,13 @@ from btfsep_engine.pipeline.settings import PRESETS, Settings, choose
 from btfsep_engine.progress import Reporter
 
 ORDER = 2  # up to which errors are measured
-TIMED = ("transport", "fit", "key light")
+TIMED = ("transport", "fit")
 THOROUGH = {"pixels": 32_000, "directions": 2048, "bounces": 8}
 ONE_BY_ONE = {  # from "balanced", one at a time
     "pixels": [{"pixels": n} for n in (250, 1000, 16_000)],
     "directions": [{"directions": n} for n in (64, 128, 1024)],
     "bounces": [{"bounces": n} for n in (1, 2, 8)],
     "surface samples": [{"surface_samples": n} for n in (1500, 20_000)],
-    "key light": [{"key_light": "never"}],
     "appearance": [{"appearance": "textured"}],
     "components": [{"appearance": "textured", "components": n} for n in (1, 4, 8)],
     "estimator, order": [{"estimator": "least-squares", "order": n} for n in (2, 3, 4)],

@@ -13,10 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.btf.model import Mirror
-from btfsep_engine.fit.least_squares import block_labels
-from btfsep_engine.fit.map_estimate import LightSolver
+from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.light.lightings import SHBasis, SHLighting
-from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.render.sampling import choose_pixels
 
@@ -98,7 +96,5 @@ class Verification:
         b = radiance[rows, columns]
         good = np.isfinite(b).all(-1)
         basis = self.few_transport.radiance(mean, SHBasis(ORDER))[good]
-        blocks = block_labels(self.points.pixels[self.few][good])
-        solver = LightSolver(basis, blocks=blocks, prior=natural_prior(ORDER), order=ORDER, positive=True)
-        fit = solver.solve(b[good].astype(np.float64))
+        fit = LightSolver(basis, normals=self.points.normal[self.few][good], order=ORDER).solve(b[good])
         return SHLighting(fit.coefficients)

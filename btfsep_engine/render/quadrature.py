@@ -13,7 +13,7 @@ import numpy as np
 
 from btfsep_engine.btf.model import Mirror
 from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.render.sampling import spread
 
 FEWEST, MOST = 64, 1024
@@ -39,8 +39,7 @@ def enough_directions(transport_of, points, material, *, order: int, tolerance: 
     if isinstance(material, Mirror) or len(points) == 0:
         return FEWEST, 0.0  # a mirror's own direction is followed, whatever the set
     few = points.take(spread(points, PROBE))
-    prior = natural_prior(order)
-    natural = np.sqrt(prior.deviation**2 + prior.mean**2)[:, None].astype(np.float32)
+    natural = natural_amplitude(order)[:, None].astype(np.float32)
     lights = SHBasis(order)
 
     def images(directions):

@@ -19,7 +19,7 @@ conditions on where the pixels are.
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.light.natural import natural_amplitude
 
 NORMAL_WEIGHT = 0.5  # of a normal's difference against a distance in scene radii
 CANDIDATES = 1 << 16  # more pixels than these are thinned evenly first
@@ -156,8 +156,7 @@ def leverage(normal, to_eye) -> np.ndarray:
         sums = np.stack([np.bincount(cell, vectors[:, i]) for i in range(3)], 1)
         return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
 
-    prior = natural_prior(LEVERAGE_ORDER)
-    rows = cheap_basis(mean(normal), mean(to_eye)) * np.sqrt(prior.deviation**2 + prior.mean**2)
+    rows = cheap_basis(mean(normal), mean(to_eye)) * natural_amplitude(LEVERAGE_ORDER)
     rows *= np.sqrt(EVIDENCE) / MISFIT / np.linalg.norm(rows[:, 0] * np.sqrt(share))
     gram = (rows * share[:, None]).T @ rows + np.eye(rows.shape[1])
     found = np.square(np.linalg.solve(np.linalg.cholesky(gram), rows.T)).sum(0)

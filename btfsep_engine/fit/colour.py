@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Is it the light that is coloured, or the object? One photograph shows their product; what each usually does decides.
+
+The tint t = (log R/B, log G/sqrt(R B)) of all of the light, with the material's colour taken for true, is the light's
+own plus that by which the object departs from its material:
+
+    t = light + object,    light ~ N(0, LIGHT^2),    object ~ N(0, DYE^2), or with the probability UNKNOWN N(0, ANY^2).
+
+The posterior of the light's tint is a mixture of two Gaussians. Where the second has the upper hand, the object's
+colour is not known, and most of the tint is the object's. LIGHT is what the training lights' tints scatter by, and as
+much again for lamps (their log R/B scatters by 0.13, their green by 0.07).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.light.log_field import CHROMA
+
+LIGHT = np.array([0.30, 0.10])
+DYE = np.array([0.05, 0.03])
+ANY = np.array([1.0, 0.6])
+UNKNOWN = 0.05
+
+
+@dataclass(frozen=True)
+class Tint:
+    """What of a tint is the light's.
+
+    Attributes
+    ----------
+    object_tint : (2,), the most probable part of the object's
+    gain : (3,), by which the channels of the light are multiplied to take the object's part out, luminance kept
+    covariance : (2, 2) of the light's tint
+    unknown : probability that the object's colour is not its material's, 0 to 1
+    """
+
+    object_tint: np.ndarray
+    gain: np.ndarray
+    covariance: np.ndarray
+    unknown: float
+
+    def draw(self, count: int, random) -> np.ndarray:
+        """Factors (count, 3) by which the light's channels may be wrong."""
+        shifts = random.standard_normal((count, 2)) @ np.linalg.cholesky(self.covariance + 1e-12 * np.eye(2)).T
+        return np.exp(shifts @ CHROMA[:, 1:].T)
+
+
+KEPT = Tint(np.zeros(2), np.ones(3), np.zeros((2, 2)), 0.0)
+
+
+def tint_of(colour) -> np.ndarray:
+    """(log R/B, log G/sqrt(R B)) of a colour (3,) > 0."""
+    r, g, b = np.log(np.maximum(colour, 1e-6 * np.max(colour)))
+    return np.array([r - b, g - (r + b) / 2])
+
+
+def split(level) -> Tint:
+    """The tint of the light's mean radiance (3,), found with the material's colour, split between light and object."""
+    tint = tint_of(level)
+    hypotheses = []
+    for spread, probability in ((DYE, 1 - UNKNOWN), (ANY, UNKNOWN)):
+        total = LIGHT**2 + spread**2
+        log = np.log(probability) - 0.5 * float((tint**2 / total + np.log(total)).sum())
+        hypotheses.append((log, tint * LIGHT**2 / total, LIGHT**2 * spread**2 / total))
+    logs = np.array([h[0] for h in hypotheses])
+    share = np.exp(logs - logs.max())
+    share /= share.sum()
+    mean = sum(s * h[1] for s, h in zip(share, hypotheses, strict=True))
+    covariance = sum(
+        s * (np.diag(h[2]) + np.outer(h[1] - mean, h[1] - mean)) for s, h in zip(share, hypotheses, strict=True)
+    )
+    gain = np.exp(CHROMA[:, 1:] @ (mean - tint))
+    gain *= np.sum(level) / np.sum(gain * level)
+    return Tint(tint - mean, gain, covariance, float(share[1]))

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The light of a photograph: the most probable one of the model that the photograph asks for, and what is stated.
+
+Two families stand for election, by evidence (`fit.search`), under one noise model (`fit.products`):
+
+- plain: even light and up to `MOST_LAMPS` lamps, each put where it explains most of what is left;
+- rich: light whose logarithm is a Gaussian field (`light.log_field`), with the plain model's lamps or without, and with
+  lamps at the field's own peaks.
+
+A model of few unknowns that explains as much wins: its evidence pays for no unknowns that it does not have. What is
+stated are samples of the posterior about the maximum (Laplace, in the white unknowns): the light is their exponential,
+so that its ranges are lopsided where light may be bright but not negative. Two things that one photograph cannot tell
+are in the samples, too: how light or dark a piece of the material is (`REFLECTANCE`), and whose colour a tint is
+(`fit.colour`).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from btfsep_engine import sh
+from btfsep_engine.fit import colour
+from btfsep_engine.fit.least_squares import Fit, determined
+from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.linear_algebra import one_thread
+from btfsep_engine.fit.products import SINGLE, Basis, Photograph
+from btfsep_engine.fit.search import Solution, solve
+from btfsep_engine.light.log_field import even_field, natural_field
+from btfsep_engine.light.natural import natural_amplitude
+
+MOST_LAMPS = 3
+SEEN = (
+    0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them could be as strong as it likes
+)
+HOPELESS = 50.0  # of the logarithm of the evidence: so far below, a plain model's lamps are not tried beside a field
+SAMPLES = 200
+REFLECTANCE = 0.1  # of all light: a material's reflectance differs from piece to piece
+RANGE = (2.5, 97.5)  # percentiles of what is stated as the range
+MIDDLE = (15.9, 84.1)  # of a standard deviation: tails of an exponential would make the mean square say anything
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A lamp or sun of the light.
+
+    Attributes
+    ----------
+    direction : (3,) unit, to the lamp; irradiance : (3,) on a surface that faces it; stddev : (3,) of it
+    degrees : standard deviation of the direction
+    share, share_stddev : of the light's mean radiance
+    """
+
+    direction: np.ndarray
+    irradiance: np.ndarray
+    stddev: np.ndarray
+    degrees: float
+    share: float
+    share_stddev: float
+
+
+class LightSolver:
+    """Basis images made ready, solved for any number of photographs of them.
+
+    Parameters
+    ----------
+    basis : (p, terms, 3) float, A, of order 9
+    normals : (p, 3) float, unit, world
+    order : the order that is reported; it does not change the numbers
+    seed : of the samples
+    coarsening : how many times less a pixel counts than in an estimate
+
+    Raises
+    ------
+    InputError
+        Without pixels, or where the material reflects nothing.
+    """
+
+    def __init__(self, basis, *, normals, order: int, seed: int = 0, coarsening: float = 1.0):
+        self.basis, self.order, self.seed = Basis(basis, normals), order, seed
+        self.coarsening = coarsening
+
+    def solve(self, radiance, *, weights=None, start: Fit | None = None) -> Fit:
+        """The light of the photograph ``radiance : (p, 3)``, linear.
+
+        Parameters
+        ----------
+        weights : (p, 3) in [0, 1], 1 over the variance of a channel of a pixel; None: all 1
+        start : of an earlier photograph of much the same light: its model, from its light on, and no other is tried
+
+        Raises
+        ------
+        InputError
+            Without light in the photo.
+        """
+        with one_thread():
+            photo = Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening)
+            if start is not None:
+                photo.learn_from(start.found.solution.x)
+                return self._fit(photo, follow(photo, start.found.solution))
+            return self._fit(photo, elect(photo))
+
+    def _fit(self, photo: Photograph, best: Solution) -> Fit:
+        terms = sh.term_count(self.order)
+        tint = colour.split(best.x[:, 0] * photo.level)
+        unit = photo.level * tint.gain
+        x = best.x.T * unit
+        samples, lamps = self._samples(best, unit, tint)
+        low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
+        spread = np.maximum(np.maximum(above - x, x - below), 0)
+        left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
+        energy = photo.mean_square * photo.level**2 * self.basis.response**2
+        inverse = solve_triangular(best.factor, np.eye(len(best.factor)), lower=True)
+        singular = self.basis.singular_values(terms)
+        known = determined(x, _without_scale(spread, x), natural_amplitude(sh.order_of(len(x))))
+        return Fit(
+            x[:terms],
+            spread[:terms],
+            float(np.sqrt(left.sum() / energy.sum())),
+            np.sqrt(left / np.maximum(energy, 1e-300)),
+            float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
+            singular,
+            self.basis.pixels,
+            (len(inverse) - float(np.square(inverse).sum())) / 3,
+            all_coefficients=x,
+            noise=float(np.sqrt(best.v.sum() / photo.mean_square.sum())),
+            determined=known[:terms],
+            all_determined=known,
+            samples=samples,
+            interval=np.stack([low, high])[:, :terms],
+            lamps=lamps,
+            tint=tint,
+            evidence=best.evidence,
+            found=Found(best, photo, unit),
+        )
+
+    def _samples(self, best: Solution, unit, tint):
+        """(samples, terms, 3) of all of the light, and its lamps."""
+        random = np.random.default_rng(self.seed)
+        model, n = best.model, len(best.white)
+        moved = solve_triangular(best.factor.T, random.standard_normal((n, SAMPLES)), lower=False)
+        factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
+        samples = np.stack([model.light(best.white + step)[0].T for step in moved.T]) * (unit * factors)[:, None]
+        lamps = []
+        for i, q in enumerate(model.parts(best.white)[1]):
+            at = model.field.unknowns + 5 * i
+            drawn = [model.lamp(i, best.white[at : at + 5] + step[at : at + 5]) for step in moved.T]
+            direction, irradiance = model.lamp(i, q)
+            off = np.arccos(np.clip([d @ direction for d, _ in drawn], -1, 1))
+            each = np.stack([e for _, e in drawn]) * unit * factors
+            share = each.mean(1) / (SINGLE * samples[:, 0].mean(1))
+            own = irradiance * unit
+            part = float(own.mean() / (SINGLE * (best.x[:, 0] * unit).mean()))
+            degrees = float(np.degrees(np.sqrt(np.square(off).mean())))
+            lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std())))
+        return samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share))
+
+    def smoother(self, fit: Fit):
+        """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.
+
+        The derivative of the fit by the photograph: with J of the unknowns, b - A J_x (I + J^T J)^-1 J_x^T A^T N^-1 b.
+        """
+        best, unit, photo = fit.found.solution, fit.found.unit, fit.found.photo
+        terms = self.basis.terms
+        plain = best.model.jacobian(best.white, best.radiance, [np.eye(terms)] * 3)
+        by_channel = plain.reshape(3, terms, -1)
+        weight = [1 / (v * photo.coarsening) for v in best.v]
+
+        def left(values):
+            b = np.asarray(values, np.float64)
+            with one_thread():
+                score = np.zeros(len(best.white))
+                for c in range(3):
+                    moment = self.basis.rows(c).T @ (b[:, c] / (self.basis.response[c] * unit[c]))
+                    score += by_channel[c].T @ (weight[c] * moment)
+                step = solve_triangular(best.factor, score, lower=True)
+                step = solve_triangular(best.factor.T, step, lower=False)
+                x = (by_channel @ step).T * unit
+                return b - self.basis.predicted(x)
+
+        return left
+
+
+@dataclass(frozen=True)
+class Found:
+    """How a fit was found: ``solution``, the ``photo`` (its products), and the ``unit`` (3,) of its light."""
+
+    solution: Solution
+    photo: Photograph
+    unit: np.ndarray
+
+    @property
+    def sky(self) -> np.ndarray:
+        """(terms, 3), coefficients of the field alone, without lamps."""
+        return self.solution.model.sky(self.solution.white).T * self.unit
+
+    def radiance(self, directions) -> np.ndarray:
+        """The field's radiance in ``directions : (m, 3)``, without lamps: (m, 3), positive."""
+        model = self.solution.model
+        return model.field.at(model.parts(self.solution.white)[0], np.asarray(directions)) * self.unit
+
+
+def elect(photo: Photograph) -> Solution:
+    """The model of the largest evidence, at its most probable light."""
+    field = solve(photo, LightModel(natural_field()))
+    photo.learn_from(field.x)
+    field = solve(photo, field.model, white=field.white, v=field.v)
+    plain = with_lamps(photo, solve(photo, LightModel(even_field())), place=most_explained)
+    rich = field
+    if plain.model.lamps and plain.evidence > field.evidence - HOPELESS:
+        model = LightModel(natural_field(), plain.model.lamps)
+        white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
+        rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
+    rich = with_lamps(photo, rich, place=brightest)
+    best = max(plain, rich, key=lambda s: s.evidence)
+    return best if best is plain else sharpened(photo, best)
+
+
+def sharpened(photo: Photograph, best: Solution) -> Solution:
+    """The light of a rich model that explains all it can of the photo; what is stated stays the tolerant model's.
+
+    Where light as rich as nature's is what the photo asks for, it errs less without the discrepancy; a plain model has
+    too few unknowns to make up for a misfit, and errs less with it.
+    """
+    final = solve(photo, best.model, white=best.white, v=best.v, strict=True)
+    return replace(final, factor=best.factor, evidence=best.evidence, rows=best.rows, v=best.v)
+
+
+def follow(photo: Photograph, before: Solution) -> Solution:
+    """The light of the model of an earlier solution, from its light on."""
+    best = solve(photo, before.model, white=before.white, v=before.v)
+    return sharpened(photo, best) if before.model.field.order else best
+
+
+def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
+    """The solution with as many more lamps as its evidence asks for; ``place`` says where the next one may be."""
+    while len(best.model.lamps) < MOST_LAMPS:
+        model = replace(best.model, lamps=(*best.model.lamps, place(best, photo)))
+        white = np.zeros(model.unknowns)
+        known = best.model.parts(best.white)[1].ravel()
+        at = model.field.unknowns
+        white[at : at + len(known)] = known
+        trial = solve(photo, model, white=white, v=best.v)
+        if trial.evidence <= best.evidence:
+            break
+        best = trial
+    return best
+
+
+def brightest(best: Solution, photo: Photograph) -> np.ndarray:
+    """The direction (3,) of the field's brightest place."""
+    field = best.model.field
+    return field.directions[np.where(reaches(photo, field), best.radiance.mean(0), 0).argmax()]
+
+
+def reaches(photo: Photograph, field) -> np.ndarray:
+    """Which of the field's directions (n,) light the pixels well enough for a lamp to be seen from there."""
+    response = photo.basis.mean_response @ field.to_coefficients
+    return response > SEEN * response.max()
+
+
+def most_explained(best: Solution, photo: Photograph) -> np.ndarray:
+    """The direction (3,) of the lamp that explains most of what even light and the lamps that are there leave over."""
+    field = natural_field()
+    x = best.x
+    candidates = field.to_coefficients.T  # a lamp from each direction, all channels alike
+    r = -best.rows.residual(x)
+    ends = np.cumsum([len(y) for y in best.rows.target])[:-1]
+    jacobian = np.split(best.model.jacobian(best.white, best.radiance, best.rows.root), ends)
+    score, own, beside = 0.0, 0.0, 0.0
+    for root, left, j in zip(best.rows.root, np.split(r, ends), jacobian, strict=True):
+        seen = root @ candidates.T  # (rows, n)
+        score = score + left @ seen
+        own = own + np.square(seen).sum(0)
+        beside = beside + j.T @ seen
+    imitated = solve_triangular(best.factor, beside, lower=True)
+    rest = np.maximum(own - np.square(imitated).sum(0), 1e-6 * own + 1e-300)
+    gain = np.where(score > 0, score**2 / rest, 0.0)
+    return field.directions[np.where(reaches(photo, field), gain, 0.0).argmax()]
+
+
+def _without_scale(spread, x) -> np.ndarray:
+    """The part of ``spread`` that is not the reflectance's scale."""
+    return np.sqrt(np.maximum(spread**2 - (REFLECTANCE * x) ** 2, 0))

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All that a fit needs to know of basis images and a photograph: their products, under one noise model.
+
+Channel by channel, at unit response, a photograph is taken to be
+
+    b = A x + F a + n,    n ~ N(0, h v I),    a ~ N(0, I),    F = D (A x') (o) Y
+
+F is what a model that is nearly right misses: reflectance, tone and shape that are off by a part D, smoothly over the
+normals (Y: harmonics of the normal up to `SMOOTH_ORDER`, each pixel's size as a first fit x' predicts it). Light can
+imitate such a misfit; under this model it need not. a is integrated out, so that the inverse covariance is, with
+W = 1 / (h v),
+
+    N^-1 = W - W F (I + F^T W F)^-1 F^T W
+
+and the light enters by A^T N^-1 A and A^T N^-1 b alone, of which R (r, terms) and y (r,) are a square root:
+
+    (b - A x)^T N^-1 (b - A x) = |R x - y|^2 + rest.
+
+h > 1 is a coarsened posterior (Miller and Dunson 2019: a model that is nearly right is not trusted more the more pixels
+there are): n pixels in channels whose misfits go together as `effective` independent ones count as at most
+`EVIDENCE` * effective numbers.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from btfsep_engine import sh
+from btfsep_engine.errors import InputError
+
+CHANNELS = ("red", "green", "blue")
+EVIDENCE = 500  # pixels: alpha of the coarsened posterior
+SMOOTH_ORDER = 4
+DISCREPANCY = 0.08  # D, root mean square over the normals
+NEGLIGIBLE = 1e-2  # an eigenvalue of A^T N^-1 A, where the prior of the light has variances of some 1
+CHUNK = 1 << 13  # pixels: the basis images of a large photo are never copied whole
+SINGLE = np.sqrt(4 * np.pi)  # the first coefficient of light of radiance 1
+
+
+class Basis:
+    """Basis images made ready for any number of photographs.
+
+    Parameters
+    ----------
+    basis : (p, terms, 3) float, A: radiance of each pixel under each basis light
+    normals : (p, 3) float, unit, world
+
+    Raises
+    ------
+    InputError
+        Without pixels, or where the material reflects nothing.
+    """
+
+    def __init__(self, basis, normals):
+        self.images = np.asarray(basis)
+        self.pixels, self.terms = self.images.shape[:2]
+        if self.pixels == 0:
+            raise InputError("the fit", "no usable pixels", "use a wider mask or a shorter exposure")
+        self.response = self.images[:, 0].mean(0, dtype=np.float64) * SINGLE
+        for c, value in enumerate(self.response):
+            if not value > 0:
+                raise InputError(
+                    "the fit",
+                    f"the material reflects nothing towards the camera in the {CHANNELS[c]} channel",
+                    "choose another material",
+                )
+        smooth = sh.evaluate(SMOOTH_ORDER, np.asarray(normals, np.float64))[:, 1:]
+        self.smooth = smooth * (DISCREPANCY * SINGLE / np.sqrt(smooth.shape[1]))
+        self.grams = [self._weighted_gram(c, None) for c in range(3)]
+        self.mean_response = sum(self.rows(c).mean(0) for c in range(3)) / 3  # (terms,)
+
+    def _parts(self):
+        return [slice(i, min(i + CHUNK, self.pixels)) for i in range(0, self.pixels, CHUNK)]
+
+    def rows(self, c: int, part=slice(None)) -> np.ndarray:
+        """A of a channel at unit response: (pixels of the part, terms) float64."""
+        return self.images[part, :, c] / self.response[c]
+
+    def _weighted_gram(self, c: int, weights) -> np.ndarray:
+        gram = np.zeros((self.terms, self.terms))
+        for part in self._parts():
+            rows = self.rows(c, part)
+            gram += rows.T @ (rows if weights is None else rows * weights[part, c, None])
+        return gram
+
+    def weighted_grams(self, weights) -> list:
+        """A^T W A of each channel for ``weights`` (p, 3), None: all 1."""
+        return self.grams if weights is None else [self._weighted_gram(c, weights) for c in range(3)]
+
+    def predicted(self, x) -> np.ndarray:
+        """A x: (p, 3), of coefficients (terms, 3), in the photograph's unit."""
+        out = np.empty((self.pixels, 3))
+        for c in range(3):
+            out[:, c] = self.images[:, : len(x), c] @ x[:, c].astype(self.images.dtype)
+        return out
+
+    def singular_values(self, terms: int) -> np.ndarray:
+        """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""
+        each = [
+            np.linalg.eigvalsh(g[:terms, :terms])[::-1] * r**2 for g, r in zip(self.grams, self.response, strict=True)
+        ]
+        worst = min(each, key=lambda values: values[-1] / values[0])
+        return np.sqrt(np.maximum(worst, 0))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The square root of A^T N^-1 A and A^T N^-1 b at one noise: see the head of this file.
+
+    Attributes
+    ----------
+    root : for each channel (r, terms), R; target : for each channel (r,), y
+    rest : what no light explains, |b|^2 in N^-1 less |y|^2
+    log_determinant : half the logarithm of det(I + F^T W F)
+    """
+
+    root: list
+    target: list
+    rest: float
+    log_determinant: float
+
+    def residual(self, x) -> np.ndarray:
+        """R x - y of all channels, of coefficients (3, terms)."""
+        return np.concatenate([r @ x[c] - y for c, (r, y) in enumerate(zip(self.root, self.target, strict=True))])
+
+
+class Photograph:
+    """The products of one photograph with a `Basis`.
+
+    Parameters
+    ----------
+    basis : Basis
+    radiance : (p, 3) float, b, linear
+    weights : (p, 3) float in [0, 1], 1 over the variance of each channel of each pixel; None: all 1
+    coarsening : how many times less a pixel counts than it would
+
+    Raises
+    ------
+    InputError
+        When the photo is black there.
+    """
+
+    def __init__(self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0):
+        self.basis, self._stiff = basis, coarsening
+        b = np.asarray(radiance, np.float64) / basis.response
+        weight = np.ones_like(b) if weights is None else np.asarray(weights, np.float64)
+        level = (weight * b).sum(0) / np.maximum(weight.sum(0), 1e-300)
+        if not level.max() > 0:
+            raise InputError("the fit", "the photo is black where the object is", "use a longer exposure")
+        self.level = np.maximum(level, 1e-3 * level.max())  # (3,), the unit of each channel
+        self.b = b / self.level
+        self.grams = basis.weighted_grams(weights)
+        self.count = weight.sum(0)
+        self._weight, self._smooth = weight, None
+        self.moments = [basis.rows(c).T @ (weight[:, c] * self.b[:, c]) for c in range(3)]
+        self.energies = (weight * self.b**2).sum(0)
+        self.mean_square = self.energies / np.maximum(self.count, 1e-300)
+        self.effective = 1.0
+
+    @property
+    def coarsening(self) -> float:
+        """h: 1 over the power that the likelihood of a number is taken to."""
+        return self._stiff * 3 / self.effective * (1 + self.basis.pixels / EVIDENCE)
+
+    def learn_from(self, x) -> None:
+        """Sets, from a first fit's coefficients x (3, terms), the discrepancy's size and the channels' number.
+
+        `effective`, how many independent channels the misfit has: 1, all alike, to 3.
+        """
+        predicted = np.stack([self.basis.rows(c) @ x[c] for c in range(3)], 1)
+        left = (self.b - predicted) * np.sqrt(self._weight)
+        together = left.T @ left
+        self.effective = float(np.trace(together) ** 2 / max((together**2).sum(), 1e-300))
+        self._smooth = []
+        for c in range(3):
+            f = self.basis.smooth * predicted[:, c, None]
+            weighted = f * self._weight[:, c, None]
+            self._smooth.append((weighted.T @ f, weighted.T @ self.basis.rows(c), weighted.T @ self.b[:, c]))
+
+    def rows(self, v, *, strict: bool = False) -> Rows:
+        """The products at the pixels' noise v (3,), relative to the channels' levels; ``strict`` : without F."""
+        root, target, rest, log_determinant = [], [], 0.0, 0.0
+        for c in range(3):
+            w = 1 / (v[c] * self.coarsening)
+            gram, moment, energy = self.grams[c] * w, self.moments[c] * w, self.energies[c] * w
+            if self._smooth is not None and not strict:
+                ff, fa, fb = (each * w for each in self._smooth[c])
+                lower = np.linalg.cholesky(ff + np.eye(len(ff)))
+                fa, fb = (solve_triangular(lower, each, lower=True) for each in (fa, fb))
+                gram, moment, energy = gram - fa.T @ fa, moment - fa.T @ fb, energy - fb @ fb
+                log_determinant += float(np.log(np.diag(lower)).sum())
+            values, vectors = np.linalg.eigh(gram)
+            kept = values > NEGLIGIBLE
+            size, vectors = np.sqrt(values[kept]), vectors[:, kept]
+            root.append((vectors * size).T)
+            target.append(vectors.T @ moment / size)
+            rest += max(float(energy - target[-1] @ target[-1]), 0.0)
+        return Rows(root, target, rest, log_determinant)
+
+    def misfit(self, x) -> np.ndarray:
+        """Mean square of b - A x in each channel, of coefficients (3, terms): (3,)."""
+        out = [
+            e - 2 * x[c] @ m + x[c] @ g @ x[c]
+            for c, (g, m, e) in enumerate(zip(self.grams, self.moments, self.energies, strict=True))
+        ]
+        return np.maximum(out, 0) / np.maximum(self.count, 1e-300)
+
+    def noise(self, x, v) -> np.ndarray:
+        """Mean square of b - A x - F a with the most probable a, at the noise v: (3,)."""
+        out = self.misfit(x)
+        for c in range(3 if self._smooth is not None else 0):
+            w = 1 / (v[c] * self.coarsening)
+            ff, fa, fb = self._smooth[c]
+            score = fb - fa @ x[c]
+            a = np.linalg.solve(np.eye(len(ff)) + w * ff, w * score)
+            out[c] += (a @ ff @ a - 2 * a @ score) / max(self.count[c], 1e-300)
+        return np.maximum(out, 0)

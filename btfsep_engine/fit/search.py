@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The most probable light of a model, and how probable the model is.
+
+With theta the white unknowns, the rows R, y of `fit.products` and r(theta) = R x(theta) - y,
+
+    min  (|r|^2 + |theta|^2) / 2                                     by Gauss and Newton, damped (Levenberg, Marquardt),
+    log evidence = -min - log det(I + J^T J) / 2 - sum n_c log(v_c) / (2 h) - rest terms          (Laplace),
+
+J the derivative of r at the maximum. The noise v is what is left over, found again as the light is; it is never less
+than `FLOOR`: no model of a material is better.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve, lapack
+
+from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.products import Photograph, Rows
+
+STEPS = 40  # of one search; 5 to 15 are usual
+ROUNDS = 6  # of the noise
+FLOOR = 0.05  # of a channel's root mean square
+FIRST_NOISE = 0.3  # of it: where a search without a guess begins
+SETTLED = 0.05  # of the logarithm of the noise
+GAIN = 3e-3  # of the logarithm of the probability: less is no step worth taking
+LAMP_COST = 5.0  # of the logarithm of the evidence: how much less probable one more lamp is, wherever it stands
+STIFFEST = 1e5  # of the damping
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The most probable light of one model.
+
+    Attributes
+    ----------
+    model : LightModel
+    white : (unknowns,), theta
+    x : (3, terms), coefficients of all of the light; radiance : (3, n), of the field
+    v : (3,), noise; rows : Rows at it
+    factor : (unknowns, unknowns), lower Cholesky factor of I + J^T J
+    evidence : its logarithm
+    steps : of the search
+    """
+
+    model: LightModel
+    white: np.ndarray
+    x: np.ndarray
+    radiance: np.ndarray
+    v: np.ndarray
+    rows: Rows
+    factor: np.ndarray
+    evidence: float
+    steps: int
+
+
+def solve(photo: Photograph, model: LightModel, *, white=None, v=None, strict=False) -> Solution:
+    """The most probable light of ``photo``.
+
+    Parameters
+    ----------
+    white, v : where the search begins; None: even light, and a large noise
+    strict : whether the photo's discrepancy is left out, so that light explains all that it can
+    """
+    white = np.zeros(model.unknowns) if white is None else white
+    floor = FLOOR**2 * photo.mean_square
+    v = np.maximum(FIRST_NOISE**2 * photo.mean_square if v is None else v, floor)
+    steps = 0
+    for _ in range(ROUNDS):
+        rows = photo.rows(v, strict=strict)
+        white, x, radiance, lowest, taken = _minimised(rows, model, white)
+        steps += taken
+        now = np.maximum((photo.misfit(x) if strict else photo.noise(x, v)), floor)
+        settled = np.abs(np.log(now / v)).max() < SETTLED
+        if settled:
+            break
+        v = now
+    jacobian = model.jacobian(white, radiance, rows.root)
+    factor = np.linalg.cholesky(_precision(jacobian))
+    evidence = (
+        -lowest
+        - 0.5 * rows.rest
+        - float(np.log(np.diag(factor)).sum())
+        - rows.log_determinant
+        - 0.5 * float((photo.count * np.log(v)).sum()) / photo.coarsening
+        - LAMP_COST * len(model.lamps)
+    )
+    return Solution(model, white, x, radiance, v, rows, factor, evidence, steps)
+
+
+def _precision(jacobian) -> np.ndarray:
+    out = jacobian.T @ jacobian
+    np.einsum("ii->i", out)[:] += 1
+    return out
+
+
+def _minimised(rows: Rows, model: LightModel, white):
+    """theta, x, radiance, (|r|^2 + |theta|^2) / 2, and the steps that were taken."""
+    x, radiance = model.light(white)
+    r = rows.residual(x)
+    now, damping, steps = 0.5 * (r @ r + white @ white), 1e-2, 0
+    while steps < STEPS:
+        steps += 1
+        jacobian = model.jacobian(white, radiance, rows.root)
+        gradient, precision = jacobian.T @ r + white, _precision(jacobian)
+        while True:
+            damped = precision.copy()
+            np.einsum("ii->i", damped)[:] += damping
+            lower, _ = lapack.dpotrf(damped, lower=1)
+            moved = white - cho_solve((lower, True), gradient, check_finite=False)
+            x_there, radiance_there = model.light(moved)
+            r_there = rows.residual(x_there)
+            there = 0.5 * (r_there @ r_there + moved @ moved)
+            if there < now or damping > STIFFEST:
+                break
+            damping = max(5 * damping, 1e-3)
+        if not there < now:
+            break
+        gain = now - there
+        white, x, radiance, r, now = moved, x_there, radiance_there, r_there, there
+        damping = damping / 8 if damping > 1e-5 else 0.0
+        if gain < GAIN * max(1.0, 0.01 * now):
+            break
+    return white, x, radiance, now, steps

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Natural light as the exponential of a Gaussian field: positive, black where nothing speaks for light, heavy-tailed.
+
+The logarithm of natural radiance is nearly normal (Dror, Willsky and Adelson 2004), skies and rooms alike. With l the
+mean of the channels' logarithms, and c1 = log R - log B, c2 = log G - (log R + log B) / 2 the chroma,
+
+    log L_k(d) = l(d) + V[k, 1] c1(d) + V[k, 2] c2(d),    each field a sum of spherical harmonics, f = sum a_lm Y_lm,
+    a_lm ~ N(mean of the zonal ones, s_l^2),
+
+because the eigenfunctions of a stationary covariance on the sphere are spherical harmonics: the covariance is one
+variance for each degree, and white numbers w = (a - mean) / s are the unknowns of the fit. The variances are learned
+from the shipped training lights (`learn`; the table is ``data/natural_log_light.json``, written by
+``scripts/learn_natural_light``): a power law over the degrees, because seven maps teach no more. The level, degree 0,
+is as good as unknown.
+
+The light's coefficients up to the fit's order are sums over directions of equal solid angle, x = T exp(u).
+"""
+
+import json
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
+
+TABLE = Path(__file__).resolve().parents[1] / "data" / "natural_log_light.json"
+CHROMA = np.array([[1, 1 / 2, -1 / 3], [1, 0, 2 / 3], [1, -1 / 2, -1 / 3]])  # V: channels over (l, c1, c2)
+DIRECTIONS = 400  # 10 degrees apart: the fit's order 9 has 20
+FIELD_ORDER = 12  # of l: finer than the fit's order can tell
+CHROMA_ORDER = 6
+LARGEST_ORDER = 9  # of the light's coefficients that a fit can have
+AMPLITUDE = 1.4  # of l over the maps' own: seven maps hold no room with one lamp; 1 to 1.5 err alike (docs/fit.md)
+LEVEL = 3.0  # standard deviation of the level's logarithm: unknown
+LARGEST_LOG = 14.0  # exponentials stay finite on the way of a search
+ZONAL = 2  # the zonal terms of so many degrees have a mean (light from above)
+
+
+@dataclass(frozen=True, eq=False)
+class LogField:
+    """The prior, and what leads from its white unknowns to the light.
+
+    Attributes
+    ----------
+    order, chroma_order : degrees of the fields l, and c1 and c2
+    deviation : (k,) float64, s of every unknown: those of l, then those of c1, then those of c2
+    mean : (k,) float64
+    terms : of the light's coefficients
+    """
+
+    order: int
+    chroma_order: int
+    deviation: np.ndarray
+    mean: np.ndarray
+    terms: int = sh.term_count(LARGEST_ORDER)
+
+    @property
+    def unknowns(self) -> int:
+        """k, the number of white unknowns."""
+        return len(self.deviation)
+
+    @cached_property
+    def directions(self) -> np.ndarray:
+        """(n, 3) float64, unit, each for the solid angle 4 pi / n."""
+        return fibonacci_sphere(DIRECTIONS)
+
+    @cached_property
+    def to_coefficients(self) -> np.ndarray:
+        """T, (terms, n): radiance in the directions to coefficients."""
+        return sh.evaluate(sh.order_of(self.terms), self.directions).T * (4 * np.pi / DIRECTIONS)
+
+    @cached_property
+    def _factors(self) -> list:
+        """For each field (n, its unknowns): white numbers to the field in the directions."""
+        y = sh.evaluate(max(self.order, self.chroma_order), self.directions)
+        return [y[:, : part.stop - part.start] * self.deviation[part] for part in self._parts]
+
+    @cached_property
+    def _parts(self) -> list:
+        ends = np.cumsum([0, sh.term_count(self.order), *[sh.term_count(self.chroma_order)] * 2])
+        return [slice(a, b) for a, b in pairwise(ends)]
+
+    @cached_property
+    def _mean_logarithm(self) -> np.ndarray:
+        """(3, n)."""
+        y = sh.evaluate(max(self.order, self.chroma_order), self.directions)
+        return CHROMA @ np.stack([y[:, : part.stop - part.start] @ self.mean[part] for part in self._parts])
+
+    def logarithm(self, white) -> np.ndarray:
+        """u = log L, (3, n), of the white unknowns (k,)."""
+        fields = [factor @ white[part] for factor, part in zip(self._factors, self._parts, strict=True)]
+        return np.minimum(self._mean_logarithm + CHROMA @ np.stack(fields), LARGEST_LOG)
+
+    def radiance(self, white) -> np.ndarray:
+        """L, (3, n), of the white unknowns (k,)."""
+        return np.exp(self.logarithm(white))
+
+    def coefficients(self, radiance) -> np.ndarray:
+        """T L: (3, terms) of the radiance (3, n)."""
+        return radiance @ self.to_coefficients.T
+
+    def jacobian(self, rows, radiance) -> np.ndarray:
+        """The derivatives of R_c x_c by the white unknowns: (all rows, k).
+
+        Parameters
+        ----------
+        rows : for each channel (r_c, terms), R_c; radiance : (3, n), L
+        """
+        out = []
+        for c, r in enumerate(rows):
+            by_direction = (r @ self.to_coefficients) * radiance[c]
+            out.append(np.hstack([CHROMA[c, i] * (by_direction @ f) for i, f in enumerate(self._factors)]))
+        return np.concatenate(out)
+
+    def at(self, white, directions) -> np.ndarray:
+        """L in other directions (m, 3): (m, 3)."""
+        y = sh.evaluate(max(self.order, self.chroma_order), directions)
+        a = self.mean + self.deviation * white
+        fields = np.stack([y[:, : part.stop - part.start] @ a[part] for part in self._parts], -1)
+        return np.exp(np.minimum(fields @ CHROMA.T, LARGEST_LOG))
+
+
+def degrees(order: int) -> np.ndarray:
+    """The degree of every term: ((order + 1)^2,) int."""
+    return np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+
+
+def build(table: dict, *, order: int = FIELD_ORDER, chroma_order: int = CHROMA_ORDER) -> LogField:
+    """The prior of a table of `learn`."""
+    sizes = (order, chroma_order, chroma_order)
+    deviation, mean = [], []
+    for name, largest in zip(("luminance", "red_blue", "green"), sizes, strict=True):
+        l = degrees(largest)
+        s = table[name]["at_degree_1"] * np.maximum(l, 1.0) ** -table[name]["decline"]
+        s[0] = table[name]["level"]
+        m = np.zeros(len(l))
+        if name == "luminance":
+            s *= AMPLITUDE
+            s[0] = LEVEL * np.sqrt(4 * np.pi)
+            for degree, value in enumerate(table["zonal_mean"][:largest], 1):
+                m[degree * degree + degree] = value
+        deviation.append(s)
+        mean.append(m)
+    return LogField(order, chroma_order, np.concatenate(deviation), np.concatenate(mean))
+
+
+@lru_cache(maxsize=1)
+def natural_field() -> LogField:
+    """The field that the shipped table describes."""
+    return build(json.loads(TABLE.read_text()))
+
+
+@lru_cache(maxsize=1)
+def even_field() -> LogField:
+    """Light that is the same from everywhere, of any level and colour: what stands beside lamps in the plain model."""
+    full = natural_field()
+    first = [part.start for part in full._parts]
+    return LogField(0, 0, full.deviation[first], np.zeros(3))

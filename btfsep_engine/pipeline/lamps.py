@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which lamps of a light are told apart from the sky, as suns: those of a good part of it."""
+
+import numpy as np
+
+from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.light.sun import Sun
+
+LEAST = 0.2  # of the light's mean radiance: what is less stays in the sky
+NARROW = 15.0  # degrees, of a lamp's direction: what is known worse is no lamp that anybody wants to see a shadow of
+
+
+def key_lights(fit: Fit, settings) -> tuple[tuple, str]:
+    """The lamps of a fit that become suns, the brightest first; and why, in words.
+
+    A lamp has no size here: the fit's harmonics, 20 degrees wide, cannot tell one.
+    """
+    if settings.key_light == "never":
+        return (), "lamps stay in the spherical harmonics: --key-light never"
+    if settings.estimator != "map":
+        return (), "lamps were not looked for: that needs --estimator map"
+    suns = tuple(
+        Sun(
+            lamp.direction,
+            lamp.irradiance,
+            lamp.stddev,
+            direction_stddev_degrees=lamp.degrees,
+            share=lamp.share,
+            share_stddev=lamp.share_stddev,
+        )
+        for lamp in fit.lamps
+        if lamp.share >= LEAST and lamp.degrees <= NARROW
+    )
+    return suns, words(suns, fit)
+
+
+def words(suns, fit: Fit) -> str:
+    """The lamps for people."""
+    if not suns:
+        if not fit.lamps:
+            return "no single direction stands out: all of the light is in the spherical harmonics"
+        part = max(lamp.share for lamp in fit.lamps)
+        return (
+            f"no key light: the strongest single direction has about {100 * part:.0f} % of the light, or is not known "
+            "well enough; it stays in the spherical harmonics"
+        )
+    each = []
+    for sun in suns:
+        height = np.degrees(np.arcsin(np.clip(sun.direction[2], -1, 1)))
+        azimuth = np.degrees(np.arctan2(sun.direction[1], sun.direction[0]))
+        each.append(
+            f"{100 * sun.share:.0f} % of the light, from {height:.0f} degrees above the horizon, azimuth "
+            f"{azimuth:.0f} degrees (from +X towards +Y), known to {sun.direction_stddev_degrees:.1f} degrees"
+        )
+    first = "a key light is" if len(suns) == 1 else f"{len(suns)} key lights are"
+    return f"{first} told apart from the sky: {'; '.join(each)}"
