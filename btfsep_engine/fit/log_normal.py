@@ -11,7 +11,8 @@ A model of few unknowns that explains as much wins: its evidence pays for no unk
 stated are samples of the posterior about the maximum (Laplace, in the white unknowns): the light is their exponential,
 so that its ranges are lopsided where light may be bright but not negative. Two things that one photograph cannot tell
 are in the samples, too: how light or dark a piece of the material is (`REFLECTANCE`), and whose colour a tint is
-(`fit.colour`).
+(`fit.colour`). And where the plain model is elected, every other sample is the rich one's: it says of directions that
+the photo does not show what it says of those that it does, and nobody knows that.
 """
 
 from dataclasses import dataclass, replace
@@ -97,15 +98,15 @@ class LightSolver:
             photo = Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening)
             if start is not None:
                 photo.learn_from(start.found.solution.x)
-                return self._fit(photo, follow(photo, start.found.solution))
-            return self._fit(photo, elect(photo))
+                return self._fit(photo, follow(photo, start.found.solution), start.found.rival)
+            return self._fit(photo, *elect(photo))
 
-    def _fit(self, photo: Photograph, best: Solution) -> Fit:
+    def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
         terms = sh.term_count(self.order)
         tint = colour.split(best.x[:, 0] * photo.level)
         unit = photo.level * tint.gain
         x = best.x.T * unit
-        samples, lamps = self._samples(best, unit, tint)
+        samples, lamps = self._samples(best, rival, unit, tint)
         low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
         spread = np.maximum(np.maximum(above - x, x - below), 0)
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
@@ -131,16 +132,19 @@ class LightSolver:
             lamps=lamps,
             tint=tint,
             evidence=best.evidence,
-            found=Found(best, photo, unit),
+            found=Found(best, rival, photo, unit),
         )
 
-    def _samples(self, best: Solution, unit, tint):
+    def _samples(self, best: Solution, rival: Solution | None, unit, tint):
         """(samples, terms, 3) of all of the light, and its lamps."""
         random = np.random.default_rng(self.seed)
         model, n = best.model, len(best.white)
         moved = solve_triangular(best.factor.T, random.standard_normal((n, SAMPLES)), lower=False)
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
-        samples = np.stack([model.light(best.white + step)[0].T for step in moved.T]) * (unit * factors)[:, None]
+        lights = [model.light(best.white + step)[0].T for step in moved.T]
+        if rival is not None:
+            lights[::2] = self._other_lights(rival, len(lights[::2]), random)
+        samples = np.stack(lights) * (unit * factors)[:, None]
         lamps = []
         for i, q in enumerate(model.parts(best.white)[1]):
             at = model.field.unknowns + 5 * i
@@ -154,6 +158,11 @@ class LightSolver:
             degrees = float(np.degrees(np.sqrt(np.square(off).mean())))
             lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std())))
         return samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share))
+
+    @staticmethod
+    def _other_lights(rival: Solution, count: int, random) -> list:
+        moved = solve_triangular(rival.factor.T, random.standard_normal((len(rival.white), count)), lower=False)
+        return [rival.model.light(rival.white + step)[0].T for step in moved.T]
 
     def smoother(self, fit: Fit):
         """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.
@@ -183,9 +192,14 @@ class LightSolver:
 
 @dataclass(frozen=True)
 class Found:
-    """How a fit was found: ``solution``, the ``photo`` (its products), and the ``unit`` (3,) of its light."""
+    """How a fit was found.
+
+    ``solution``; ``rival``, the rich model's where the plain one was elected, else None; the ``photo`` (its products);
+    the ``unit`` (3,) of its light.
+    """
 
     solution: Solution
+    rival: Solution | None
     photo: Photograph
     unit: np.ndarray
 
@@ -200,8 +214,8 @@ class Found:
         return model.field.at(model.parts(self.solution.white)[0], np.asarray(directions)) * self.unit
 
 
-def elect(photo: Photograph) -> Solution:
-    """The model of the largest evidence, at its most probable light."""
+def elect(photo: Photograph) -> tuple[Solution, Solution | None]:
+    """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one."""
     field = solve(photo, LightModel(natural_field()))
     photo.learn_from(field.x)
     field = solve(photo, field.model, white=field.white, v=field.v)
@@ -212,8 +226,9 @@ def elect(photo: Photograph) -> Solution:
         white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
         rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
     rich = with_lamps(photo, rich, place=brightest)
-    best = max(plain, rich, key=lambda s: s.evidence)
-    return best if best is plain else sharpened(photo, best)
+    if plain.evidence > rich.evidence:
+        return plain, rich
+    return sharpened(photo, rich), None
 
 
 def sharpened(photo: Photograph, best: Solution) -> Solution:
