@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_process, export, lighting_file, measure, preferences, runs, sequence_run, world
+from . import engine_process, export, lighting_file, measure, preferences, runs, sequence_run, sun_lamp, world
 from .errors import InputError
 from .operators import chosen, order_of, take_materials, told
 from .properties import APPEARANCES, PRESETS
@@ -89,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     save.add_argument("--world", choices=("nodes", "texture", "none"), help="default: the panel's")
 
     sun = argparse.ArgumentParser(add_help=False)
-    sun.add_argument("--sun", choices=("lamp", "world"), help="where a key light goes (default: the panel's)")
+    sun.add_argument("--sun", choices=("lamp", "world"), help="where key lights go (default: the panel's)")
 
     fit = argparse.ArgumentParser(add_help=False)
     fit.add_argument("--material", help="the material of all objects, instead of recognition")
@@ -231,6 +231,7 @@ def _estimate(options) -> None:
         _say(sentence)
     if mode != "NONE":
         world.apply_lighting(scene, lighting, mode=mode, clamp=scene.btfsep.clamp, lamp=_lamp(options, scene))
+        _say(f"the World of scene '{scene.name}' is now the lighting{sun_lamp.beside(scene)}")
     _say(f"wrote {out}")
 
 
@@ -261,7 +262,7 @@ def _apply(options) -> None:
         raise InputError("the World", "'none' was asked for", "choose nodes or texture")
     lighting = lighting_file.read(options.lighting)
     world.apply_lighting(scene, lighting, mode=mode, clamp=scene.btfsep.clamp, lamp=_lamp(options, scene))
-    _say(f"the World of scene '{scene.name}' is now the lighting")
+    _say(f"the World of scene '{scene.name}' is now the lighting{sun_lamp.beside(scene)}")
 
 
 def _lamp(options, scene) -> bool:

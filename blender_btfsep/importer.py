@@ -5,7 +5,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from . import lighting_file, world
+from . import lighting_file, sun_lamp, world
 from .errors import InputError
 from .properties import WORLD_MODES
 
@@ -25,7 +25,7 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
     )
 
     lamp: BoolProperty(
-        name="Sun Lamp", description="A key light in the file becomes a Sun lamp beside the World", default=True
+        name="Sun Lamps", description="Key lights in the file become Sun lamps beside the World", default=True
     )
 
     def invoke(self, context, event):
@@ -40,7 +40,8 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"The World is now the lighting of order {lighting['order']}")
+        beside = sun_lamp.beside(context.scene)
+        self.report({"INFO"}, f"The World is now the lighting of order {lighting['order']}{beside}")
         return {"FINISHED"}
 
 

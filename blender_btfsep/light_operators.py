@@ -6,7 +6,7 @@ import os
 import bpy
 from bpy.props import EnumProperty
 
-from . import lighting_file, runs, world
+from . import lighting_file, runs, sun_lamp, world
 from .errors import InputError
 from .properties import WORLD_MODES
 
@@ -37,6 +37,7 @@ class BTFSEP_OT_apply(bpy.types.Operator):
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        self.report({"INFO"}, f"The World is now the lighting{sun_lamp.beside(context.scene)}")
         return {"FINISHED"}
 
 
@@ -47,7 +48,7 @@ def last_lighting() -> str:
 
 
 class BTFSEP_OT_restore_world(bpy.types.Operator):
-    """Put the World back that the scene had before BTFsep, without the Sun lamp of BTFsep"""
+    """Put the World back that the scene had before BTFsep, without the Sun lamps of BTFsep"""
 
     bl_idname = "btfsep.restore_world"
     bl_label = "Restore Previous World"

@@ -11,6 +11,8 @@ from .harmonics import term_count
 FORMAT, VERSION = "btfsep-lighting", 1
 MAX_ORDER = 64
 MAX_BYTES = 8 << 20
+MOST_LAMPS = 64
+LARGEST = 3e38  # Blender's numbers are single precision: more would be infinite
 _REMEDY = "export the lighting again with BTFsep"
 
 
@@ -21,8 +23,8 @@ def read(path) -> dict:
     -------
     dict with "order" (int), "coefficients" ((order + 1)^2 rows of 3 floats, linear Rec.709 radiance),
     "stddev" (same shape, or None), "determined" (list of bool, or None), "exposure_ev" (float),
-    "sun" (None, or a dict with "direction" (3 floats, unit), "irradiance" (3 floats >= 0), "size_degrees" and "sky",
-    the coefficients without it)
+    "suns" (None, or a dict of the key lights, "lamps", each a dict with "direction" (3 floats, unit), "irradiance"
+    (3 floats >= 0) and "size_degrees", and of "sky", the coefficients without them)
 
     Raises
     ------
@@ -36,7 +38,7 @@ def read(path) -> dict:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(name, error.strerror or str(error), "choose a lighting.json that can be read") from None
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(name, f"not JSON ({error})", _REMEDY) from None
     return validate(data, name)
 
@@ -72,34 +74,51 @@ def validate(data, name: str = "the lighting") -> dict:
         "stddev": stddev,
         "determined": determined,
         "exposure_ev": float(exposure),
-        "sun": None if data.get("sun") is None else _sun(data["sun"], order, name),
+        "suns": _suns(data, order, name),
     }
 
 
-def _sun(sun, order: int, name: str) -> dict:
-    if not isinstance(sun, dict):
-        raise InputError(name, "'sun' is no object", _REMEDY)
-    direction, irradiance, size = sun.get("direction"), sun.get("irradiance"), sun.get("size_degrees", 0.0)
-    for key, row in (("direction", direction), ("irradiance", irradiance)):
+def _suns(data: dict, order: int, name: str) -> dict | None:
+    """The key lights: of "suns" where it is there, else of "sun" (files from when there was one at most)."""
+    found = None
+    if data.get("sun") is not None:
+        sun = _lamp(data["sun"], "sun", name)
+        found = {"lamps": [sun], "sky": _rows(data["sun"].get("sky"), order, name, "sky")}
+    if data.get("suns") is not None:
+        suns = data["suns"]
+        if not isinstance(suns, dict):
+            raise InputError(name, "'suns' is no object", _REMEDY)
+        lamps = suns.get("lamps")
+        if not isinstance(lamps, list) or not 0 < len(lamps) <= MOST_LAMPS:
+            raise InputError(name, f"'lamps' of 'suns' is no list of 1 to {MOST_LAMPS}", _REMEDY)
+        lamps = [_lamp(lamp, f"lamps[{i}]", name) for i, lamp in enumerate(lamps)]
+        found = {"lamps": lamps, "sky": _rows(suns.get("sky"), order, name, "sky")}
+    return found
+
+
+def _lamp(lamp, key: str, name: str) -> dict:
+    if not isinstance(lamp, dict):
+        raise InputError(name, f"'{key}' is no object", _REMEDY)
+    direction, irradiance, size = lamp.get("direction"), lamp.get("irradiance"), lamp.get("size_degrees", 0.0)
+    for part, row in (("direction", direction), ("irradiance", irradiance)):
         if not _is_row(row):
-            raise InputError(name, f"'{key}' of 'sun' is not three finite numbers", _REMEDY)
+            raise InputError(name, f"'{part}' of '{key}' is not three finite numbers", _REMEDY)
     length = math.hypot(*direction)
     if not 0.99 < length < 1.01:
-        raise InputError(name, "'direction' of 'sun' is no unit vector", _REMEDY)
+        raise InputError(name, f"'direction' of '{key}' is no unit vector", _REMEDY)
     if min(irradiance) < 0:
-        raise InputError(name, "'irradiance' of 'sun' is negative", _REMEDY)
+        raise InputError(name, f"'irradiance' of '{key}' is negative", _REMEDY)
     if not _is_number(size) or not 0 <= size <= 180:
-        raise InputError(name, f"'size_degrees' of 'sun' is {size!r}, not a number from 0 to 180", _REMEDY)
+        raise InputError(name, f"'size_degrees' of '{key}' is {size!r}, not a number from 0 to 180", _REMEDY)
     return {
         "direction": [value / length for value in direction],
         "irradiance": [float(value) for value in irradiance],
         "size_degrees": float(size),
-        "sky": _rows(sun.get("sky"), order, name, "sky"),
     }
 
 
 def _is_number(value) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def _is_row(row) -> bool:

@@ -5,7 +5,7 @@ import os
 
 import bpy
 
-from . import export, lighting_file, preferences, runs, world
+from . import export, lighting_file, preferences, runs, sun_lamp, world
 from .errors import InputError
 
 
@@ -170,6 +170,8 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         if scene.btfsep.world_mode != "NONE":
             given = scene.btfsep
             world.apply_lighting(scene, lighting, mode=given.world_mode, clamp=given.clamp, lamp=given.sun_lamp)
+            beside = sun_lamp.beside(scene)
+            words += [f"The World is the rest of the light{beside}"] if beside else []
         return "\n".join(words)
 
 

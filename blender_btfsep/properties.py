@@ -114,8 +114,8 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         default=True,
     )
     sun_lamp: BoolProperty(
-        name="Sun Lamp",
-        description="A sun or lamp that the photo shows becomes a Sun lamp beside the World. Off: all of it is World",
+        name="Sun Lamps",
+        description="Suns and lamps that the photo shows become Sun lamps beside the World. Off: all of it is World",
         default=True,
     )
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The key light of a lighting as a Sun lamp, beside a World of the rest.
+"""The key lights of a lighting as Sun lamps, beside a World of the rest.
 
-A lamp made here carries LAMP_TAG. Only such lamps are ever removed; each scene has at most one.
+A lamp made here carries LAMP_TAG. Only such lamps are ever removed, all of a scene's together.
 
 Blender's Sun: the strength is the irradiance on a surface that faces it, so that a white matte surface shows the
 strength over pi (a test renders it); the angle is the disc's whole width.
@@ -22,22 +22,28 @@ def lamps(scene) -> list:
     return [thing for thing in scene.objects if LAMP_TAG in thing and thing.library is None]
 
 
-def put(scene, sun: dict | None):
-    """Makes ``sun`` the lamp of ``scene``, in place of an earlier one of ours; None: only takes that away.
+def beside(scene) -> str:
+    """What is to be said of them after "the World is the light": how many there are; of none, nothing."""
+    count = len(lamps(scene))
+    return {0: "", 1: ", with one Sun lamp beside it"}.get(count, f", with {count} Sun lamps beside it")
+
+
+def put(scene, suns) -> None:
+    """Makes ``suns`` the lamps of ``scene``, in place of all earlier ones of ours; of none, only takes those away.
 
     Parameters
     ----------
     scene : bpy.types.Scene
-    sun : "sun" of what lighting_file.read returns
-
-    Returns
-    -------
-    The lamp, or None.
+    suns : list of "lamps" of what lighting_file.read returns; one without light gives no lamp
     """
     for old in lamps(scene):
         _remove(scene, old)
-    if sun is None or max(sun["irradiance"]) <= 0:
-        return None
+    for sun in suns:
+        if max(sun["irradiance"]) > 0:
+            _make(scene, sun)
+
+
+def _make(scene, sun: dict) -> None:
     data = bpy.data.lights.new(LAMP_NAME, "SUN")
     lamp = bpy.data.objects.new(LAMP_NAME, data)
     lamp[LAMP_TAG] = True
@@ -48,7 +54,6 @@ def put(scene, sun: dict | None):
     lamp.location = DISTANCE * direction
     lamp.rotation_euler = direction.to_track_quat("Z", "Y").to_euler()
     scene.collection.objects.link(lamp)
-    return lamp
 
 
 def _remove(scene, lamp) -> None:

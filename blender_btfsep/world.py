@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes a lighting into a scene as its World: as editable spherical harmonics, or baked into a texture.
 
-A key light (sun) becomes a Sun lamp beside a World of the rest, or stays in the World's harmonics (`sun_lamp`).
+Key lights (suns) become Sun lamps beside a World of the rest, or stay in the World's harmonics (`sun_lamp`).
 
 A World made here carries WORLD_TAG. Only such Worlds are ever changed; a World of the user's is kept in the file
 (fake user) and can be put back.
@@ -40,7 +40,7 @@ def apply_lighting(
     lighting : dict, as lighting_file.read returns it; "coefficients" are ((L + 1)^2, 3), linear Rec.709 radiance
     mode : "NODES" (a node group with the coefficients as inputs; up to order 9) or "TEXTURE" (a packed map)
     clamp : a light that is negative somewhere is made positive (`harmonics.positive_map`)
-    lamp : whether a key light becomes a Sun lamp, and the World the rest; else the World is all of the light
+    lamp : whether key lights become Sun lamps, and the World the rest; else the World is all of the light
 
     Returns
     -------
@@ -51,8 +51,8 @@ def apply_lighting(
     InputError
         When the order is too high for nodes.
     """
-    sun = lighting.get("sun") if lamp else None
-    coefficients = np.asarray(sun["sky"] if sun else lighting["coefficients"], np.float64)
+    suns = lighting.get("suns") if lamp else None
+    coefficients = np.asarray(suns["sky"] if suns else lighting["coefficients"], np.float64)
     order = harmonics.order_of(len(coefficients))
     if mode not in {"NODES", "TEXTURE"}:
         raise ValueError(f"mode is {mode!r}, not 'NODES' or 'TEXTURE'")
@@ -75,13 +75,13 @@ def apply_lighting(
         _write_nodes(tree, coefficients, order, clamp)
     else:
         _write_texture(tree, coefficients, clamp)
-    sun_lamp.put(scene, sun)
+    sun_lamp.put(scene, suns["lamps"] if suns else [])
     world[WORLD_TAG] = {"mode": mode, "order": order, "exposure_ev": float(lighting.get("exposure_ev", 0.0))}
     return world
 
 
 def restore_previous(scene):
-    """Puts the World back that ``scene`` had before BTFsep, and removes ours and its lamp.
+    """Puts the World back that ``scene`` had before BTFsep, and removes ours and its lamps.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def restore_previous(scene):
     if previous is not None and not ours.get(PREVIOUS_WAS_FAKE, True):
         previous.use_fake_user = False
     scene.world = previous
-    sun_lamp.put(scene, None)
+    sun_lamp.put(scene, [])
     if ours.users == 0:
         bpy.data.worlds.remove(ours)
     _remove_orphans()

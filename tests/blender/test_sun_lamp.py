@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Sun lamp beside the World: as much light as the whole, made, replaced, taken away, undone, without a window."""
+"""The Sun lamps beside the World: as much light as the whole, made, replaced, taken away, undone, without a window."""
 
 import json
 import subprocess
@@ -21,14 +21,14 @@ ROOT = Path(__file__).resolve().parents[2]
 DIRECTION = np.array([-0.6, -0.48, 0.64])
 
 
-def write_sunny(path, *, order=4, direction=DIRECTION, irradiance=(3.0, 2.0, 1.0), size=0.5, sky=None):
+def write_sunny(path, *, order=4, direction=DIRECTION, irradiance=(3.0, 2.0, 1.0), size=0.5, sky=None, others=()):
     """A lighting.json as the engine writes it; gives its Lighting."""
     if sky is None:
         sky = np.random.default_rng(3).normal(size=(sh.term_count(order), 3)) * 0.05
         sky[0] = 1.0
     sun = Sun(direction, irradiance, np.zeros(3), size_degrees=size)
-    x = sky + sun.coefficients(order)
-    light = Lighting(order, x, np.zeros_like(x), np.ones(len(x), bool), 0.0, sun)
+    x = sky + sum(s.coefficients(order) for s in (sun, *others))
+    light = Lighting(order, x, np.zeros_like(x), np.ones(len(x), bool), 0.0, (sun, *others))
     write_lighting(path, light)
     return light
 
@@ -37,6 +37,19 @@ def write_sunny(path, *, order=4, direction=DIRECTION, irradiance=(3.0, 2.0, 1.0
 def sunny(tmp_path):
     path = tmp_path / "sunny.json"
     return path, write_sunny(path)
+
+
+LAMPS = (
+    Sun((0.8, 0.0, -0.6), (0.5, 1.0, 2.0), np.zeros(3), size_degrees=5.0),
+    Sun((0.0, -1.0, 0.0), (1.0, 1.0, 1.0), np.zeros(3), size_degrees=1.0),
+)
+
+
+@pytest.fixture
+def lamplit(tmp_path):
+    """As `sunny`, with three key lights."""
+    path = tmp_path / "lamplit.json"
+    return path, write_sunny(path, others=LAMPS)
 
 
 def the_lamp(scene):
@@ -60,7 +73,7 @@ def test_lamp_and_world_light_a_sphere_as_theory_says_and_as_the_whole_does(scen
     made.node_tree.nodes["BTFsep SH Lighting"].inputs["Strength"].default_value = 0
     alone = render(scene)
     cosine = np.maximum(normals @ DIRECTION, 0)
-    truth = cosine[..., None] * light.sun.irradiance / np.pi
+    truth = cosine[..., None] * light.suns[0].irradiance / np.pi
     lit = inside & (cosine > 0.2)
     assert np.abs(alone[lit] / truth[lit] - 1).max() < 0.02
     assert alone[inside & (normals @ DIRECTION < -0.05)].max() < 1e-3
@@ -94,7 +107,7 @@ def test_the_lamp_can_be_edited_and_is_replaced(scene, sunny, tmp_path):
         assert np.allclose(np.array(lamp.rotation_euler.to_matrix())[:, 2], [0, 0, 1], atol=1e-6)
     assert sorted(o.name for o in bpy.data.objects) == ["BTFsep Sun", "Mine"] and len(bpy.data.lights) == 2
     # a light without a sun takes the lamp away, and the user's stays
-    plain = lighting_file.read(path) | {"sun": None}
+    plain = lighting_file.read(path) | {"suns": None}
     world.apply_lighting(scene, plain)
     assert [o.name for o in bpy.data.objects] == ["Mine"] and len(bpy.data.lights) == 1
     world.apply_lighting(scene, lighting_file.read(path))
@@ -110,7 +123,7 @@ def test_each_scene_has_its_own(scene, sunny):
     assert the_lamp(scene) != the_lamp(other)
     other.collection.objects.link(the_lamp(scene))  # the user shares it: taken out of one, it stays in the other
     shared = the_lamp(scene)
-    world.apply_lighting(scene, lighting_file.read(path) | {"sun": None})
+    world.apply_lighting(scene, lighting_file.read(path) | {"suns": None})
     assert not sun_lamp.lamps(scene) and shared in sun_lamp.lamps(other)
 
 
@@ -155,6 +168,82 @@ def test_estimate_and_apply_do_as_the_panel_says(photographed, fake_engine, sunn
     assert bpy.ops.btfsep.restore_world() == {"FINISHED"} and not sun_lamp.lamps(photographed)
 
 
+def test_several_lamps_and_world_light_a_sphere_as_theory_says_and_as_the_whole_does(
+    scene, render, add_camera, lamplit
+):
+    path, light = lamplit
+    normals, inside = white_ball(scene, add_camera, size=48, samples=256)
+    lighting = lighting_file.read(path)
+    made = world.apply_lighting(scene, lighting)
+    assert np.allclose(y_coefficients(made), light.sky, atol=1e-6) and len(sun_lamp.lamps(scene)) == 3
+    both = render(scene)
+    made.node_tree.nodes["BTFsep SH Lighting"].inputs["Strength"].default_value = 0
+    alone = render(scene)
+    cosines = [np.maximum(normals @ s.direction, 0)[..., None] for s in light.suns]
+    truth = sum(c * s.irradiance for c, s in zip(cosines, light.suns, strict=True)) / np.pi
+    clear = inside & np.all([np.abs(normals @ s.direction) > 0.1 for s in light.suns], 0) & (truth.min(-1) > 0.05)
+    assert clear.sum() > 500 and np.abs(alone[clear] / truth[clear] - 1).max() < 0.03
+    truth = truth + sh.irradiance(light.sky, normals) / np.pi
+    assert np.abs(both / truth - 1)[inside].mean() < 0.01
+    made = world.apply_lighting(scene, lighting, lamp=False, clamp=False)
+    assert not sun_lamp.lamps(scene) and np.allclose(y_coefficients(made), light.coefficients, atol=1e-6)
+    whole = render(scene)
+    assert np.abs(whole[inside].mean(0) / both[inside].mean(0) - 1).max() < 0.02
+    assert np.linalg.norm((whole - both)[inside]) < 0.05 * np.linalg.norm(both[inside])
+
+
+def test_several_lamps_come_and_go_together(scene, sunny, lamplit):
+    mine = bpy.data.objects.new("Mine", bpy.data.lights.new("Mine", "SUN"))
+    scene.collection.objects.link(mine)
+    for _ in range(2):
+        world.apply_lighting(scene, lighting_file.read(lamplit[0]))
+        made = sun_lamp.lamps(scene)
+        # as the file has them: the brightest first
+        assert [round(lamp.data.energy, 5) for lamp in made] == [3.0, 2.0, 1.0]
+        assert np.allclose(made[1].data.color, [0.25, 0.5, 1]) and made[1].data.angle == pytest.approx(np.radians(5))
+        assert np.allclose(np.array(made[1].rotation_euler.to_matrix())[:, 2], [0.8, 0, -0.6], atol=1e-6)
+        assert len(bpy.data.lights) == 4
+        assert sun_lamp.beside(scene) == ", with 3 Sun lamps beside it"
+        bpy.data.lights.remove(made[1].data)  # and its object: the user's right; the others still go
+        world.apply_lighting(scene, lighting_file.read(sunny[0]))
+        the_lamp(scene)
+        assert sun_lamp.beside(scene) == ", with one Sun lamp beside it"
+    world.apply_lighting(scene, lighting_file.read(lamplit[0]))
+    world.restore_previous(scene)
+    assert [o.name for o in bpy.data.objects] == ["Mine"] and not sun_lamp.beside(scene)
+
+
+def test_several_lamps_are_one_undo(addon, scene, lamplit):
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.import_lighting(filepath=str(lamplit[0])) == {"FINISHED"}
+    assert len(sun_lamp.lamps(bpy.context.scene)) == 3
+    bpy.ops.ed.undo_push(message="imported")
+    bpy.ops.ed.undo()
+    assert not bpy.data.objects and not bpy.data.lights and bpy.context.scene.world is None
+    bpy.ops.ed.redo()
+    assert len(sun_lamp.lamps(bpy.context.scene)) == 3
+
+
+def test_the_panel_says_how_many(photographed, fake_engine, sunny, lamplit):
+    for path, words in ((lamplit[0], "with 3 Sun lamps beside it"), (sunny[0], "with one Sun lamp beside it")):
+        fake_engine(lighting=json.loads(path.read_text()), result={"objects": []})
+        assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+        assert bpy.context.window_manager.btfsep.summary.endswith(f"The World is the rest of the light, {words}")
+    photographed.btfsep.sun_lamp = False
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+    assert "lamp" not in bpy.context.window_manager.btfsep.summary
+
+
+def test_a_file_with_one_sun_from_before_there_could_be_several(scene, lamplit):
+    path, light = lamplit
+    data = json.loads(path.read_text())
+    del data["suns"]
+    data["sun"] |= {"widest_degrees": 4.0, "evidence": 30.0}
+    made = world.apply_lighting(scene, lighting_file.validate(data))
+    assert the_lamp(scene).data.energy == pytest.approx(3)
+    assert np.allclose(y_coefficients(made), light.without(light.suns[:1]), atol=1e-6)
+
+
 DRIVER = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -166,13 +255,14 @@ sys.exit(status)
 """
 
 
-@pytest.mark.parametrize(("where", "lamps"), [(None, 1), ("lamp", 1), ("world", 0)])
-def test_without_a_window(sunny, tmp_path, where, lamps):
+@pytest.mark.parametrize(("where", "lamps"), [(None, 3), ("lamp", 3), ("world", 0)])
+def test_without_a_window(lamplit, tmp_path, where, lamps):
     options = ["--sun", where] if where else []
     saved = tmp_path / "lit.blend"
-    command = [sys.executable, "-c", DRIVER, str(ROOT), "apply", str(sunny[0]), "--save", str(saved), *options]
+    command = [sys.executable, "-c", DRIVER, str(ROOT), "apply", str(lamplit[0]), "--save", str(saved), *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
+    assert ("with 3 Sun lamps beside it" in done.stdout + done.stderr) == bool(lamps)
     bpy.ops.wm.open_mainfile(filepath=str(saved))
     assert len(sun_lamp.lamps(bpy.context.scene)) == lamps
 
@@ -195,3 +285,50 @@ def test_a_sun_that_makes_no_sense_is_refused_in_words(sunny, change, words):
         lighting_file.validate(data)
     with pytest.raises(InputError, match="'sun' is no object"):
         lighting_file.validate(data | {"sun": 3})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"direction": [1, 0]}, r"'direction' of 'lamps\[2\]'"),
+        ({"direction": [0, 0, 3]}, "no unit vector"),
+        ({"direction": [1e300, 0, 0]}, "no unit vector|three finite numbers"),
+        ({"irradiance": [1, -1, 1]}, "negative"),
+        ({"irradiance": [1, 1e39, 1]}, "three finite numbers"),
+        ({"irradiance": [1, 10**400, 1]}, "three finite numbers"),
+        ({"irradiance": None}, "three finite numbers"),
+        ({"size_degrees": "wide"}, "'size_degrees'"),
+    ],
+)
+def test_a_lamp_of_several_that_makes_no_sense_is_refused_in_words(lamplit, change, words):
+    data = json.loads(lamplit[0].read_text())
+    data["suns"]["lamps"][2] |= change
+    with pytest.raises(InputError, match=words):
+        lighting_file.validate(data)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"lamps": []}, "no list of 1 to 64"),
+        ({"lamps": {"0": 1}}, "no list of 1 to 64"),
+        ({"lamps": [3]}, r"'lamps\[0\]' is no object"),
+        ({"sky": [[1, 1, 1]]}, "'sky' has 1 rows"),
+        ({"sky": None}, "'sky' has no list"),
+    ],
+)
+def test_suns_that_make_no_sense_are_refused_in_words(lamplit, change, words):
+    data = json.loads(lamplit[0].read_text())
+    with pytest.raises(InputError, match="'suns' is no object"):
+        lighting_file.validate(data | {"suns": [3]})
+    with pytest.raises(InputError, match="no list of 1 to 64"):
+        lighting_file.validate(data | {"suns": data["suns"] | {"lamps": data["suns"]["lamps"] * 22}})
+    data["suns"] |= change
+    with pytest.raises(InputError, match=words):
+        lighting_file.validate(data)
+
+
+def test_a_number_of_ten_thousand_digits_is_refused_in_words(tmp_path):
+    (tmp_path / "l.json").write_text('{"order": ' + "9" * 10_000 + "}")
+    with pytest.raises(InputError, match="not JSON"):
+        lighting_file.read(tmp_path / "l.json")

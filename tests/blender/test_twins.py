@@ -20,16 +20,21 @@ def test_every_lighting_that_the_engine_writes_is_read(tmp_path, order):
     rng = np.random.default_rng(order)
     x = rng.normal(size=((order + 1) ** 2, 3))
     sun = Sun((0, 0.6, 0.8), (3, 2, 1), (0.1, 0.1, 0.1), size_degrees=0.5)
-    light = files.Lighting(order, x, np.abs(x), rng.random(len(x)) < 0.5, exposure_ev=-1.5, sun=sun)
+    lamp = Sun((0, 0, -1), (1, 1, 1), (0.1, 0.1, 0.1), size_degrees=5)
+    light = files.Lighting(
+        order, x, np.abs(x), rng.random(len(x)) < 0.5, exposure_ev=-1.5, suns=(lamp, sun), interval=(x - 1, x + 1)
+    )
     files.write_lighting(tmp_path / "lighting.json", light)
     read = lighting_file.read(tmp_path / "lighting.json")
     assert np.array_equal(read["coefficients"], x) and np.array_equal(read["stddev"], np.abs(x))
     assert np.array_equal(read["determined"], light.determined) and read["exposure_ev"] == -1.5
-    assert np.allclose(read["sun"]["direction"], sun.direction) and np.array_equal(read["sun"]["sky"], light.sky)
+    assert [s["size_degrees"] for s in read["suns"]["lamps"]] == [0.5, 5] and len(light.suns) == 2
+    assert np.allclose(read["suns"]["lamps"][0]["direction"], sun.direction)
+    assert np.array_equal(read["suns"]["sky"], light.sky)
 
 
-def test_orders():
-    assert lighting_file.MAX_ORDER == files.MAX_ORDER
+def test_orders_and_lamps():
+    assert (lighting_file.MAX_ORDER, lighting_file.MOST_LAMPS) == (files.MAX_ORDER, files.MOST_LAMPS)
     assert sh_nodes.MAX_NODE_ORDER >= settings.LARGEST_ORDER  # what is estimated can be nodes
 
 
