@@ -254,7 +254,8 @@ def uncertainty_doubts(fit: Fit, lighting: Lighting, settings: Settings) -> list
             f"the photo determines {count} of {terms} coefficients, and not all of the first four, which hold the "
             "main direction of the light: the others are natural light's average; see stddev in lighting.json"
         )
-    clamped = clamped_share(lighting.sky)
+    # the log-normal light is positive itself: what its series lacks is in lighting.exr
+    clamped = 0.0 if settings.estimator == "map" else clamped_share(lighting.sky)
     if clamped > THRESHOLDS.clamped:
         out.append(
             f"the estimated light is negative in some directions ({100 * clamped:.0f} % of its power), as a series of "

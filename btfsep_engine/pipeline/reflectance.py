@@ -4,7 +4,9 @@
 Nothing is as Lambert has it, and light can imitate what a surface departs from it by: beside an ideal material those
 near it (`btf.departures`) are always tried. A measured one is doubted only where the misfit looks like shading
 (`fit.diagnose`, "diffuse"), which is what a wrong balance of matte and gloss leaves over. The material of the largest
-evidence, its prior counted, stands for the object in the fit. Objects are looked at one by one, the largest first.
+evidence, its prior counted, stands for the object in the fit. But roughness and a natural sky imitate each other, and
+the evidence cannot always tell: a departure is believed only where it makes the light simpler, a plain one, or one of
+far fewer effective unknowns. Objects are looked at one by one, the largest first.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +21,8 @@ from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.pipeline.problem import pose
 from btfsep_engine.pipeline.together import fit_together, stacked
 
-SPEAKS = 15.0  # chi^2 of the misfit's likeness to shading: half of what is warned of
+SPEAKS = 4.0  # chi^2 of the misfit's likeness to shading: half of what is warned of
+SIMPLER = 0.75  # of the effective unknowns
 CLEARLY = 3.0  # of the logarithm of the evidence: less is not worth a departure
 
 
@@ -43,6 +46,12 @@ def shading_left(problems, fit: Fit, solver, exposures) -> float:
     column = left_of(sh.irradiance(fit.every[:9], normals)) * weight
     left = (b - solver.basis.predicted(fit.every)) * weight
     return effect(left, column[None], stacked(problems)[1]).chi2
+
+
+def simpler(departed: Fit, fit: Fit) -> bool:
+    """Whether a fit's light is plain, or has far fewer effective unknowns than another's."""
+    plain = departed.found.rival is not None
+    return plain or departed.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
 
 
 def nearer_materials(problems, used, fit: Fit, solver, exposures, settings) -> Nearer:
@@ -72,7 +81,7 @@ def nearer_materials(problems, used, fit: Fit, solver, exposures, settings) -> N
                 for p, m in zip(problems, trial, strict=True)
             ]
             answer = fit_together(posed, settings)
-            if answer[0].evidence + near.log_prior > best:
+            if answer[0].evidence + near.log_prior > best and simpler(answer[0], fit):
                 best, found = answer[0].evidence + near.log_prior, (near, trial, posed, answer)
         if found is not None:
             near, used, problems, (fit, solver, exposures) = found
