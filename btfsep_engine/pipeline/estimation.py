@@ -24,7 +24,7 @@ from btfsep_engine.pipeline.doubts import (
     structure_doubts,
 )
 from btfsep_engine.pipeline.given import given_materials
-from btfsep_engine.pipeline.interreflection import open_share, own_light
+from btfsep_engine.pipeline.interreflection import NOT_SO_BRIGHT, contradicted, open_share, own_light
 from btfsep_engine.pipeline.lamps import key_lights
 from btfsep_engine.pipeline.modelling import (
     all_chosen_points,
@@ -145,6 +145,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
             straight = rich if rich is not None and settings.appearance == "textured" else problems
             used = [[appearance(m.material, settings) for m in found] for found in materials]
             own = own_light(straight, used, fit, solver, exposures, settings, bounces=MODELLED_BOUNCES)
+            straight_light = (problems, rich)
             if own.modelled:
                 asked = replace(asked, bounces=MODELLED_BOUNCES)
                 problems = all_with_own_light(
@@ -153,7 +154,11 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
                 rich = rich and all_with_own_light(rich, materials, replace(asked, appearance="textured"))
         if own.modelled:
             with reporter.stage("fit"):
+                without = (straight_light, settings, fit, solver, exposures, choice)
                 settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
+                if contradicted(fit, without[2]):
+                    (problems, rich), settings, fit, solver, exposures, choice = without
+                    own = replace(own, modelled=False, why=NOT_SO_BRIGHT)
         choice["interreflections"] = own.why
     choice.setdefault("appearance", why)
     if any(unseen_meshes(each.job) for each in scenes):

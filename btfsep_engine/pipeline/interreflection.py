@@ -24,6 +24,10 @@ from btfsep_engine.render.surface import SurfacePoints
 
 WORTH = 0.25  # stated standard deviations: a bias of that size is not in them; to model it costs a tenth of a second
 NEGLIGIBLE = 0.003  # of the sky's light: below any misfit
+AGAINST = 5.0  # of the logarithm of the evidence
+NOT_SO_BRIGHT = (
+    "interreflections are left out: the photo speaks against them; the material may be darker than it is said to be"
+)
 PROBE = 400  # pixels of an object at which the scene's own light is found
 MOST = 0.8  # of the photo: if other surfaces would add so much, they are modelled without a trial
 OPEN_DIRECTIONS = 128
@@ -49,6 +53,14 @@ class OwnLight:
     share: float | None
     change: float | None
     why: str
+
+
+def contradicted(fit: Fit, without: Fit) -> bool:
+    """Whether the photo speaks clearly against light between surfaces: a material may be darker than it is said to be.
+
+    Two fits of one photo and of as many unknowns; their evidences can be compared (`fit.log_normal`).
+    """
+    return fit.evidence is not None and fit.evidence < without.evidence - AGAINST
 
 
 def open_share(scene: PreparedScene, points: SurfacePoints) -> np.ndarray:
