@@ -49,7 +49,7 @@ def working_values(solver: LightSolver, radiance, clipped) -> tuple[np.ndarray, 
         return b, weights
     fit, values = solver.solve(b, weights=weights), b
     for _ in range(ROUNDS):
-        predicted = solver.basis.predicted(fit.every)
+        predicted = solver.basis.predicted(fit.shown)
         left = np.where(clipped, 0.0, b - predicted)
         s = np.sqrt(np.square(left).sum(0) / np.maximum((~clipped).sum(0), 1))
         s = np.maximum(s, 1e-3 * np.abs(predicted).mean(0) + 1e-300)

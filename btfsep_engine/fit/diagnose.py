@@ -97,10 +97,9 @@ def diagnose(solver, fit, radiance, *, blocks, position, normal, open_share) -> 
     blocks, position, normal, open_share : of the p points
     """
     left_of = solver.smoother(fit)
-    predicted = solver.basis.predicted(fit.every)
-    left = radiance - predicted
-    weight = 1 / solver.basis.response
-    columns = hypotheses(predicted, fit.every, position=position, normal=normal, open_share=open_share)
+    predicted = solver.basis.predicted(fit.shown)  # the smoother is the fit's derivative, not the fit
+    left, weight = radiance - predicted, 1 / solver.basis.response
+    columns = hypotheses(predicted, fit.shown, position=position, normal=normal, open_share=open_share)
     return {
         name: effect(left * weight, np.stack([left_of(c) * weight for c in each]), blocks)
         for name, each in columns.items()

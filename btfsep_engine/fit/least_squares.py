@@ -74,6 +74,11 @@ class Fit:
         """The coefficients of all orders of the fit."""
         return self.coefficients if self.all_coefficients is None else self.all_coefficients
 
+    @property
+    def shown(self) -> np.ndarray:
+        """The coefficients whose A x is the photo: as `every`, in the colour that the object gives them."""
+        return self.every if self.tint is None else self.every / self.tint.gain
+
 
 def reported_up_to(fit: Fit, order: int, solver) -> Fit:
     """The same fit, of a `log_normal.LightSolver`, with fewer orders reported."""

@@ -26,7 +26,7 @@ from btfsep_engine.fit.least_squares import Fit, determined
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.linear_algebra import one_thread
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
-from btfsep_engine.fit.search import Solution, solve
+from btfsep_engine.fit.search import FLOOR, Solution, solve
 from btfsep_engine.light.log_field import even_field, natural_field
 from btfsep_engine.light.natural import natural_amplitude
 
@@ -167,25 +167,25 @@ class LightSolver:
     def smoother(self, fit: Fit):
         """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.
 
-        The derivative of the fit by the photograph: with J of the unknowns, b - A J_x (I + J^T J)^-1 J_x^T A^T N^-1 b.
+        The derivative of the fit by the photograph: with J of the unknowns, b - A J_x (I + J^T J)^-1 J_x^T A^T N^-1 b,
+        a rich model's without the discrepancy and with the noise of `sharpened`.
         """
-        best, unit, photo = fit.found.solution, fit.found.unit, fit.found.photo
-        terms = self.basis.terms
-        plain = best.model.jacobian(best.white, best.radiance, [np.eye(terms)] * 3)
-        by_channel = plain.reshape(3, terms, -1)
-        weight = [1 / (v * photo.coarsening) for v in best.v]
+        best, photo = fit.found.solution, fit.found.photo
+        terms, rich = self.basis.terms, best.model.field.order > 0
+        with one_thread():
+            v, factor = best.v, best.factor
+            if rich:
+                v = np.maximum(photo.misfit(best.x), FLOOR**2 * photo.mean_square)
+                j = best.model.jacobian(best.white, best.radiance, photo.rows(v, strict=True).root)
+                factor = np.linalg.cholesky(np.eye(j.shape[1]) + j.T @ j)
+            by_light = best.model.jacobian(best.white, best.radiance, [np.eye(terms)] * 3)  # (3 terms, unknowns)
 
         def left(values):
-            b = np.asarray(values, np.float64)
             with one_thread():
-                score = np.zeros(len(best.white))
-                for c in range(3):
-                    moment = self.basis.rows(c).T @ (b[:, c] / (self.basis.response[c] * unit[c]))
-                    score += by_channel[c].T @ (weight[c] * moment)
-                step = solve_triangular(best.factor, score, lower=True)
-                step = solve_triangular(best.factor.T, step, lower=False)
-                x = (by_channel @ step).T * unit
-                return b - self.basis.predicted(x)
+                step = by_light.T @ photo.scores(values, v, strict=rich).ravel()
+                step = solve_triangular(factor, step, lower=True)
+                x = by_light @ solve_triangular(factor.T, step, lower=False)
+                return values - self.basis.predicted(x.reshape(3, terms).T * photo.level)
 
         return left
 

@@ -172,7 +172,7 @@ class Photograph:
         left = (self.b - predicted) * np.sqrt(self._weight)
         together = left.T @ left
         self.effective = float(np.trace(together) ** 2 / max((together**2).sum(), 1e-300))
-        self._smooth = []
+        self._smooth, self._first = [], predicted
         for c in range(3):
             f = self.basis.smooth * predicted[:, c, None]
             weighted = f * self._weight[:, c, None]
@@ -197,6 +197,19 @@ class Photograph:
             target.append(vectors.T @ moment / size)
             rest += max(float(energy - target[-1] @ target[-1]), 0.0)
         return Rows(root, target, rest, log_determinant)
+
+    def scores(self, radiance, v, *, strict: bool = False) -> np.ndarray:
+        """A^T N^-1 b of other values b (p, 3) than the photo's, in the photo's own unit: (3, terms)."""
+        b, out = np.asarray(radiance, np.float64) / (self.basis.response * self.level), []
+        for c in range(3):
+            w = 1 / (v[c] * self.coarsening)
+            weighted = w * self._weight[:, c] * b[:, c]
+            out.append(self.basis.rows(c).T @ weighted)
+            if self._smooth is not None and not strict:
+                ff, fa, _ = (each * w for each in self._smooth[c])
+                of_f = self.basis.smooth.T @ (self._first[:, c] * weighted)
+                out[c] = out[c] - fa.T @ np.linalg.solve(ff + np.eye(len(ff)), of_f)
+        return np.stack(out)
 
     def misfit(self, x) -> np.ndarray:
         """Mean square of b - A x in each channel, of coefficients (3, terms): (3,)."""

@@ -44,7 +44,7 @@ def outliers(solver: LightSolver, radiance, *, weights=None) -> np.ndarray:
     tukey, fit = np.ones(len(b)), None
     for _ in range(ROUNDS):
         fit = solver.solve(b, weights=own * np.maximum(tukey, LEAST)[:, None], start=fit)
-        left = (b - solver.basis.predicted(fit.every)) / solver.basis.response
+        left = (b - solver.basis.predicted(fit.shown)) / solver.basis.response
         before, tukey = tukey, tukey_weights(np.sqrt((own * np.square(left)).sum(1)))
         if np.abs(tukey - before).max() < SETTLED:
             break

@@ -53,7 +53,7 @@ def free_scales(basis, radiance, *, normals, blocks, free) -> np.ndarray:
     first = LightSolver(
         np.concatenate([basis[i] for i in held]), normals=np.concatenate([normals[i] for i in held]), order=order
     )
-    x, fit = first.solve(np.concatenate([radiance[i] for i in held])).every, None
+    x, fit = first.solve(np.concatenate([radiance[i] for i in held])).shown, None
     for _ in range(TURNS):
         before = scales.copy()
         for i in np.flatnonzero(free):
@@ -61,7 +61,7 @@ def free_scales(basis, radiance, *, normals, blocks, free) -> np.ndarray:
         if np.abs(scales / before - 1).max() < SETTLED:
             break
         fit = solver.solve(np.concatenate([b / s for b, s in zip(radiance, scales, strict=True)]), start=fit)
-        x = fit.every
+        x = fit.shown
     return scales
 
 

@@ -178,7 +178,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     choice["light"] = light_words(fit)
     choice["colour"] = colour_words(fit)
     measured, photos = [p.radiance() for p in problems], []
-    shown = [p.predicted(fit.every) for p in problems]
+    shown = [p.predicted(fit.shown) for p in problems]
     for problem, b, exposure, image in zip(problems, measured, exposures, shown, strict=True):
         left = b - exposure * image
         residuals = [

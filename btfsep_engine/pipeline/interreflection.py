@@ -102,7 +102,7 @@ def own_light(problems, materials, fit: Fit, solver, exposures, settings, *, bou
     bound = max(even_sky_bound(q.scene, m, p) for q, m, p in zip(problems, materials, few, strict=True))
     if bound < NEGLIGIBLE:
         return OwnLight(False, bound, None, None, words(False, bound, None, None))
-    x = fit.every
+    x = fit.shown
     problems = [p.up_to(sh.order_of(len(x))) for p in problems]
     light, added = SHLighting(np.asarray(x)), []
     for problem, own, some in zip(problems, materials, few, strict=True):

@@ -145,7 +145,7 @@ def chosen_fit(problems, rich, settings: Settings):
     if rich is not None:
         other = fit_together(rich, settings)
         left = [
-            np.concatenate([p.radiance() / e - p.predicted(f.every) for p, e in zip(posed_problems, es, strict=True)])
+            np.concatenate([p.radiance() / e - p.predicted(f.shown) for p, e in zip(posed_problems, es, strict=True)])
             for posed_problems, (f, _, es) in ((problems, (fit, solver, exposures)), (rich, other))
         ]
         appearance_name, choice["appearance"] = appearance_choice(*left, stacked(problems)[1])

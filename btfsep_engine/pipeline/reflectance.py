@@ -43,8 +43,8 @@ def shading_left(problems, fit: Fit, solver, exposures) -> float:
     b = np.concatenate([p.radiance() / e for p, e in zip(problems, exposures, strict=True)]).astype(np.float64)
     normals = np.concatenate([p.normals for p in problems])
     weight = 1 / solver.basis.response
-    column = left_of(sh.irradiance(fit.every[:9], normals)) * weight
-    left = (b - solver.basis.predicted(fit.every)) * weight
+    column = left_of(sh.irradiance(fit.shown[:9], normals)) * weight
+    left = (b - solver.basis.predicted(fit.shown)) * weight
     return effect(left, column[None], stacked(problems)[1]).chi2
 
 

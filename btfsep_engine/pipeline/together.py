@@ -72,6 +72,6 @@ def fit_together(problems: list[Problem], settings) -> tuple[Fit, LightSolver | 
 
 def exposure_of(problem: Problem, measured, fit: Fit) -> float:
     """The factor on the light that explains a photo best, least squares, > 0."""
-    predicted = problem.predicted(fit.every)
+    predicted = problem.predicted(fit.shown)
     factor = float((predicted * measured).sum() / max(float(np.square(predicted).sum()), 1e-300))
     return max(factor, 1e-6)

@@ -97,4 +97,4 @@ class Verification:
         good = np.isfinite(b).all(-1)
         basis = self.few_transport.radiance(mean, SHBasis(ORDER))[good]
         fit = LightSolver(basis, normals=self.points.normal[self.few][good], order=ORDER).solve(b[good])
-        return SHLighting(fit.coefficients)
+        return SHLighting(fit.shown)
