@@ -1,100 +1,100 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clipped pixels as inequalities, against a light that is known."""
+"""Clipped pixels as inequalities, against a light that is known and Tobin's likelihood written out."""
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.censored import HIDDEN, solve_censored, with_hidden_light
-from btfsep_engine.fit.map_estimate import solve_map
-from btfsep_engine.light.natural import natural_prior
-from tests.engine.half_sphere import ORDER, half_sphere, off, side_light
+from btfsep_engine.fit import censored
+from btfsep_engine.fit.censored import working_values
+from btfsep_engine.fit.log_normal import LightSolver
+from tests.engine.half_sphere import SUN, even, half_sphere, lamp, off, shown, side_light
 
 
 @pytest.fixture
 def photographed(rng):
-    """basis, b with noise of 2 %, blocks, prior, true light."""
-    prior = natural_prior(ORDER)
-    basis, blocks = half_sphere(rng)
+    """solver, b with noise of 2 %, true light."""
+    basis, normals, _ = half_sphere(rng)
     x = side_light()
-    b = np.einsum("pmc,mc->pc", basis, x)
-    return basis, b * (1 + 0.02 * rng.normal(size=b.shape)), blocks, prior, x
+    return LightSolver(basis, normals=normals, order=2), shown(basis, x, rng, 0.02), x
+
+
+def cut(b, quantile):
+    """The photo clipped at a quantile of its pixels' brightest channels, and where."""
+    limit = np.quantile(b.max(1), quantile)
+    return np.minimum(b, limit), b >= limit
 
 
 def test_inequalities_recover_what_exclusion_loses(photographed):
-    basis, b, blocks, prior, x = photographed
-    limit = np.quantile(b.max(1), 0.5)
-    clipped, cut = b >= limit, np.minimum(b, limit)
-    how = {"prior": prior, "order": ORDER}
-    found = solve_censored(basis, cut, clipped, blocks=blocks, **how)
-    whole = ~clipped.any(1)
-    excluded = solve_map(basis[whole], cut[whole], blocks=blocks[whole], **how)
-    taken_at_the_limit = solve_map(basis, cut, blocks=blocks, **how)
-    assert off(found.fit, x) < 0.8 * off(excluded, x)
-    assert off(found.fit, x) < 0.7 * off(taken_at_the_limit, x)
-    assert (found.radiance[clipped] >= limit - 1e-12).all()
-    assert np.array_equal(found.radiance[~clipped], cut[~clipped])
-    assert not found.active[~clipped].any()
+    solver, b, x = photographed
+    values, clipped = cut(b, 0.5)
+    working, weights = working_values(solver, values, clipped)
+    found = solver.solve(working, weights=weights)
+    excluded = solver.solve(values, weights=(~clipped).astype(float))
+    taken_at_the_limit = solver.solve(values)
+    assert off(found, x) < 0.9 * off(excluded, x)
+    assert off(found, x) < 0.5 * off(taken_at_the_limit, x)
+    np.testing.assert_array_equal(working[~clipped], values[~clipped])
+    assert (weights[~clipped] == 1).all() and (weights >= 0).all() and (weights <= 1).all()
 
 
 def test_an_inequality_stops_light_that_the_clipped_pixels_contradict(photographed):
-    """A pixel that is clipped although the rest of the photo explains less pulls the light up to the limit."""
-    basis, b, blocks, prior, _ = photographed
-    limit = np.quantile(b.max(1), 0.6)
-    clipped, cut = b >= limit, np.minimum(b, limit)
-    # a brighter light on what is clipped alone: nothing of that is in the other pixels
-    found = solve_censored(basis, np.where(clipped, 3 * limit, cut), clipped, blocks=blocks, prior=prior, order=ORDER)
-    plain = solve_censored(basis, cut, clipped, blocks=blocks, prior=prior, order=ORDER)
+    """Pixels that are clipped although the rest of the photo explains less pull the light up to the limit."""
+    solver, b, _ = photographed
+    values, clipped = cut(b, 0.6)
 
-    def bright(fit):
-        return np.einsum("pmc,mc->pc", basis, fit.coefficients)[clipped].mean()
+    def bright(limited):
+        working, weights = working_values(solver, limited, clipped)
+        return solver.basis.predicted(solver.solve(working, weights=weights).every)[clipped].mean(), weights
 
-    assert found.active.sum() > plain.active.sum()
-    assert bright(found.fit) > 1.15 * bright(plain.fit)
+    (plain, few), (pulled, many) = bright(values), bright(np.where(clipped, 2 * values, values))
+    assert pulled > 1.15 * plain and many[clipped].mean() > 2 * few[clipped].mean()
 
 
-def test_without_clipping_it_is_the_plain_fit(photographed):
-    basis, b, blocks, prior, _ = photographed
-    found = solve_censored(basis, b, np.zeros(b.shape, bool), blocks=blocks, prior=prior, order=ORDER)
-    plain = solve_map(basis, b, blocks=blocks, prior=prior, order=ORDER)
-    assert found.rounds == 1 and found.used.all()
-    np.testing.assert_array_equal(found.fit.coefficients, plain.coefficients)
+def test_without_clipping_nothing_changes(photographed):
+    solver, b, _ = photographed
+    working, weights = working_values(solver, b, np.zeros(b.shape, bool))
+    np.testing.assert_array_equal(working, b)
+    assert (weights == 1).all()
 
 
 def test_a_photo_that_is_clipped_everywhere_is_refused(photographed):
-    basis, b, blocks, prior, _ = photographed
+    solver, b, _ = photographed
     with pytest.raises(InputError, match="clipped"):
-        solve_censored(basis, b, np.ones(b.shape, bool), blocks=blocks, prior=prior, order=ORDER)
+        working_values(solver, b, np.ones(b.shape, bool))
 
 
-def test_a_clipped_channel_enters_as_what_is_expected_of_it(photographed):
-    """The fixed point against drawn normal numbers: their mean above the limit."""
-    basis, b, blocks, prior, _ = photographed
-    limit = np.quantile(b.max(1), 0.7)
-    clipped, cut = b >= limit, np.minimum(b, limit)
-    found = solve_censored(basis, cut, clipped, blocks=blocks, prior=prior, order=ORDER, rounds=60)
-    predicted = np.einsum("pmc,mc->pc", basis, found.fit.all_coefficients)
-    spread = np.sqrt(np.square(cut - predicted)[~clipped.any(1)].mean(0))
-    p, c = np.argwhere(clipped & (np.abs(predicted - limit) < spread))[0]
-    draws = np.random.default_rng(1).normal(predicted[p, c], spread[c], 400_000)
-    assert found.radiance[p, c] == pytest.approx(draws[draws >= limit].mean(), rel=0.01)
+def test_a_clipped_lamp_is_brighter_than_as_if_measured(rng):
+    basis, normals, _ = half_sphere(rng)
+    b = shown(basis, even(0.2 * np.ones(3)) + lamp(SUN, [4.0, 4.0, 4.0]), rng, 0.02)
+    solver = LightSolver(basis, normals=normals, order=2)
+    values, clipped = cut(b, 0.7)
+    working, weights = working_values(solver, values, clipped)
+    found, measured = solver.solve(working, weights=weights), solver.solve(values)
+    assert found.lamps[0].irradiance.mean() == pytest.approx(4.0, rel=0.1)
+    assert not measured.lamps or measured.lamps[0].irradiance.mean() < 0.9 * found.lamps[0].irradiance.mean()
 
 
-def test_clipping_widens_what_is_stated_by_a_part_of_natural_light(photographed):
-    basis, b, blocks, prior, _ = photographed
-    limit = np.quantile(b.max(1), 0.4)
-    clipped = b >= limit
-    found = solve_censored(basis, np.minimum(b, limit), clipped, blocks=blocks, prior=prior, order=ORDER).fit
-    share = float(clipped.mean())
-    wider = with_hidden_light(found, share, prior)
-    natural = found.coefficients[0].mean() * prior.deviation
-    grown = wider.stddev**2 - found.stddev**2
-    np.testing.assert_allclose(grown, np.broadcast_to((HIDDEN**2 * share * natural**2)[:, None], grown.shape))
-    few = len(found.covariance) // 3
-    np.testing.assert_allclose(
-        (wider.covariance - found.covariance), np.diag(np.repeat(HIDDEN**2 * share * natural[:few] ** 2, 3)), atol=1e-12
-    )
-    assert np.linalg.eigvalsh(wider.covariance).min() > 0
-    assert wider.determined.sum() < found.determined.sum() and not (wider.determined & ~found.determined).any()
-    np.testing.assert_array_equal(wider.coefficients, found.coefficients)
-    assert with_hidden_light(found, 0.0, prior) is found
+def test_working_values_have_the_slope_and_curvature_of_tobins_likelihood(photographed, monkeypatch):
+    """One measurement for each clipped channel: weight times misfit, and weight, are log Phi's derivatives at p."""
+    solver, b, _ = photographed
+    values, clipped = cut(b, 0.5)
+    monkeypatch.setattr(censored, "ROUNDS", 1)  # so that p, the first fit's prediction, is known here
+    working, weights = working_values(solver, values, clipped)
+    p = solver.basis.predicted(solver.solve(values, weights=(~clipped).astype(float)).shown)
+    left = np.where(clipped, 0.0, values - p)
+    s = np.sqrt(np.square(left).sum(0) / (~clipped).sum(0))
+    z = (values - p) / s
+    spoken = clipped & (weights > censored.LIGHTEST) & (weights < 1) & (np.abs(z) < censored.FARTHEST)
+    assert spoken.sum() > 200
+
+    def likelihood(at):
+        return norm.logcdf((at - values) / s)
+
+    step = 1e-4 * s
+    slope = (likelihood(p + step) - likelihood(p - step)) / (2 * step)
+    curvature = (likelihood(p + step) - 2 * likelihood(p) + likelihood(p - step)) / step**2
+    by_squares = weights * (working - p) / s**2
+    np.testing.assert_allclose(by_squares[spoken], slope[spoken], rtol=1e-4)
+    np.testing.assert_allclose((weights / s**2)[spoken], -curvature[spoken], rtol=1e-3)

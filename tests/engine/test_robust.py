@@ -1,59 +1,47 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Robust weights against outliers of known place."""
+"""Pixels that the light does not explain, of known place."""
 
 import numpy as np
 
-from btfsep_engine.fit.map_estimate import solve_map
-from btfsep_engine.fit.robust import TUNING, solve_robust, weights_of
-from btfsep_engine.light.natural import natural_prior
-from tests.engine.half_sphere import ORDER, half_sphere, off, side_light
+from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.robust import outliers, tukey_weights
+from btfsep_engine.pipeline.real_photo import STIFF
+from tests.engine.half_sphere import half_sphere, off, shown, side_light
 
 
-def test_things_in_front_lose_their_weight(rng):
-    prior = natural_prior(ORDER)
-    basis, blocks = half_sphere(rng)
+def test_things_in_front_are_found_and_the_light_without_them_is_right(rng):
+    basis, normals, _ = half_sphere(rng)
     x = side_light()
-    b = np.einsum("pmc,mc->pc", basis, x)
-    b *= 1 + 0.02 * rng.normal(size=b.shape)
+    b = shown(basis, x, rng, 0.02)
     covered = rng.random(len(b)) < 0.15
     b[covered] = 4 * b.mean()
-    found = solve_robust(basis, b, blocks=blocks, prior=prior, order=ORDER, kind="tukey")
-    plain = solve_map(basis, b, blocks=blocks, prior=prior, order=ORDER)
-    assert off(found.fit, x) < 0.35 * off(plain, x)
-    assert np.median(found.weights[covered]) < 0.2 < 0.8 < np.median(found.weights[~covered])
+    found = outliers(LightSolver(basis, normals=normals, order=2, coarsening=STIFF), b)
+    assert found[covered].mean() > 0.95 and found[~covered].mean() < 0.03
+    fooled = LightSolver(basis, normals=normals, order=2).solve(b)
+    without = LightSolver(basis[~found], normals=normals[~found], order=2).solve(b[~found])
+    assert off(without, x) < 0.35 * off(fooled, x)
 
 
-def test_weights_by_block_are_the_same_in_a_block(rng):
-    prior = natural_prior(ORDER)
-    basis, blocks = half_sphere(rng, pixels=600)
-    b = np.einsum("pmc,mc->pc", basis, side_light()) * (1 + 0.05 * rng.normal(size=(600, 3)))
-    b[blocks == 3] *= 3
-    found = solve_robust(basis, b, blocks=blocks, prior=prior, order=ORDER, kind="tukey", by="block")
-    for each in np.unique(blocks):
-        assert np.ptp(found.weights[blocks == each]) == 0
-    assert found.weights[blocks == 3].max() < 0.1
+def test_noise_alone_has_next_to_no_outliers(rng):
+    basis, normals, _ = half_sphere(rng, pixels=800)
+    b = shown(basis, side_light(), rng, 0.05)
+    assert outliers(LightSolver(basis, normals=normals, order=2, coarsening=STIFF), b).mean() < 0.03
 
 
-def test_weights_are_those_of_the_published_functions():
+def test_weights_are_those_of_the_published_function():
     sizes = np.concatenate([np.ones(101), [2.0, 4.0, 20.0]])  # their median is 1, so the spread is 1.4826
     u = sizes / 1.4826
-    huber, tukey = (weights_of(sizes, kind=k) for k in ("huber", "tukey"))
-    np.testing.assert_allclose(huber, np.minimum(1, 1.345 / u))
-    np.testing.assert_allclose(tukey, np.where(u < 4.685, (1 - (u / 4.685) ** 2) ** 2, 0))
-    assert tukey[-1] == 0 < huber[-1] and set(TUNING) == {"huber", "tukey"}
-    assert (weights_of(np.zeros(5), kind="tukey") == 1).all()
+    np.testing.assert_allclose(tukey_weights(sizes), np.where(u < 4.685, (1 - (u / 4.685) ** 2) ** 2, 0))
+    assert tukey_weights(sizes)[-1] == 0
+    assert (tukey_weights(np.zeros(5)) == 1).all()
 
 
-def test_a_pixel_of_small_weight_counts_as_a_measurement_of_large_noise(rng):
-    """The fixed point: the fit is that of rows scaled by the roots of the weights of its own residuals."""
-    prior = natural_prior(ORDER)
-    basis, blocks = half_sphere(rng, pixels=800)
-    b = np.einsum("pmc,mc->pc", basis, side_light()) * (1 + 0.03 * rng.standard_t(2, size=(800, 3)))
-    found = solve_robust(basis, b, blocks=blocks, prior=prior, order=ORDER, kind="huber")
-    root = np.sqrt(found.weights)
-    assert np.ptp(found.weights) > 0.5
-    how = dict(blocks=blocks, prior=prior, order=ORDER, coarsening=found.solver.coarsening)
-    again = solve_map(basis * root[:, None, None], b * root[:, None], **how)
-    plain = solve_map(basis, b, **how)
-    gap = np.linalg.norm(found.fit.coefficients - again.coefficients)
-    assert gap < 0.05 * np.linalg.norm(found.fit.coefficients - plain.coefficients)
+def test_a_pixel_of_no_weight_is_no_outlier_and_makes_none(rng):
+    """What is clipped or hidden says nothing: neither does it stand apart, nor does it spoil what does."""
+    basis, normals, _ = half_sphere(rng, pixels=800)
+    b = shown(basis, side_light(), rng, 0.02)
+    b[:80] *= 5
+    weights = np.ones_like(b)
+    weights[:80] = 0
+    found = outliers(LightSolver(basis, normals=normals, order=2, coarsening=STIFF), b, weights=weights)
+    assert not found[:80].any() and found[80:].mean() < 0.03

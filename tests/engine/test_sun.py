@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A key light: as harmonics, as a disc, in the file, and the evidence for it against dense Gaussian algebra."""
+"""A key light: as harmonics, as a disc, in the file."""
 
 import json
 
@@ -9,10 +9,7 @@ import pytest
 from btfsep_engine import sh
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.map_estimate import LightSolver
-from btfsep_engine.fit.sun import BeamTest, over_the_sky
 from btfsep_engine.light.files import Lighting, exactly, lighting_map, read_lighting, write_lighting
-from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.light.sun import Sun, cap_around
 
 DIRECTION = np.array([0.48, -0.6, 0.64])
@@ -96,50 +93,3 @@ def test_directions_of_a_cap_are_spread_evenly_over_it():
     assert np.allclose(np.linalg.norm(around, axis=1), 1) and cosine.min() > np.cos(0.3)
     assert np.allclose(np.sort((1 - cosine) / (1 - np.cos(0.3))), (np.arange(200) + 0.5) / 200)  # even in area
     assert np.linalg.norm(around.mean(0) - DIRECTION * cosine.mean()) < 0.01
-
-
-def log_normal(b, covariance) -> float:
-    return -0.5 * (np.linalg.slogdet(covariance)[1] + b @ np.linalg.solve(covariance, b))
-
-
-def test_the_evidence_for_a_beam_is_that_of_dense_gaussian_algebra():
-    rng = np.random.default_rng(0)
-    pixels, order, beams = 40, 2, 3
-    terms = sh.term_count(order)
-    basis = rng.normal(size=(pixels, terms, 3)) * 0.2
-    basis[:, 0] = 0.3 + 0.1 * rng.random((pixels, 3))
-    response = rng.random((pixels, beams, 3))
-    prior, blocks = natural_prior(order), np.arange(pixels) // 5
-    x = rng.normal(size=(terms, 3)) * 0.3
-    x[0] = 3.0
-    b = np.einsum("ptc,tc->pc", basis, x) + 0.4 * response[:, 1] + 0.05 * rng.normal(size=(pixels, 3))
-    solver = LightSolver(basis, blocks=blocks, prior=prior, order=order)
-    found = solver.solve(b).found
-    test = BeamTest(solver, found, b)
-    asked = test.ask(response.astype(np.float32))
-
-    unit = solver.factorised.response
-    rows = np.zeros((3, pixels, 3, terms))
-    for c in range(3):
-        rows[c, :, c] = basis[:, :, c] / unit[c]
-    rows = rows.reshape(3 * pixels, 3 * terms)
-    same = (blocks[:, None] == blocks).astype(float)
-    noise = np.kron(found.channels, np.eye(pixels) + found.correlation * same) * found.v * solver.coarsening
-    without = rows @ prior.covariance() @ rows.T * found.q * found.v + noise
-    left = (b / unit).T.ravel()
-    for j in range(beams):
-        column = np.zeros((3, pixels, 3))
-        for c in range(3):
-            column[c, :, c] = response[:, j, c] / unit[c]
-        column = column.reshape(3 * pixels, 3)
-        with_it = without + column @ test.prior @ column.T
-        gain = log_normal(left, with_it) - log_normal(left, without)
-        s = test.prior @ column.T @ np.linalg.solve(with_it, left)
-        assert np.allclose(asked.irradiance[j], s, rtol=1e-3, atol=1e-3 * np.abs(s).max())
-        if s.mean() > 0:
-            assert asked.evidence[j] == pytest.approx(gain, rel=2e-3, abs=0.02)
-        else:
-            assert asked.evidence[j] == -np.inf
-    assert asked.evidence.argmax() == 1
-    assert over_the_sky(np.array([5.0, 5.0, 5.0])) == pytest.approx(5)
-    assert over_the_sky(np.array([5.0, -np.inf])) == pytest.approx(5 - np.log(2))

@@ -96,7 +96,7 @@ def test_the_estimator_is_the_presets_or_as_told(sphere_job_folder, capsys, how,
         assert result["effective_degrees_of_freedom"] == 9 and result["noise"] is None
     else:
         assert 8 < result["effective_degrees_of_freedom"] < 100 and result["noise"] < 0.05
-        assert 0.02 < result["prior_scale"] < 10 and result["block_correlation"] >= 0
+        assert result["colour_unknown"] < 0.5 and "light" in result["choice"] and "colour" in result["choice"]
 
 
 @pytest.mark.parametrize("material", ["reference/chrome", "reference/white-diffuse"])

@@ -10,11 +10,9 @@ import trimesh
 from btfsep_engine import images
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
-from btfsep_engine.fit.censored import with_hidden_light
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.light.natural import natural_prior
 from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate
 from btfsep_engine.pipeline.modelling import all_chosen_points, chosen_fit, posed
 from btfsep_engine.pipeline.real_photo import PHOTOS_OWN

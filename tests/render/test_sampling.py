@@ -11,7 +11,7 @@ from btfsep_engine.btf.model import Lambertian, Mirror
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import Photo, TriangleMesh
 from btfsep_engine.light.lightings import SHBasis, SHLighting
-from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -39,8 +39,7 @@ def enough(scene, points, material, tolerance):
 
 
 def error_against_many(scene, points, material, directions, order=9):
-    prior = natural_prior(order)
-    natural = np.sqrt(prior.deviation**2 + prior.mean**2)[:, None]
+    natural = natural_amplitude(order)[:, None]
     lights = SHBasis(order)
     right = scene.transport(points, directions=16384).radiance(material, lights) * natural
     found = scene.transport(points, directions=directions).radiance(material, lights) * natural
@@ -121,7 +120,7 @@ def test_rare_normals_are_worth_more_than_their_area():
     """A small ball on a table: the light that the table cannot tell is seen on the ball alone."""
     scene, points = prepared(table_with_ball())
     basis = scene.radiance(points, GREY, SHBasis(4), directions=256)[..., 0].astype(np.float64)
-    basis *= natural_prior(4).deviation
+    basis *= natural_amplitude(4)
 
     def determined(chosen):
         rows = basis[chosen] / (0.1 * basis[:, 0].mean())
@@ -136,8 +135,7 @@ def test_rare_normals_are_worth_more_than_their_area():
 def test_leverage_is_that_of_the_cheap_basis():
     _, points = prepared(ball())
     found = sampling.leverage(points.normal, points.to_eye)
-    prior = natural_prior(sampling.LEVERAGE_ORDER)
-    rows = sampling.cheap_basis(points.normal, points.to_eye) * np.sqrt(prior.deviation**2 + prior.mean**2)
+    rows = sampling.cheap_basis(points.normal, points.to_eye) * natural_amplitude(sampling.LEVERAGE_ORDER)
     rows *= np.sqrt(sampling.EVIDENCE) / sampling.MISFIT / np.sqrt((rows[:, 0] ** 2).mean())
     covariance = np.linalg.inv(rows.T @ rows / len(rows) + np.eye(rows.shape[1]))
     exact = np.einsum("pi,ij,pj->p", rows, covariance, rows)
