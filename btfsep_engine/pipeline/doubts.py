@@ -35,11 +35,11 @@ class Thresholds:
     shift: float = 1.5
     shift_gain: float = 1.1
     shift_contrast: float = 1.3
-    near: float = 8.0
-    near_size: float = 0.05
-    blocked: float = 8.0
-    blocked_size: float = 0.05
-    diffuse: float = 8.0
+    near: float = 50.0
+    near_size: float = 0.3
+    blocked: float = 60.0
+    blocked_size: float = 0.4
+    diffuse: float = 25.0
     clamped: float = 0.1
     residual: float = 0.55
     explained: float = 0.02

@@ -21,7 +21,7 @@ from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.pipeline.problem import pose
 from btfsep_engine.pipeline.together import fit_together, stacked
 
-SPEAKS = 4.0  # chi^2 of the misfit's likeness to shading: half of what is warned of
+SPEAKS = 12.0  # chi^2 of the misfit's likeness to shading: half of what is warned of
 SIMPLER = 0.75  # of the effective unknowns
 CLEARLY = 3.0  # of the logarithm of the evidence: less is not worth a departure
 

@@ -4,7 +4,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import trimesh
 
 from btfsep_engine import images
@@ -13,7 +12,7 @@ from btfsep_engine.cli import main
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate
+from btfsep_engine.pipeline.estimation import ObjectMaterial
 from btfsep_engine.pipeline.modelling import all_chosen_points, chosen_fit, posed
 from btfsep_engine.pipeline.real_photo import PHOTOS_OWN
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -89,39 +88,6 @@ def test_a_clipped_photo_gives_the_light_of_the_whole_one_as_nearly_as_can_be():
     as_if_measured, _, _ = light_of(scene, given)
     assert off(fit) < off(without) and off(fit) < 0.95 * off(as_if_measured)
     assert problem.radiance().max() > blind.radiance.max()
-
-
-def test_what_clipping_hides_is_in_the_stated_uncertainty():
-    scene = scene_of_balls([(0, 0, 0)], limit=0.5)
-
-    class Library:
-        def load(self, name):
-            return GREY
-
-    found = estimate(scene, Library(), SETTINGS, material="test/grey")
-    judged_by_the_rest, problem, _ = light_of(scene, [ObjectMaterial("test/grey", GREY, True)])
-    assert 0.1 < problem.clipped < 0.8
-    wider = with_hidden_light(judged_by_the_rest, problem.clipped, natural_prior(9))
-    np.testing.assert_allclose(found.lighting.stddev, wider.stddev, rtol=1e-6)
-    assert (found.lighting.stddev[1:] > 1.5 * judged_by_the_rest.stddev[1:]).all()
-
-
-@pytest.mark.parametrize("clipped_first", [True, False])
-def test_what_one_photo_clips_and_another_shows_is_not_hidden(clipped_first):
-    scenes = [scene_of_balls([(0, 0, 0)], limit=limit) for limit in (0.5, None)]
-    if not clipped_first:
-        scenes.reverse()
-
-    class Library:
-        def load(self, name):
-            return GREY
-
-    given = [[ObjectMaterial("test/grey", GREY, True)]] * 2
-    problems, rich = posed(scenes, given, all_chosen_points(scenes, SETTINGS), SETTINGS, both=False)
-    _, both, _, _, _ = chosen_fit(problems, rich, SETTINGS)
-    assert sorted(p.clipped > 0.1 for p in problems) == [False, True]
-    found = estimate(scenes[0], Library(), SETTINGS, material="test/grey", others=scenes[1:])
-    np.testing.assert_allclose(found.lighting.stddev, both.stddev, rtol=1e-6)
 
 
 def test_each_frame_of_a_sequence_is_clipped_as_it_is_itself(sphere_job_folder, capsys):
