@@ -100,7 +100,7 @@ PRESETS = {
         appearance="mean",
         pixels=0,
         directions=1024,
-        bounces=1,
+        bounces=MODELLED_BOUNCES,
         recogniser="paper",
         verify=False,
     ),

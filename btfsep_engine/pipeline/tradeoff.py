@@ -84,8 +84,8 @@ def variations(*, quick: bool = False) -> list[tuple[str, str, dict]]:
 
 
 def _words(key, value) -> str:
-    if key in ("order", "key_light"):
-        return f"{key} {value}".replace("_", " ")
+    if key == "order":
+        return f"order {value}"
     return str(value) if isinstance(value, str) else f"{value:,} {key}".replace("_", " ")
 
 

@@ -4,13 +4,14 @@
 import cv2
 import numpy as np
 
-from btfsep_engine.fit.censored import solve_censored, with_hidden_light
+from btfsep_engine.fit.censored import working_values
 from btfsep_engine.fit.compare import relative_l2
-from btfsep_engine.fit.map_estimate import solve_map
-from btfsep_engine.fit.robust import outliers, solve_robust
+from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.robust import outliers
 from btfsep_engine.fit.white_balance import free_scales
 from btfsep_engine.images import linear_to_srgb, srgb_to_linear
-from btfsep_engine.light.natural import natural_prior
+from btfsep_engine.pipeline.real_photo import STIFF
+from scripts.studies.measures import covered
 
 ORDER = 4
 CLIPPED = (0.01, 0.05, 0.1, 0.2, 0.4)  # share of the object's pixels
@@ -19,7 +20,6 @@ EDGES = (1, 2, 3, 4, 6)  # pixels in from the silhouette, from which on they are
 SPECKS = (0.01, 0.02, 0.05, 0.1, 0.2)  # share of the object that something else covers
 SHADES = (1.1, 1.25, 1.5, 2.0, 3.0)  # red of a piece over the library's, and blue of the library's over the piece's
 BRIGHT = 0.8  # of the 99.5th percentile of the object in a well exposed 8-bit photo
-NORMAL_95 = 1.96
 INNER = 2  # pixels nearer to the silhouette are left out, as the engine does
 
 
@@ -33,10 +33,21 @@ def error_of_colour(fit, truth) -> float:
     return relative_l2(fit.coefficients[:9], truth[:9])["relative_l2"]
 
 
+def solver_of(view, chosen, key="mean", *, coarsening=1.0) -> LightSolver:
+    """The basis images of the chosen pixels, (p,) bool or numbers, made ready."""
+    return LightSolver(view.basis[key][chosen], normals=view.normals[chosen], order=ORDER, coarsening=coarsening)
+
+
 def plain(view, b, chosen, key="mean"):
     """The fit of the chosen pixels, (p,) bool or numbers."""
-    blocks = view.blocks[chosen]
-    return solve_map(view.basis[key][chosen], b[chosen], blocks=blocks, prior=natural_prior(9), order=ORDER)
+    return solver_of(view, chosen, key).solve(b[chosen])
+
+
+def censored(view, cut, clipped, keep):
+    """The fit in which clipped channels count as at least as bright as they are."""
+    values, weights = working_values(solver_of(view, keep), cut[keep], clipped[keep])
+    used = weights.any(1)
+    return solver_of(view, np.flatnonzero(keep)[used]).solve(values[used], weights=weights[used])
 
 
 def inner(view) -> np.ndarray:
@@ -44,48 +55,33 @@ def inner(view) -> np.ndarray:
     return view.depth >= INNER
 
 
+def clipped_at(view, light, share):
+    """A photograph (p, 3) clipped per channel at one limit, and where: of so large a share of the inner pixels."""
+    b = view.at(view.photos[light]).astype(np.float64)
+    limit = float(np.quantile(b[inner(view)].max(1), 1 - share)) if share else np.inf
+    return np.minimum(b, limit), b >= limit
+
+
 def clipping(view, light, rng) -> dict:
     """{estimator: (error at none and at each severity)} of photographs clipped per channel at one limit."""
-    image, truth, keep = view.photos[light], view.truths[light], inner(view)
-    b = view.at(image).astype(np.float64)
-    rows = {"left out": [], "inequality": [], "inequality, pixels with a channel left": []}
-    first = error(plain(view, b, keep), truth)
+    truth, keep = view.truths[light], inner(view)
+    rows: dict = {"left out": [], "inequality": []}
     for share in (0, *CLIPPED):
-        if share == 0:
-            for row in rows.values():
-                row.append(first)
-            continue
-        limit = float(np.quantile(b[keep].max(1), 1 - share))
-        clipped, cut = b >= limit, np.minimum(b, limit)
+        cut, clipped = clipped_at(view, light, share)
         rows["left out"].append(error(plain(view, cut, keep & ~clipped.any(1)), truth))
-        for name, partly in (("inequality", False), ("inequality, pixels with a channel left", True)):
-            found = solve_censored(
-                view.basis["mean"][keep],
-                cut[keep],
-                clipped[keep],
-                blocks=view.blocks[keep],
-                prior=natural_prior(9),
-                order=ORDER,
-                partly=partly,
-            )
-            rows[name].append(error(found.fit, truth))
+        rows["inequality"].append(error(censored(view, cut, clipped, keep), truth))
     return rows
 
 
 def stated(view, light, rng) -> dict:
-    """Shares of the true coefficients in the 95 % intervals, photographs clipped as in :func:`clipping`."""
-    truth, keep, prior = view.truths[light][:9], inner(view), natural_prior(9)
-    b = view.at(view.photos[light]).astype(np.float64)[keep]
-    rows: dict = {"judged by what is left": [], "with what clipping hides": []}
+    """Shares of the true coefficients in what is stated, photographs clipped as in :func:`clipping`."""
+    truth, keep = view.truths[light][:9], inner(view)
+    rows: dict = {"1.96 standard deviations": [], "95 % range": []}
     for share in (0, *CLIPPED):
-        limit = float(np.quantile(b.max(1), 1 - share)) if share else np.inf
-        clipped = b >= limit
-        found = solve_censored(
-            view.basis["mean"][keep], np.minimum(b, limit), clipped, blocks=view.blocks[keep], prior=prior, order=ORDER
-        )
-        wider = with_hidden_light(found.fit, float(clipped.mean()), prior)
-        for row, fit in zip(rows.values(), (found.fit, wider), strict=True):
-            row.append(float((np.abs(fit.coefficients[:9] - truth) < NORMAL_95 * fit.stddev[:9]).mean()))
+        fit = censored(view, *clipped_at(view, light, share), keep)
+        held = covered(fit.coefficients[:9], fit.stddev[:9], truth, interval=fit.interval[:, :9])
+        for row, name in zip(rows.values(), ("within95", "inside"), strict=True):
+            row.append(held[name])
     return rows
 
 
@@ -114,12 +110,9 @@ def coding(view, light, rng) -> dict:
         chosen = keep & (codes < 255).all(1)
         rows["as decoded"].append(error(plain(view, b, chosen), truth))
         step = srgb_to_linear((codes + 0.5) / 255) - srgb_to_linear((codes - 0.5) / 255)
-        noise = np.square(0.05 * b).mean() + np.square(step).mean(1) / 12
-        weight = np.sqrt(noise.min() / noise)
-        basis = view.basis["mean"][chosen] * weight[chosen, None, None].astype(np.float32)
-        fit = solve_map(
-            basis, (b * weight[:, None])[chosen], blocks=view.blocks[chosen], prior=natural_prior(9), order=ORDER
-        )
+        noise = np.square(0.05 * b).mean() + np.square(step) / 12
+        weights = (noise.min() / noise)[chosen]
+        fit = solver_of(view, chosen).solve(b[chosen], weights=weights)
         rows["floor for the codes"].append(error(fit, truth))
     return rows
 
@@ -139,20 +132,14 @@ def edges(view, light, rng) -> dict:
 
 
 def robust_fits(view, b, keep, key="mean"):
-    """(name, Fit) of every weighting."""
-    yield "none", plain(view, b, keep, key)
-    basis, blocks = view.basis[key][keep], view.blocks[keep]
-    for kind in ("huber", "tukey"):
-        for by in ("pixel", "block"):
-            found = solve_robust(basis, b[keep], blocks=blocks, prior=natural_prior(9), order=ORDER, kind=kind, by=by)
-            yield f"{kind} by {by}", found.fit
-    out = outliers(basis, b[keep], blocks=blocks, prior=natural_prior(9), order=ORDER)
-    explained = np.flatnonzero(keep)[~out]
-    yield "left out by pixel (--robust)", plain(view, b, explained, key)
+    """(name, Fit) with all pixels, and without those that the light does not explain."""
+    yield "all pixels", plain(view, b, keep, key)
+    out = outliers(solver_of(view, keep, key, coarsening=STIFF), b[keep])
+    yield "left out by pixel (--robust)", plain(view, b, np.flatnonzero(keep)[~out], key)
 
 
 def specks(view, light, rng) -> dict:
-    """Errors where something of another colour and brightness covers parts of the object, by weighting."""
+    """Errors where something of another colour and brightness covers parts of the object."""
     image, truth, keep = view.photos[light], view.truths[light], inner(view)
     rows: dict = {}
     rows_at, columns_at = np.nonzero(view.region)
@@ -191,18 +178,18 @@ def shades(view, other, light, rng) -> dict:
     """
     truth, keep = view.truths[light], (inner(view), inner(other))
     basis = [v.basis["mean"][k] for v, k in zip((view, other), keep, strict=True)]
+    normals = [v.normals[k] for v, k in zip((view, other), keep, strict=True)]
     photos = [v.at(v.photos[light]).astype(np.float64)[k] for v, k in zip((view, other), keep, strict=True)]
     blocks = [view.blocks[keep[0]], other.blocks[keep[1]] + (1 << 20)]
-    how = {"prior": natural_prior(9), "order": ORDER}
     rows = {"the known object alone": [], "both as in the library": [], "the second one's scale free": []}
-    alone = error_of_colour(solve_map(basis[0], photos[0], blocks=blocks[0], **how), truth)
+    alone = error_of_colour(LightSolver(basis[0], normals=normals[0], order=ORDER).solve(photos[0]), truth)
     for ratio in (1, *SHADES):
         seen = [photos[0], photos[1] * np.array([ratio, 1, 1 / ratio])]
-        scales = free_scales(basis, seen, blocks=blocks, free=[False, True], **how)
+        scales = free_scales(basis, seen, normals=normals, blocks=blocks, free=[False, True])
         rows["the known object alone"].append(alone)
         for name, factor in (("both as in the library", 1.0), ("the second one's scale free", scales[1])):
             a = np.concatenate([basis[0], basis[1] * np.asarray(factor, np.float32)])
-            fit = solve_map(a, np.concatenate(seen), blocks=np.concatenate(blocks), **how)
+            fit = LightSolver(a, normals=np.concatenate(normals), order=ORDER).solve(np.concatenate(seen))
             rows[name].append(error_of_colour(fit, truth))
     return rows
 
@@ -229,10 +216,10 @@ SEVERITIES = {
 }
 TITLES = {
     "clipping": "Clipped: share of the object's pixels",
-    "stated": "Clipped, too: true coefficients in the 95 % intervals",
+    "stated": "Clipped, too: true coefficients in what is stated",
     "coding": "How the photo is stored",
     "edges": "Pixels used from so many pixels inside the outline",
     "specks": "Covered by other things: share of the object",
-    "textures": "Texture, by weighting",
+    "textures": "Texture, with and without what is not explained",
     "shades": "Another dye: ratio in red and blue (no free scale)",
 }

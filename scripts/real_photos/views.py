@@ -40,6 +40,7 @@ class View:
     name, material : of the folder
     pixels : (p, 2) row and column, spread over all that shows the object, silhouettes included
     depth : (p,) int, how many pixels inside the silhouette (1: at it)
+    normals : (p, 3) unit, world
     basis : {"mean", "aligned", "not aligned"} -> (p, terms, 3) float32; textures only where the material has one
     photos : {light: (h, w, 3) float32}; truths : {light: (terms, 3)}
     region : (h, w) bool, all that shows the object
@@ -49,6 +50,7 @@ class View:
     material: str
     pixels: np.ndarray
     depth: np.ndarray
+    normals: np.ndarray
     basis: dict
     photos: dict
     truths: dict
@@ -86,13 +88,17 @@ def read_view(name: str, material: str, folders: dict, library, cache: Path) -> 
     photos = {light: each.photo.radiance for light, each in jobs.items()}
     truths = {light: studio.true_lighting(light, ORDER) for light in folders}
     texture = library.load(MATERIALS[material])
-    key = hashlib.sha256(f"{job.digest} {PIXELS} {DIRECTIONS} {BOUNCES} {texture.name}".encode()).hexdigest()[:12]
+    key = hashlib.sha256(f"{job.digest} {PIXELS} {DIRECTIONS} {BOUNCES} {texture.name} normals".encode()).hexdigest()[
+        :12
+    ]
     path = Path(cache) / f"{name}_{material}_{key}.npz"
     if not path.exists():
         _compute(job, texture, path)
     with np.load(path) as kept:
         basis = {k[6:]: kept[k] for k in kept.files if k.startswith("basis ")}
-        return View(name, material, kept["pixels"], kept["depth"], basis, photos, truths, kept["region"])
+        return View(
+            name, material, kept["pixels"], kept["depth"], kept["normals"], basis, photos, truths, kept["region"]
+        )
 
 
 def _compute(job, material, path: Path) -> None:
@@ -110,7 +116,7 @@ def _compute(job, material, path: Path) -> None:
         points = points.take(spread(points, PIXELS, seed=0))
         indirect = scene.indirect([used], lights, Settings(), bounces=BOUNCES)
         out[f"basis {key}"] = scene.radiance(points, used, lights, directions=DIRECTIONS, indirect=indirect)
-        out["pixels"] = points.pixels
+        out["pixels"], out["normals"] = points.pixels, points.normal
         inside = distance_transform_cdt(np.pad(region, 1), "chessboard")[1:-1, 1:-1]
         out["depth"], out["region"] = inside[points.pixels[:, 0], points.pixels[:, 1]], region
     path.parent.mkdir(parents=True, exist_ok=True)

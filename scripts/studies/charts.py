@@ -17,6 +17,7 @@ LOOKS = {
     "ours": {"color": "#0072B2", "linewidth": 2.6, "marker": "o", "markersize": 4.5, "zorder": 5},
     "paper-btf": {"color": "#D55E00", "linewidth": 1.4, "marker": "s", "markersize": 3.5},
     "paper-mean": {"color": "#E69F00", "linewidth": 1.4, "marker": "D", "markersize": 3.2},
+    "paper-order": {"color": "#56B4E9", "linewidth": 1.4, "marker": "X", "markersize": 3.8},
     "lambertian": {"color": "#777777", "linewidth": 1.2, "marker": "v", "markersize": 3.5},
     "alternating": {"color": "#009E73", "linewidth": 1.2, "marker": "^", "markersize": 3.5},
     "joint": {"color": "#CC79A7", "linewidth": 1.4, "marker": "P", "markersize": 3.8},

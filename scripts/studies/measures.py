@@ -29,7 +29,8 @@ def measure(given, case, pixels) -> dict:
     -------
     dict, JSON-ready: order1, order2 (relative L2, one free scale), order2_absolute (none), direction (degrees),
     si_rmse and degrees of each sphere, psnr (dB, of the photograph rendered again), and, where a spread is stated,
-    within68, within95 (share of the coefficients up to order 2) and stated (the expected relative error of order 2)
+    within68, within95 (share of the coefficients up to order 2), inside (the same of a stated 95 % range) and stated
+    (the relative error up to order 2 that the method expects; of least squares its standard deviations over its size)
     """
     x, truth = np.asarray(given.coefficients), case.truth
     terms = sh.term_count(ERROR_ORDER)
@@ -49,10 +50,25 @@ def measure(given, case, pixels) -> dict:
     out["psnr"] = psnr(np.einsum("pmc,mc->pc", basis[:, : len(x)], x[: basis.shape[1]]), radiance)
     if given.stddev is not None:
         spread = given.stddev[:terms]
-        off = np.abs(x[:terms] - truth[:terms])
-        for key, width in WITHIN.items():
-            out[key] = float((off <= width * spread).mean())
-        out["stated"] = float(np.linalg.norm(spread) / max(np.linalg.norm(x[:terms]), 1e-300))
+        ends = None if given.interval is None else given.interval[:, :terms]
+        out |= covered(x[:terms], spread, truth[:terms], interval=ends)
+        out["stated"] = given.expected or float(np.linalg.norm(spread) / max(np.linalg.norm(x[:terms]), 1e-300))
+    return out
+
+
+def scaled_error(x, truth) -> tuple[float, float]:
+    """The relative L2 error of coefficients with one free scale, and that scale."""
+    found = compare.relative_l2(x, truth)
+    return found["relative_l2_free_scale"], found["scale"]
+
+
+def covered(x, stddev, truth, *, interval=None) -> dict:
+    """Shares of true coefficients (terms, 3) in what is stated of ``x``: within 1 and 1.96 ``stddev``, and, where
+    there is an ``interval`` (2, terms, 3), ``inside`` it."""
+    off = np.abs(x - truth)
+    out = {key: float((off <= width * stddev).mean()) for key, width in WITHIN.items()}
+    if interval is not None:
+        out["inside"] = float(((interval[0] <= truth) & (truth <= interval[1])).mean())
     return out
 
 

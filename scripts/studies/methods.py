@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The six methods, each from a job folder to a light. Three are the engine's, three are the study's own."""
+"""The seven methods, each from a job folder to a light. Four are the engine's, three are the study's own."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,8 @@ class Given:
     warnings : what it said
     determined : "the photo determines 14 of 25 coefficients", or ""
     seconds : float
+    interval : (2, terms, 3), the stated 95 % range; None where there are only standard deviations
+    expected : the relative error up to order 2 that the method itself expects, one free scale; None: not stated
     """
 
     coefficients: np.ndarray | None
@@ -34,6 +36,8 @@ class Given:
     warnings: tuple
     determined: str
     seconds: float
+    interval: np.ndarray | None = None
+    expected: float | None = None
 
 
 class Blended:
@@ -87,7 +91,16 @@ def _engine(folder, material, library, **settings) -> Given:
     )
     light = read_lighting(result["lighting"])
     said = result.get("determined", "")
-    return Given(light.coefficients, light.stddev, tuple(result["warnings"]), str(said), 0.0)
+    expected = result["expected_error"]
+    return Given(
+        light.coefficients,
+        light.stddev,
+        tuple(result["warnings"]),
+        str(said),
+        0.0,
+        light.interval,
+        None if expected is None else expected["order_2"]["median"],
+    )
 
 
 def ours(folder, material, library) -> Given:
@@ -96,13 +109,18 @@ def ours(folder, material, library) -> Given:
 
 
 def paper_btf(folder, material, library) -> Given:
-    """Weinmann et al. 2016: least squares of order 4 (eq. 11) on renderings with the BTF."""
+    """Weinmann et al. 2016: least squares of order 4 (eq. 11) on renderings with the BTF, reflections included."""
     return _engine(folder, material, library, preset="paper", appearance="textured")
 
 
 def paper_mean(folder, material, library) -> Given:
     """The same with the mean ABRDF (their regulariser, section 3.3)."""
     return _engine(folder, material, library, preset="paper", appearance="mean")
+
+
+def paper_order(folder, material, library) -> Given:
+    """The same at the order that block cross-validation chooses (the paper names none)."""
+    return _engine(folder, material, library, preset="paper", order="auto")
 
 
 def lambertian_order_2(folder, material, library) -> Given:
@@ -132,6 +150,7 @@ METHODS = {
     "ours": ours,
     "paper-btf": paper_btf,
     "paper-mean": paper_mean,
+    "paper-order": paper_order,
     "lambertian": lambertian_order_2,
     "alternating": alternating,
     "joint": joint,
@@ -140,12 +159,13 @@ NAMES = {
     "ours": "ours (default)",
     "paper-btf": "paper, BTF",
     "paper-mean": "paper, mean ABRDF",
+    "paper-order": "paper, order cross-validated",
     "lambertian": "Lambertian, order 2",
     "alternating": "alternating (after Haber 2009)",
     "joint": "joint parametric (after Lombardi and Nishino)",
 }
 BLIND = ("lambertian", "alternating", "joint")  # not told the material, nor where its texture lies
-STATES_SPREAD = ("ours", "paper-btf", "paper-mean")
+STATES_SPREAD = ("ours", "paper-btf", "paper-mean", "paper-order")
 
 
 def estimate(method: str, folder, case, library) -> Given:
@@ -161,4 +181,4 @@ def estimate(method: str, folder, case, library) -> Given:
             raise  # somebody cleaned up: no answer either
         return Given(None, None, (f"refused: {error}",), "", time.perf_counter() - start)
     seconds = time.perf_counter() - start
-    return Given(found.coefficients, found.stddev, found.warnings, found.determined, seconds)
+    return replace(found, seconds=seconds)

@@ -17,11 +17,11 @@ WORSE = 1.5  # times the undisturbed error: from here on a disturbance is felt
 CSV_FIELDS = (
     "axis", "index", "value", "scene", "light", "method", "refused", "order1", "order2", "order1_absolute",
     "order2_absolute", "direction", "diffuse_si_rmse", "silver_si_rmse", "mirror_si_rmse", "diffuse_degrees",
-    "silver_degrees", "mirror_degrees", "psnr", "stated", "within68", "within95", "warnings", "seconds",
+    "silver_degrees", "mirror_degrees", "psnr", "stated", "within68", "within95", "inside", "warnings", "seconds",
 )  # fmt: skip
 
 HOW = """\
-Six methods are asked for the light of the same photographs, which are disturbed in {axes} ways, each five times
+Seven methods are asked for the light of the same photographs, which are disturbed in {axes} ways, each five times
 more severely. What is photographed are {scenes} objects under {lights} of Blender's studio lights ({names}), none of
 them used in any tuning: Cycles, {resolution} x {resolution} pixels, {samples} samples, materials as true displaced
 geometry with other texels than the library's. Each point below is the median of up to {photos} photographs.
@@ -31,8 +31,10 @@ Written by `scripts/study_stability --work FOLDER`; every photograph and every m
 | method | what it is told | what it does |
 |---|---|---|
 | ours | geometry, material | the engine's default estimator |
-| paper, BTF | geometry, material | least squares of order 4 (Weinmann et al. 2016, eq. 11) on renderings with the BTF |
+| paper, BTF | geometry, material | least squares of order 4 (Weinmann et al. 2016, eq. 11) on renderings with the \
+BTF, of eight reflections as ours |
 | paper, mean ABRDF | geometry, material | the same with the mean ABRDF: `--preset paper` |
+| paper, order cross-validated | geometry, material | the same at the order that block cross-validation chooses |
 | Lambertian, order 2 | geometry | the irradiance formula of Ramamoorthi and Hanrahan 2001, no shadows, albedo of the \
 photo's mean colour |
 | alternating | geometry | weights of four basis BRDFs and Haar wavelets of the light, in turns, after Haber et al. \
@@ -46,8 +48,9 @@ told the material, which is a harder task: what they lose by it is part of the c
 a wrong one. All three take the light's mean colour to be grey.
 
 Errors are relative L2 errors of the coefficients up to order 2 with one free scale. **Stated** is the error that the
-estimate itself expects (its standard deviations over its size); **68 %, 95 %** is the share of the true coefficients
-inside the stated intervals, without any free scale; **warned** counts photographs of which the method said anything,
+estimate itself expects (of the paper's rows: its standard deviations over its size); **68 %, 95 %** is the share of the
+true coefficients within 1 and 1.96 stated standard deviations, without any free scale, **95 % range** that inside the
+stated range, which is lopsided; **warned** counts photographs of which the method said anything,
 **anew** those of which it said what it had not said of the same photograph undisturbed. The methods of the study
 itself state nothing and never warn. A failure is an error above {poor:g}; it is hidden where nothing was said anew and
 the error is more than {hidden:g} times the stated one.
@@ -81,7 +84,9 @@ def write(chosen, options) -> None:
     if "stability-photos" in drawn:
         parts.append(_picture("stability-photos", "What is photographed, undisturbed and disturbed"))
     parts += ["## In short", _short(answers), _overview(answers), _undisturbed(answers)]
-    parts.append(_picture("stability", "Error against severity, six methods, fifteen axes"))
+    parts.append(
+        _picture("stability", "Error against severity, {len(answers.methods)} methods, {len(answers.names)} axes")
+    )
     parts.append(
         "*Lines are medians; the band is the middle half of ours, the dashed line the error that ours states. "
         "What lies above a picture is written at its edge.*"
@@ -223,6 +228,7 @@ def _section(answers, name: str) -> str:
         lines.append("| direction ° | " + " | ".join(of("direction", lambda v: f"{v:.0f}", answers.median)) + " |")
         lines.append("| 68 % | " + " | ".join(of("within68", _percent, answers.mean)) + " |")
         lines.append("| 95 % | " + " | ".join(of("within95", _percent, answers.mean)) + " |")
+        lines.append("| 95 % range | " + " | ".join(of("inside", _percent, answers.mean)) + " |")
         zero = answers.of(name, 0, "ours")
         said = [f"{sum(bool(r['warnings']) for r in zero)} of {len(zero)}"]
         for i in range(1, 6):

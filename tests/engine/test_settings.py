@@ -33,6 +33,7 @@ def test_the_papers_preset():
     """Eq. 11 by least squares over all pixels with the mean ABRDF; recognised by the classifier alone, as in 3.2."""
     paper = choose("paper")
     assert (paper.estimator, paper.appearance, paper.pixels, paper.verify) == ("least-squares", "mean", 0, False)
+    assert paper.bounces == choose("accurate").bounces  # reflections are part of the paper's renderings
     assert (paper.recogniser, paper.classifier) == ("paper", "svm")
     method = METHODS[paper.recogniser]
     assert (method.encoding.colour_words, method.encoding.sift_words, method.encoding.power) == (150, 250, 1.0)

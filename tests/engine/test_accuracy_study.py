@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The yardsticks of the studies of accuracy: plain fits that recover light of their own model, and coverage."""
+
+import json
+
+import numpy as np
+import pytest
+
+from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.errors import InputError
+from scripts.studies import real
+from scripts.studies.measures import covered, scaled_error
+
+NORMALS = fibonacci_sphere(800)
+NORMALS = NORMALS[NORMALS[:, 1] < -0.15]
+
+
+def test_one_lamp_is_found_from_the_lit_side_alone():
+    lamp = np.array([0.5, -0.7, 0.4]) / np.linalg.norm([0.5, -0.7, 0.4])
+    found = real.plain_fits(NORMALS, 3 * np.maximum(NORMALS @ lamp, 0))
+    np.testing.assert_allclose(found["lamp"], sh.evaluate(2, lamp), atol=1e-9)
+    assert scaled_error(found["order1"], sh.evaluate(2, lamp))[0] > 0.3  # shadows are none of its model
+
+
+def test_light_of_order_2_is_found_by_the_fit_of_order_2(rng):
+    truth = np.array([4.0, *rng.normal(0, 0.3, 8)])
+    b = sh.irradiance(np.repeat(truth[:, None], 3, 1), NORMALS)[:, 0]
+    found = real.plain_fits(NORMALS, b)
+    error, scale = scaled_error(found["order2"], truth)
+    assert error < 1e-6 and scale > 0
+    assert np.array_equal(found["order1"][4:], np.zeros(5)) and scaled_error(found["order1"], truth)[0] > 0.05
+
+
+def test_coverage_counts_what_lies_inside():
+    truth, spread = np.array([[0.0], [0.9], [1.5], [3.0]]), np.ones((4, 1))
+    held = covered(np.zeros((4, 1)), spread, truth, interval=np.stack([np.zeros((4, 1)), np.full((4, 1), 0.9)]))
+    assert held == {"within68": 0.5, "within95": 0.75, "inside": 0.5}
+
+
+def test_a_truth_of_one_number_a_row_is_grey_and_one_of_few_rows_is_refused(tmp_path):
+    (tmp_path / "truth.json").write_text(json.dumps({"coefficients": [[float(i)] for i in range(16)]}))
+    assert np.array_equal(real.true_light(tmp_path), np.repeat(np.arange(9.0)[:, None], 3, 1))
+    (tmp_path / "truth.json").write_text(json.dumps({"coefficients": [[1.0]] * 4}))
+    with pytest.raises(InputError, match="9 rows or more"):
+        real.true_light(tmp_path)
