@@ -85,7 +85,7 @@ def write(chosen, options) -> None:
         parts.append(_picture("stability-photos", "What is photographed, undisturbed and disturbed"))
     parts += ["## In short", _short(answers), _overview(answers), _undisturbed(answers)]
     parts.append(
-        _picture("stability", "Error against severity, {len(answers.methods)} methods, {len(answers.names)} axes")
+        _picture("stability", f"{len(answers.methods)} methods, {len(answers.names)} axes: error against severity")
     )
     parts.append(
         "*Lines are medians; the band is the middle half of ours, the dashed line the error that ours states. "
