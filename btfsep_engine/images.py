@@ -44,12 +44,14 @@ class Image:
     saturated : (h, w) bool, a channel stands at the largest code (integer formats only)
     usable : (h, w) bool, not saturated, opaque, and within the data of the file
     clipped : (h, w, 3) bool, the channels of opaque pixels that stand at the largest code: lower bounds, no values
+    bits : of a code, 8 or 16; None: floats
     """
 
     pixels: np.ndarray
     saturated: np.ndarray
     usable: np.ndarray
     clipped: np.ndarray
+    bits: int | None = None
 
 
 def srgb_to_linear(values) -> np.ndarray:
@@ -112,7 +114,8 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
         pixels = np.repeat(pixels, 3, -1)
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
-    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped)
+    bits = None if peak is None else peak.bit_length()
+    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits)
 
 
 def declared_size(path) -> tuple[int, int] | None:

@@ -61,6 +61,7 @@ def doctor(*, library_folder, reporter):
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]")
 @click.option("--order", type=NumberOrAuto(), help="Order of the spherical harmonics, 0 to 9, or auto.")
 @click.option("--estimator", help="map (natural light and lamps, by evidence) or least-squares (the paper's).")
+@click.option("--colorspace", help="The photo's curve: auto, srgb, linear, or unknown (found).  [default: the job's]")
 @click.option(
     "--robust/--no-robust", default=None, help="Leave out pixels that the light does not explain: things in front."
 )

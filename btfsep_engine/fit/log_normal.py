@@ -107,16 +107,13 @@ class LightSolver:
         unit = photo.level * tint.gain
         x = best.x.T * unit
         samples, lamps = self._samples(best, rival, unit, tint)
-        low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
-        spread = np.maximum(np.maximum(above - x, x - below), 0)
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
         energy = photo.mean_square * photo.level**2 * self.basis.response**2
         inverse = solve_triangular(best.factor, np.eye(len(best.factor)), lower=True)
         singular = self.basis.singular_values(terms)
-        known = determined(x, _without_scale(spread, x), natural_amplitude(sh.order_of(len(x))))
-        return Fit(
+        fit = Fit(
             x[:terms],
-            spread[:terms],
+            np.zeros((terms, 3)),
             float(np.sqrt(left.sum() / energy.sum())),
             np.sqrt(left / np.maximum(energy, 1e-300)),
             float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
@@ -125,15 +122,12 @@ class LightSolver:
             (len(inverse) - float(np.square(inverse).sum())) / 3,
             all_coefficients=x,
             noise=float(np.sqrt(best.v.sum() / photo.mean_square.sum())),
-            determined=known[:terms],
-            all_determined=known,
-            samples=samples,
-            interval=np.stack([low, high])[:, :terms],
             lamps=lamps,
             tint=tint,
             evidence=best.evidence,
             found=Found(best, rival, photo, unit),
         )
+        return restated(fit, samples)
 
     def _samples(self, best: Solution, rival: Solution | None, unit, tint):
         """(samples, terms, 3) of all of the light, and its lamps."""
@@ -212,6 +206,22 @@ class Found:
         """The field's radiance in ``directions : (m, 3)``, without lamps: (m, 3), positive."""
         model = self.solution.model
         return model.field.at(model.parts(self.solution.white)[0], np.asarray(directions)) * self.unit
+
+
+def restated(fit: Fit, samples) -> Fit:
+    """The fit with what ``samples`` (n, all terms, 3) of its posterior say: spread, range, what is determined."""
+    x, terms = fit.every, len(fit.coefficients)
+    low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
+    spread = np.maximum(np.maximum(above - x, x - below), 0)
+    known = determined(x, _without_scale(spread, x), natural_amplitude(sh.order_of(len(x))))
+    return replace(
+        fit,
+        stddev=spread[:terms],
+        determined=known[:terms],
+        all_determined=known,
+        samples=samples,
+        interval=np.stack([low, high])[:, :terms],
+    )
 
 
 def elect(photo: Photograph) -> tuple[Solution, Solution | None]:

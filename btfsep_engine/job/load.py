@@ -19,13 +19,14 @@ BASE_COLOUR_SIDE = 2048  # of an image of base colours: larger ones are averaged
 BASE_COLOUR_PIXELS = 2**26  # and these are too many: no camera says how many there are to be
 
 
-def load_job(folder, *, with_photo: bool = True) -> Job:
+def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) -> Job:
     """Reads ``folder/job.json`` and all that it names.
 
     Parameters
     ----------
     folder : the job folder, or the path of the job.json in it
     with_photo : false: the image is not read and need not be there; the photo is black
+    colorspace : instead of the job's ``image_colorspace``; None: as it says
 
     Returns
     -------
@@ -43,6 +44,8 @@ def load_job(folder, *, with_photo: bool = True) -> Job:
         raise InputError(f"job {folder}", "there is no such folder", "give the folder that has the job.json")
     reader = _Folder(folder)
     schema = parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
+    if colorspace is not None:
+        schema = schema.model_copy(update={"image_colorspace": colorspace})
     camera = _camera(schema.camera)
     notes: list[str] = []
     photo = _photo(reader, schema, camera, notes) if with_photo else _no_photo(camera)
@@ -177,7 +180,7 @@ def _fits(size, name: str, camera: Camera) -> None:
 
 def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Photo:
     _fits(images.declared_size(path), name, camera)  # before it is decoded: a small file can claim gigabytes
-    image = images.read_linear(path, colorspace=colorspace)
+    image = images.read_linear(path, colorspace="auto" if colorspace == "unknown" else colorspace)
     height, width = image.pixels.shape[:2]
     _fits((width, height), name, camera)
     finite = np.isfinite(image.pixels).all(-1)
@@ -193,7 +196,7 @@ def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Phot
     hidden = int((~image.usable & ~image.saturated).sum())
     if hidden:
         notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
-    return Photo(image.pixels, image.usable, saturated, image.clipped if saturated else None)
+    return Photo(image.pixels, image.usable, saturated, image.clipped if saturated else None, image.bits)
 
 
 def _to_world(matrix, what: str):

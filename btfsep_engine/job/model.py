@@ -98,20 +98,23 @@ class Photo:
     usable : (h, w) bool, false where a channel is saturated or the pixel is not opaque
     saturated : number of saturated pixels
     clipped : (h, w, 3) bool, channels of opaque pixels that were at least as bright as stored; None: none were
+    bits : of the file's codes, 8 or 16; None: floats
     """
 
     radiance: np.ndarray
     usable: np.ndarray
     saturated: int
     clipped: np.ndarray | None = None
+    bits: int | None = None
 
 
 @dataclass(frozen=True)
 class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
-    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb" or "linear";
-    ``occluder_surfaces`` has a Surface or None for each occluder (nothing uses them yet).
+    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb", "linear" or
+    "unknown" (the photo is then read as by "auto"); ``occluder_surfaces`` has a Surface or None for each occluder
+    (nothing uses them yet).
     """
 
     folder: Path

@@ -40,6 +40,7 @@ from btfsep_engine.pipeline.reflectance import nearer_materials
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import stacked
+from btfsep_engine.pipeline.tone import curve_doubts, curve_words, refuse_unknown, with_other_curves
 
 UNSEEN = (
     "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
@@ -117,6 +118,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     ``others`` are PreparedScenes of further photographs under the same light, each with an exposure of its own.
     """
     scenes, reporter = [scene, *others], scene.reporter
+    refuse_unknown(scenes, settings)
     materials = []
     for each in scenes:
         known = {o.name: m.name for o, m in zip(scene.job.objects, materials[0], strict=True)} if materials else {}
@@ -129,6 +131,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         settings = replace(settings, bounces=1 if decides else settings.reflections)
         chosen = all_chosen_points(scenes, replace(settings, appearance="textured") if tried else settings)
         problems, rich = posed(scenes, materials, chosen, settings, both=tried)
+    scenes = [p.scene for p in problems]  # their photos read by the curve that was chosen
     asked = settings
     with reporter.stage("fit"):
         settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
@@ -174,7 +177,9 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
             near = nearer_materials(problems, used, fit, solver, exposures, bounced)
         problems, fit, solver, exposures = near.problems, near.fit, near.solver, near.exposures
         choice["reflectance"] = near.why
+    fit = with_other_curves(problems, fit, solver, exposures)
     suns, choice["key_light"] = key_lights(fit, settings)
+    choice["curve"] = curve_words(problems)
     choice["light"] = light_words(fit)
     choice["colour"] = colour_words(fit)
     measured, photos = [p.radiance() for p in problems], []
@@ -194,11 +199,12 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     )
     with reporter.stage("checks"):
         doubts = all_doubts(problems, photos, materials, fit, solver, measured, lighting, settings)
+        doubts += curve_doubts(problems, fit, solver, exposures)
     for doubt in doubts:
         reporter.warn(doubt)
     first = photos[0]
     return Estimate(
-        scene,
+        scenes[0],
         materials[0],
         fit,
         lighting,
@@ -288,7 +294,7 @@ def run_estimate(
     """
     started = time.perf_counter()
     with reporter.stage("reading"):
-        job, *further = (load_job(each) for each in (folder, *others))
+        job, *further = (load_job(each, colorspace=settings.colorspace) for each in (folder, *others))
         for note in (note for each in (job, *further) for note in each.warnings):
             reporter.warn(note)
     out = Path(out) if out is not None else job.folder / "result"

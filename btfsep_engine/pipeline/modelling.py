@@ -20,6 +20,7 @@ from btfsep_engine.pipeline.real_photo import as_real_photos, scale_words, warn_
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
+from btfsep_engine.pipeline.tone import with_curves
 from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
 from btfsep_engine.render.surface import SurfacePoints
 
@@ -90,7 +91,8 @@ def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
 def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
     """The fit's problems with mean ABRDFs (or as the settings say), and with textures where ``both`` is asked for.
 
-    With a prior, clipped channels and the scales of recognised objects are settled here (`pipeline.real_photo`).
+    With a prior, unknown tone curves (`pipeline.tone`), clipped channels and the scales of recognised objects
+    (`pipeline.real_photo`) are settled here.
     """
     textured = replace(settings, appearance="textured")
 
@@ -109,6 +111,8 @@ def posed(scenes, materials, chosen, settings: Settings, *, both: bool):
                 "check that the camera is not inside closed geometry, and that the material is not black",
             )
     rich = all_with(textured) if both else None
+    if settings.estimator == "map":
+        problems, rich = with_curves(problems, rich, settings)
     return as_real_photos(problems, rich, materials, settings) if settings.estimator == "map" else (problems, rich)
 
 

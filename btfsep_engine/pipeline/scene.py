@@ -53,6 +53,7 @@ class PreparedScene:
 
     def __init__(self, job: Job, reporter):
         self.job, self.reporter = job, reporter
+        self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
         with reporter.stage("geometry"):
             meshes = [*(o.mesh for o in job.objects), *job.occluders, *(mesh for _, mesh in unseen_meshes(job))]
             self.tracer = Tracer(meshes)

@@ -126,6 +126,8 @@ def run_sequence(
         files = frame_files(frames)
         job = load_job(folder, with_photo=False)
         job = replace(job, photo=read_photo(files[0], job.camera, colorspace=job.image_colorspace))
+        if job.image_colorspace == "unknown":
+            raise InputError("a sequence", "image_colorspace 'unknown'", "say srgb or linear in the job")
     out = Path(out) if out is not None else job.folder / "sequence"
     scene = PreparedScene(job, reporter)
     found = object_materials(scene, library, settings, names=[material or o.material for o in job.objects])

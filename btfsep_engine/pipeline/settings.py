@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from btfsep_engine.errors import InputError
 
 LARGEST_ORDER = 9
+COLORSPACES = ("auto", "srgb", "linear", "unknown")
 ESTIMATORS = ("map", "least-squares")
 TRANSPORTS = ("kernel", "reference")
 IMAGE_DIRECTIONS = 512
@@ -23,6 +24,7 @@ class Settings:
         something, with "least-squares" the lowest that cross-validation cannot tell from the best
     estimator : "map" (the most probable light of a field and lamps, all orders up to 9, ``order`` of them reported) or
         "least-squares" (the paper's: the orders up to ``order`` and no others)
+    colorspace : of the photo, one of `COLORSPACES`, instead of the job's ``image_colorspace``; None: the job's
     robust : whether pixels that the light does not explain are left out (with "map"; `fit.robust.outliers`)
     key_light : "auto" (lamps of a fifth of the light or more are told apart from the sky, pipeline/lamps.py) or "never"
     appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
@@ -49,6 +51,7 @@ class Settings:
     preset: str = "balanced"
     order: int | str = 4
     estimator: str = "map"
+    colorspace: str | None = None
     robust: bool = False
     key_light: str = "auto"
     appearance: str = "auto"
@@ -122,6 +125,8 @@ def choose(preset: str = "balanced", **changes) -> Settings:
         raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}, or auto")
     if settings.estimator not in ESTIMATORS:
         raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
+    if settings.colorspace not in (None, *COLORSPACES):
+        raise InputError("--colorspace", f"'{settings.colorspace}'", f"choose one of {', '.join(COLORSPACES)}")
     if settings.robust and settings.estimator != "map":
         raise InputError("--robust", f"with --estimator {settings.estimator}", "it goes with --estimator map only")
     if settings.key_light not in ("auto", "never"):

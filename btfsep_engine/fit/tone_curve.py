@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A camera's unknown tone curve: a family of one parameter from linear beyond sRGB, judged by evidence.
+
+    g_t(c) = c^(1 - t) s(c)^t,   s : the sRGB curve (IEC 61966-2-1),   t = 0 linear, 1 sRGB, more: steeper,
+
+straight below the codes where s is, after an offset was taken off: c' = (c - o) / (1 - o). How probable the codes are
+under a curve is how probable their radiance is (`fit.search`), times the curve's slope in the light's own unit:
+
+    log p(c) = log p(b) + (1 / h) sum w [log g'(c) - log(level)],   level : of the radiance, as the fit takes it out,
+
+tempered like the evidence by its coarsening h. Two things keep a misfit from passing for a curve. The brightest pixels
+count less (`importance`): what a highlight is off by is the material's, and curves differ there by most. And a
+difference of evidence counts for 1 / `DOUBT` of itself: texture errs in proportion to the light, which looks like a
+flatter curve under noise that is everywhere the same.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from btfsep_engine.images import srgb_to_linear
+
+STRAIGHT = 0.04045  # codes below which sRGB is linear
+SLOPE = 12.92  # of the codes over the radiance there
+PRIOR = {0.0: 0.25, 0.25: 0.0625, 0.5: 0.0625, 0.75: 0.0625, 1.0: 0.5, 1.25: 0.0625}  # of the parameter t
+OFFSET_PRIOR = 0.2
+DOUBT = 4.0
+LARGEST_OFFSET = 0.05  # of the largest code
+SMALLEST_OFFSET = 1.5 / 255
+DARKEST = 0.1  # percentile of the codes
+
+
+@dataclass(frozen=True)
+class ToneCurve:
+    """Radiance as a function of codes; ``steepness`` : t; ``offset`` : the code that is black, of the largest one."""
+
+    steepness: float
+    offset: float = 0.0
+
+    def decode(self, codes) -> np.ndarray:
+        """Linear radiance of codes (any shape, 1: the largest); below the offset it is negative. float64."""
+        c = (np.asarray(codes, np.float64) - self.offset) / (1 - self.offset)
+        bright = np.maximum(c, STRAIGHT)
+        t = self.steepness
+        return np.where(c < STRAIGHT, c * self._foot, bright ** (1 - t) * srgb_to_linear(bright) ** t)
+
+    @property
+    def _foot(self) -> float:
+        """Radiance over the code in the straight part."""
+        return float((srgb_to_linear(STRAIGHT) / STRAIGHT) ** self.steepness)
+
+    def log_slope(self, codes) -> np.ndarray:
+        """Logarithm of the derivative of `decode`."""
+        c = (np.asarray(codes, np.float64) - self.offset) / (1 - self.offset)
+        bright, t = np.maximum(c, STRAIGHT), self.steepness
+        s = srgb_to_linear(bright)
+        curved = (1 - t) * np.log(bright) + t * np.log(s) + np.log((1 - t) / bright + t * 2.4 / (bright + 0.055))
+        return np.where(c < STRAIGHT, np.log(self._foot), curved) - np.log(1 - self.offset)
+
+    @property
+    def log_prior(self) -> float:
+        """Of a curve among the candidates."""
+        return float(np.log(PRIOR[self.steepness]) + np.log(OFFSET_PRIOR if self.offset else 1 - OFFSET_PRIOR))
+
+    @property
+    def words(self) -> str:
+        """The curve for people."""
+        t = self.steepness
+        text = {0.0: "linear", 1.0: "sRGB"}.get(
+            t, f"steeper than sRGB ({t:g})" if t > 1 else f"between linear (0) and sRGB (1), {t:g}"
+        )
+        return text + (f", with codes from {255 * self.offset:.0f} of 255 on above black" if self.offset else "")
+
+
+LINEAR, SRGB = ToneCurve(0.0), ToneCurve(1.0)
+CANDIDATES = tuple(ToneCurve(t) for t in PRIOR)
+
+
+def darkest_offset(codes) -> float:
+    """The code that may be black: a low percentile of the photo's ``codes``; 0 where that is black, or no offset."""
+    low = float(np.percentile(codes, DARKEST))
+    return low if SMALLEST_OFFSET < low <= LARGEST_OFFSET else 0.0
+
+
+def importance(codes, clipped) -> np.ndarray:
+    """How much each code counts for the choice: (p, 3) in [0, 1], nothing where ``clipped``, little in highlights."""
+    kept = ~np.asarray(clipped, bool)
+    mean = (codes * kept).sum(0) / np.maximum(kept.sum(0), 1)
+    return kept / (1 + (codes / np.maximum(mean, 1e-12)) ** 4)
+
+
+def log_probability(fit, log_slopes, weights) -> float:
+    """Logarithm of how probable codes are under a curve, its prior aside, up to what all curves have in common.
+
+    Parameters
+    ----------
+    fit : of the light to what the curve makes of the codes, with ``weights``, by `log_normal.LightSolver`
+    log_slopes : (p, 3), logarithm of the derivative of what was fitted by the codes
+    weights : (p, 3)
+    """
+    photo = fit.found.photo
+    return (fit.evidence + float((weights * (log_slopes - np.log(photo.level))).sum()) / photo.coarsening) / DOUBT
+
+
+def probabilities(logs) -> np.ndarray:
+    """Of alternatives, from the logarithms of what they are in proportion to."""
+    share = np.exp(np.asarray(logs) - np.max(logs))
+    return share / share.sum()
