@@ -16,7 +16,7 @@ from .animation import INTERPOLATIONS
 from .meshes import SURFACE_TYPES
 
 PRESETS = (
-    ("draft", "Draft", "A first look, without a key light"),
+    ("draft", "Draft", "A first look"),
     ("balanced", "Balanced", "Good for most photos"),
     ("accurate", "Accurate", "Slow and careful"),
     ("paper", "Paper", "The settings of the published method"),
