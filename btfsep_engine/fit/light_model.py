@@ -62,30 +62,38 @@ class LightModel:
         of_field, of_lamps = self.parts(white)
         radiance = self.field.radiance(of_field)
         x = self.field.coefficients(radiance)
-        for i, q in enumerate(of_lamps):
-            d, irradiance = self.lamp(i, q)
-            x = x + irradiance[:, None] * self._harmonics(d)[0]
+        if len(of_lamps):
+            directions, irradiances = zip(*(self.lamp(i, q) for i, q in enumerate(of_lamps)), strict=True)
+            x = x + np.stack(irradiances, 1) @ self._harmonics(directions)
         return x, radiance
+
+    def lights(self, whites) -> np.ndarray:
+        """Coefficients (m, 3, terms) of all of the light of many unknowns (m, unknowns)."""
+        out = np.stack([self.field.coefficients(self.field.radiance(self.parts(white)[0])) for white in whites])
+        for i in range(len(self.lamps)):
+            lamps = [self.lamp(i, self.parts(white)[1][i]) for white in whites]
+            out += np.stack([e for _, e in lamps])[..., None] * self._harmonics([d for d, _ in lamps])[:, None]
+        return out
 
     def sky(self, white) -> np.ndarray:
         """Coefficients (3, terms) of the field alone."""
         return self.field.coefficients(self.field.radiance(self.parts(white)[0]))
 
-    def _harmonics(self, *directions) -> np.ndarray:
+    def _harmonics(self, directions) -> np.ndarray:
         """(directions, terms)."""
         return sh.evaluate(sh.order_of(self.field.terms), np.stack(directions))
 
     def jacobian(self, white, radiance, rows) -> np.ndarray:
         """Derivatives of R_c x_c by the unknowns: (all rows, unknowns); ``rows`` : R of each channel."""
-        columns = [self.field.jacobian(rows, radiance)]
-        for i, q in enumerate(self.parts(white)[1]):
-            d, irradiance = self.lamp(i, q)
-            moved = [self.lamp(i, q + STEP * np.eye(OF_LAMP)[j])[0] for j in range(2)]
-            y, *there = self._harmonics(d, *moved)
-            for each in there:
-                columns.append(
-                    np.concatenate([r @ (each - y) * e / STEP for r, e in zip(rows, irradiance, strict=True)])
-                )
+        columns, of_lamps = [self.field.jacobian(rows, radiance)], self.parts(white)[1]
+        steps = STEP * np.eye(OF_LAMP)[:2]
+        directions = [self.lamp(i, q + step)[0] for i, q in enumerate(of_lamps) for step in (0, *steps)]
+        harmonics = self._harmonics(directions).reshape(len(of_lamps), 3, -1) if directions else ()
+        for i, (q, (y, *moved)) in enumerate(zip(of_lamps, harmonics, strict=True)):
+            irradiance = self.lamp(i, q)[1]
+            for there in moved:
+                slope = (there - y) / STEP
+                columns.append(np.concatenate([r @ slope * e for r, e in zip(rows, irradiance, strict=True)]))
             parts = [r @ y * e for r, e in zip(rows, irradiance, strict=True)]
             for j, size in enumerate((BRIGHTNESS, TINT, GREEN)):
                 columns.append(size * np.concatenate([CHROMA[c, j] * part for c, part in enumerate(parts)]))

@@ -135,10 +135,10 @@ class LightSolver:
         model, n = best.model, len(best.white)
         moved = solve_triangular(best.factor.T, random.standard_normal((n, SAMPLES)), lower=False)
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
-        lights = [model.light(best.white + step)[0].T for step in moved.T]
+        lights = model.lights(best.white + moved.T).transpose(0, 2, 1)
         if rival is not None:
             lights[::2] = self._other_lights(rival, len(lights[::2]), random)
-        samples = np.stack(lights) * (unit * factors)[:, None]
+        samples = lights * (unit * factors)[:, None]
         lamps = []
         for i, q in enumerate(model.parts(best.white)[1]):
             at = model.field.unknowns + 5 * i
@@ -154,9 +154,9 @@ class LightSolver:
         return samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share))
 
     @staticmethod
-    def _other_lights(rival: Solution, count: int, random) -> list:
+    def _other_lights(rival: Solution, count: int, random) -> np.ndarray:
         moved = solve_triangular(rival.factor.T, random.standard_normal((len(rival.white), count)), lower=False)
-        return [rival.model.light(rival.white + step)[0].T for step in moved.T]
+        return rival.model.lights(rival.white + moved.T).transpose(0, 2, 1)
 
     def smoother(self, fit: Fit):
         """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.
