@@ -14,7 +14,7 @@ import bpy
 from . import engine_process, export, lighting_file, measure, preferences, runs, sequence_run, sun_lamp, world
 from .errors import InputError
 from .operators import chosen, order_of, take_materials, told
-from .properties import APPEARANCES, PRESETS
+from .properties import APPEARANCES, CURVES, PRESETS
 
 INPUT_FAULT, BUG = 2, 1
 
@@ -77,6 +77,8 @@ def _parser() -> argparse.ArgumentParser:
     job.add_argument("--occluders", choices=("others", "none"), help="what else casts shadows (default: the panel's)")
     job.add_argument("--depth", metavar="FILE.exr", help="z-depth instead of objects (default: the panel's)")
     job.add_argument("--exposure", type=float, metavar="EV", help="stops applied to the photo (default: the panel's)")
+    curves = [name for name, *_ in CURVES]
+    job.add_argument("--curve", choices=curves, help="how the photo codes the light (default: the panel's)")
     job.add_argument("--job", help="folder for the job (default: one that is removed afterwards)")
 
     engine = argparse.ArgumentParser(add_help=False)
@@ -180,6 +182,7 @@ def _write_job(options, scene) -> Path:
         depth=depth,
         exposure_ev=settings.exposure_ev if options.exposure is None else options.exposure,
         mapping=settings.mapping,
+        curve=options.curve or settings.curve,
     ).parent
 
 

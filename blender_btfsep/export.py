@@ -28,6 +28,7 @@ def export_job(
     depth=None,
     exposure_ev=0.0,
     mapping="CHARTS",
+    curve="auto",
 ) -> Path:
     """Writes a job.
 
@@ -45,6 +46,7 @@ def export_job(
     exposure_ev : the photo's exposure in stops
     mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
         unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
+    curve : the photo's tone curve, "auto", "srgb", "linear" or "unknown"; a photo of floats is linear anyway
 
     Returns
     -------
@@ -75,6 +77,8 @@ def export_job(
         depsgraph = view_layer.depsgraph
         size_name = photo.put(image_path, folder)
         file_name, colorspace, size = size_name
+        if curve != "auto" and Path(file_name).suffix not in photo.FLOAT:
+            colorspace = curve
         evaluated = camera.evaluated_get(depsgraph)
         lens = pinhole.for_photo(scene, evaluated, size)
         lens["to_world"] = pinhole.to_world(evaluated).tolist()

@@ -65,6 +65,7 @@ def write_job(context, scene, *, folder=None, image_path=None):
         depth=settings.depth,
         exposure_ev=settings.exposure_ev,
         mapping=settings.mapping,
+        curve=settings.curve,
     )
     return path.parent
 

@@ -176,6 +176,7 @@ class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
         column.use_property_decorate = False
         column.enabled = not runs.is_running()
         column.prop(settings, "exposure_ev", text="Photo Exposure")
+        column.prop(settings, "curve")
         row = column.row(align=True)
         row.prop(settings, "depth")
         row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"

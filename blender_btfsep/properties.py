@@ -36,6 +36,12 @@ APPEARANCES = (
     ("textured", "Textured", "The material with its texture"),
 )
 
+CURVES = (
+    ("auto", "Automatic", "As the image's colour space says: PNG, JPEG, TIFF and WebP in sRGB, EXR and HDR linear"),
+    ("srgb", "sRGB", "The file's whole numbers are coded in sRGB"),
+    ("linear", "Linear", "The file's whole numbers are in proportion to the light"),
+    ("unknown", "Unknown", "A curve from linear to steeper than sRGB is found that explains the photo best"),
+)
 MAPPINGS = (
     ("CHARTS", "Charts (computed)", "The engine cuts the surface into charts, each to scale"),
     ("UNWRAP", "Blender Unwrap", "Blender's angle-based unwrap with the seams of its smart projection, of a copy"),
@@ -97,6 +103,9 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         soft_max=10,
         min=-100,
         max=100,
+    )
+    curve: EnumProperty(
+        name="Photo's Curve", description="How a file of whole numbers codes the light; EXR is linear", items=CURVES
     )
     depth: PointerProperty(
         name="Depth",

@@ -16,6 +16,8 @@ def estimate(result: dict) -> str:
         f"residual {result['residual']:.3f}, condition number {result['condition_number']:.0f}, "
         f"{result['seconds']['total']:.1f} s"
     )
+    if "by evidence" in result["choice"].get("curve", ""):
+        lines.append(result["choice"]["curve"])
     made = result.get("transport", {})
     if made.get("by") == "reference":
         lines.append(

@@ -8,10 +8,11 @@ under a curve is how probable their radiance is (`fit.search`), times the curve'
 
     log p(c) = log p(b) + (1 / h) sum w [log g'(c) - log(level)],   level : of the radiance, as the fit takes it out,
 
-tempered like the evidence by its coarsening h. Two things keep a misfit from passing for a curve. The brightest pixels
-count less (`importance`): what a highlight is off by is the material's, and curves differ there by most. And a
-difference of evidence counts for 1 / `DOUBT` of itself: texture errs in proportion to the light, which looks like a
-flatter curve under noise that is everywhere the same.
+tempered like the evidence by its coarsening h. The noise is what is really left over: with the fit's own lower bound of
+it (`search.FLOOR`), the curve that spreads the codes most would win where all explain the photo. Two things keep a
+misfit from passing for a curve. The brightest pixels count less (`importance`): what a highlight is off by is the
+material's, and curves differ there by most. And a difference of evidence counts for 1 / `DOUBT` of itself: texture errs
+in proportion to the light, which looks like a flatter curve under noise that is everywhere the same.
 """
 
 from dataclasses import dataclass
@@ -21,12 +22,12 @@ import numpy as np
 from btfsep_engine.images import srgb_to_linear
 
 STRAIGHT = 0.04045  # codes below which sRGB is linear
-SLOPE = 12.92  # of the codes over the radiance there
 PRIOR = {0.0: 0.25, 0.25: 0.0625, 0.5: 0.0625, 0.75: 0.0625, 1.0: 0.5, 1.25: 0.0625}  # of the parameter t
 OFFSET_PRIOR = 0.2
 DOUBT = 4.0
 LARGEST_OFFSET = 0.05  # of the largest code
 SMALLEST_OFFSET = 1.5 / 255
+LEAST_NOISE = 0.01  # of the photo's root mean square: what 8 bits round
 DARKEST = 0.1  # percentile of the codes
 
 
@@ -98,8 +99,13 @@ def log_probability(fit, log_slopes, weights) -> float:
     log_slopes : (p, 3), logarithm of the derivative of what was fitted by the codes
     weights : (p, 3)
     """
-    photo = fit.found.photo
-    return (fit.evidence + float((weights * (log_slopes - np.log(photo.level))).sum()) / photo.coarsening) / DOUBT
+    photo, solution = fit.found.photo, fit.found.solution
+    slopes = float((weights * (log_slopes - np.log(photo.level))).sum())
+    left = np.maximum(photo.noise(solution.x, solution.v), LEAST_NOISE**2 * photo.mean_square)
+    over = np.maximum(solution.v / left, 1.0)
+    floor = 0.5 * float((photo.count * (np.log(over) + 1 / over - 1)).sum())
+    # the number of independent channels is each fit's own: the sum has to be tempered alike under all curves
+    return (fit.evidence * photo.coarsening + slopes + floor) / (photo.coarsening * photo.effective * DOUBT)
 
 
 def probabilities(logs) -> np.ndarray:

@@ -189,7 +189,7 @@ def curve_words(problems) -> str:
             )
         else:
             said.append(f"{'sRGB' if asked == 'srgb' else 'linear'}, as stated")
-    return " | ".join(dict.fromkeys(said))
+    return f"the photo's tone curve is {' | '.join(dict.fromkeys(said))}"
 
 
 def curve_doubts(problems, fit, solver, exposures) -> list[str]:

@@ -244,6 +244,16 @@ def test_photos_that_are_no_plain_file_are_saved_linear(scene, tmp_path, add_cam
     assert (path.parent / "photo.png").read_bytes() == (tmp_path / "photo.png").read_bytes()
 
 
+def test_the_photos_curve_goes_with_whole_numbers_only(scene, tmp_path, add_camera):
+    camera, cube = add_camera(scene, (0, -9, 0)), add_cube()
+    given = {"camera": camera, "objects": [cube], "occluders": [], "curve": "unknown"}
+    path = export.export_job(scene, tmp_path / "job", image_path=make_photo(tmp_path), **given)
+    assert json.loads(path.read_text())["image_colorspace"] == "unknown"
+    painted = bpy.data.images.new("Painted", 96, 64, float_buffer=True)
+    path = export.export_job(scene, tmp_path / "job2", image_path=painted, **given)
+    assert json.loads(path.read_text())["image_colorspace"] == "linear"
+
+
 def surface_and_texture(path):
     """Triangles and texture triangles of a job's only object: (f, 3, 3) and (f, 3, 2), or None without UVs."""
     mesh = trimesh.load(path.parent / json.loads(path.read_text())["objects"][0]["mesh"], process=False)

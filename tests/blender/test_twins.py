@@ -74,3 +74,4 @@ def test_the_words_of_the_contract():
     assert engine_process.BUG == command.BUG == engine_command.BUG
     spaces = JobSchema.model_json_schema()["properties"]["image_colorspace"]["enum"]
     assert {"auto", "linear"} <= set(spaces)  # what photo.put gives
+    assert {name for name, *_ in properties.CURVES} == set(spaces)

@@ -56,6 +56,18 @@ def test_a_whole_job(job):
     assert load_job(job.folder / "job.json").digest == result.digest
 
 
+def test_a_photo_of_an_unknown_curve_is_read_as_by_default_and_keeps_its_bits(job):
+    cv2.imwrite(str(job.folder / "photo.png"), np.full((8, 12, 3), 128, np.uint8))
+    tree = job.copy() | {"image": "photo.png", "image_colorspace": "unknown"}
+    found = load_job(job.write(tree))
+    assert (found.image_colorspace, found.photo.bits) == ("unknown", 8)
+    np.testing.assert_array_equal(found.photo.radiance, load_job(job.folder, colorspace="auto").photo.radiance)
+    linear = load_job(job.folder, colorspace="linear")
+    assert linear.image_colorspace == "linear"
+    np.testing.assert_allclose(linear.photo.radiance, 128 / 255)
+    assert load_job(job.write()).photo.bits is None
+
+
 def test_only_what_is_needed_has_to_be_there(job):
     tree = job.copy()
     for key in ("image_colorspace", "exposure_ev", "occluders", "depth", "metres_per_unit"):
@@ -172,7 +184,7 @@ PROJECTIVE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 1, 1]]
     ("image", "photo\0.exr", "not inside the job folder"),
     ("image_colorspace", "sRGB", "image_colorspace; it is \"sRGB\"; did you mean 'srgb'?"),
     ("image_colorspace", "liner", "did you mean 'linear'?"),
-    ("image_colorspace", 7, "choose one of 'auto', 'srgb', 'linear'"),
+    ("image_colorspace", 7, "choose one of 'auto', 'srgb', 'linear', 'unknown'"),
     ("objects", [], "neither objects nor depth"),
     ("objects", {}, "objects; it is {}; it has to be a list"),
     ("objects.0", "cube.obj", r"objects\[0\]; it is \"cube.obj\"; it has to be an object"),

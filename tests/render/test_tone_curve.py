@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs of an unknown or wrongly stated tone curve through the estimate, against the light they were made of."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine import sh
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.errors import InputError
+from btfsep_engine.fit.expected_error import expected_error
+from btfsep_engine.fit.tone_curve import LINEAR, SRGB, ToneCurve
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate, result_record
+from btfsep_engine.pipeline.modelling import all_chosen_points, posed
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import fit_together
+from btfsep_engine.pipeline.tone import Curves, codes_of, with_other_curves
+from btfsep_engine.progress import Reporter
+from tests.render.scenes import as_mesh, job_of, looking_down
+
+SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2, pixels=1000)
+LAMP = np.array([0.6, 0.3, 0.74]) / np.linalg.norm([0.6, 0.3, 0.74])
+
+
+class Listening(Reporter):
+    """Keeps the warnings."""
+
+    def __init__(self):
+        super().__init__()
+        self.said = []
+
+    def warn(self, message):
+        self.said.append(message)
+
+
+class Grey:
+    """A library of one grey material."""
+
+    def __contains__(self, name):
+        return True
+
+    def load(self, name):
+        return Lambertian(name, np.full(3, 0.5))
+
+
+def light():
+    """A sky and a lamp, (100, 3)."""
+    x = 2.5 * sh.evaluate(9, LAMP[None])[0][:, None] * np.ones(3)
+    x[0] += 1.0
+    return x
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """A scene of a grey ball on black, and its radiance (h, w, 3), at most 0.95."""
+    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.8))
+    scene = PreparedScene(job_of([mesh], looking_down()), Listening())
+    points = scene.points(0, textured=False)
+    values = scene.radiance(points, Grey().load("grey"), SHLighting(light()), directions=512)[:, 0]
+    image = np.zeros((96, 96, 3))
+    image[points.pixels[:, 0], points.pixels[:, 1]] = values
+    image += 0.005 * image.max() * np.random.default_rng(0).normal(size=image.shape)
+    return scene, np.clip(0.95 * image / image.max(), 0, 1)
+
+
+def seen(ball, curve, said):
+    """The scene with a photo that ``curve`` coded in 8 bits, of a job that says that it is ``said``."""
+    scene, image = ball
+    codes = np.linspace(0, 1, 1 << 16)
+    codes = np.round(np.interp(image, curve.decode(codes), codes) * 255) / 255
+    read = LINEAR if said == "linear" else SRGB
+    out = PreparedScene(scene.job, Listening())
+    photo = Photo(read.decode(codes).astype(np.float32), np.ones(codes.shape[:2], bool), 0, bits=8)
+    out.job = replace(scene.job, photo=photo, image_colorspace=said)
+    return out
+
+
+def off(found) -> float:
+    """Relative error up to order 2 with one free scale."""
+    x, t = found.lighting.coefficients[:9], light()[:9]
+    return float(np.linalg.norm((x * t).sum() / (x * x).sum() * x - t) / np.linalg.norm(t))
+
+
+@pytest.mark.parametrize("curve", [LINEAR, ToneCurve(0.5), SRGB])
+def test_an_unknown_curve_is_found_and_the_light_with_it(ball, curve):
+    scene = seen(ball, curve, "unknown")
+    found = estimate(scene, Grey(), SETTINGS, material="grey")
+    chosen = found.scene.curves.curves[0]
+    assert abs(chosen.steepness - curve.steepness) <= 0.25
+    assert chosen.words in found.choice["curve"]
+    assert off(found) < 0.15
+    if curve is LINEAR:
+        assert off(estimate(seen(ball, curve, "srgb"), Grey(), SETTINGS, material="grey")) > 2 * off(found)
+
+
+def test_samples_are_a_mixture_over_the_curves_that_are_nearly_as_probable(ball):
+    scene, material = seen(ball, LINEAR, "linear"), ObjectMaterial("grey", Grey().load("grey"), True)
+    problems, _ = posed([scene], [[material]], all_chosen_points([scene], SETTINGS), SETTINGS, both=False)
+    fit, solver, exposures = fit_together(problems, SETTINGS)
+    codes, two = codes_of(scene.job), (LINEAR, ToneCurve(0.75))
+    scene.curves = Curves(codes, two, np.array([0.6, 0.4]))
+    mixed = with_other_curves(problems, fit, solver, exposures)
+    assert mixed.samples.shape == fit.samples.shape
+    np.testing.assert_array_equal(mixed.samples[:120], fit.samples[:120])
+    np.testing.assert_array_equal(mixed.coefficients, fit.coefficients)
+    plain, knows = (expected_error(f.coefficients, f.samples)["order_2"]["high"] for f in (fit, mixed))
+    assert knows > 1.5 * plain
+    assert mixed.stddev.mean() > fit.stddev.mean()
+    scene.curves = Curves(codes, two, np.array([0.99, 0.01]))
+    assert with_other_curves(problems, fit, solver, exposures) is fit
+
+
+@pytest.mark.parametrize(("said", "true", "doubted"), [
+    ("auto", LINEAR, True), ("linear", SRGB, True), ("auto", SRGB, False), ("linear", LINEAR, False),
+])  # fmt: skip
+def test_a_curve_that_explains_far_less_than_another_is_doubted(ball, said, true, doubted):
+    scene = seen(ball, true, said)
+    estimate(scene, Grey(), SETTINGS, material="grey")
+    assert any("tone curve is doubtful" in each for each in scene.reporter.said) == doubted
+
+
+def test_least_squares_cannot_find_a_curve(ball):
+    with pytest.raises(InputError, match="--colorspace"):
+        estimate(seen(ball, SRGB, "unknown"), Grey(), choose("paper", pixels=500), material="grey")
+
+
+def test_what_was_chosen_is_in_the_result(ball):
+    found = estimate(seen(ball, LINEAR, "linear"), Grey(), SETTINGS, material="grey")
+    record = result_record(found, found.settings)
+    assert json.loads(json.dumps(record["choice"]))["curve"] == "the photo's tone curve is linear, as stated"
