@@ -245,6 +245,7 @@ def test_photos_that_are_no_plain_file_are_saved_linear(scene, tmp_path, add_cam
 
 
 def test_the_photos_curve_goes_with_whole_numbers_only(scene, tmp_path, add_camera):
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
     camera, cube = add_camera(scene, (0, -9, 0)), add_cube()
     given = {"camera": camera, "objects": [cube], "occluders": [], "curve": "unknown"}
     path = export.export_job(scene, tmp_path / "job", image_path=make_photo(tmp_path), **given)
