@@ -66,13 +66,13 @@ def solve(photo: Photograph, model: LightModel, *, white=None, v=None, strict=Fa
     floor = FLOOR**2 * photo.mean_square
     v = np.maximum(FIRST_NOISE**2 * photo.mean_square if v is None else v, floor)
     steps = 0
-    for _ in range(ROUNDS):
+    for left in reversed(range(ROUNDS)):
         rows = photo.rows(v, strict=strict)
         white, x, radiance, lowest, taken = _minimised(rows, model, white)
         steps += taken
         now = np.maximum((photo.misfit(x) if strict else photo.noise(x, v)), floor)
         settled = np.abs(np.log(now / v)).max() < SETTLED
-        if settled:
+        if settled or not left:  # what is stated is all at one noise
             break
         v = now
     jacobian = model.jacobian(white, radiance, rows.root)
