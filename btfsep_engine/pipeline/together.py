@@ -61,10 +61,8 @@ def fit_together(problems: list[Problem], settings) -> tuple[Fit, LightSolver | 
     for _ in range(TURNS if len(problems) > 1 else 1):
         b = np.concatenate([m / e for m, e in zip(measured, exposures, strict=True)])
         fit = solver.solve(b, weights=weights, start=fit) if solver else solve(basis, b, blocks=blocks)
-        before, exposures = (
-            exposures,
-            [1.0] + [exposure_of(p, m, fit) for p, m in zip(problems[1:], measured[1:], strict=True)],
-        )
+        before, found = exposures, [exposure_of(p, m, fit) for p, m in zip(problems, measured, strict=True)]
+        exposures = [e / found[0] for e in found]  # what all photos miss alike is no exposure
         if max(abs(a / e - 1) for a, e in zip(before, exposures, strict=True)) < SETTLED:
             break
     return fit, solver, exposures
