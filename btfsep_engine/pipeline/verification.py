@@ -22,7 +22,7 @@ WEIGHT = 10.0  # of the cosine against the logarithm of the classifier's score
 LARGEST_GAIN = 0.5  # in cosine that is to be expected between two candidates
 CANDIDATES = 6
 PIXELS = 1500  # of the fit of the light
-ORDER = 6
+ORDER = 9
 NOISE = 0.05  # of a rendering that is compared, relative to the mean: a photo has some
 
 
