@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which lamps become suns."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from btfsep_engine.fit.log_normal import Lamp
+from btfsep_engine.pipeline.lamps import key_lights
+from tests.engine.half_sphere import FILL, SUN
+
+MAP = SimpleNamespace(key_light="auto", estimator="map")
+
+
+def of(share, degrees, direction=SUN) -> Lamp:
+    return Lamp(direction, np.full(3, 5 * share), np.full(3, 0.1), degrees, share, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("share", "degrees", "is_sun"), [(0.21, 5, True), (0.19, 5, False), (0.9, 14, True), (0.9, 16, False)]
+)
+def test_a_sun_has_a_fifth_of_the_light_and_a_direction_that_is_known(share, degrees, is_sun):
+    suns, why = key_lights(SimpleNamespace(lamps=(of(share, degrees),)), MAP)
+    assert len(suns) == is_sun
+    assert f"{100 * share:.0f} %" in why and ("a key light is" in why) == is_sun
+    if is_sun:
+        np.testing.assert_allclose(suns[0].direction, SUN)
+        np.testing.assert_allclose(suns[0].irradiance, 5 * share)
+        assert (suns[0].share, suns[0].direction_stddev_degrees) == (share, degrees)
+
+
+def test_several_keep_their_order_and_what_is_weak_stays_behind():
+    fit = SimpleNamespace(lamps=(of(0.5, 2), of(0.3, 3, FILL), of(0.1, 3, -FILL)))
+    suns, why = key_lights(fit, MAP)
+    assert [s.share for s in suns] == [0.5, 0.3] and why.startswith("2 key lights")
+    height = np.degrees(np.arcsin(SUN[2]))
+    assert f"from {height:.0f} degrees above" in why
+
+
+def test_none_where_there_is_none_or_nobody_asked():
+    assert key_lights(SimpleNamespace(lamps=()), MAP)[0] == ()
+    lamp = SimpleNamespace(lamps=(of(0.9, 1),))
+    for settings, word in (
+        (SimpleNamespace(key_light="never", estimator="map"), "--key-light never"),
+        (SimpleNamespace(key_light="auto", estimator="least-squares"), "--estimator map"),
+    ):
+        suns, why = key_lights(lamp, settings)
+        assert suns == () and word in why

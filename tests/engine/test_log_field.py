@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The prior of natural light: its derivatives, its statistics by sampling, its symmetry; where its table is from."""
+
+import json
+import sys
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from btfsep_engine import sh
+from btfsep_engine.light import log_field, maps
+from btfsep_engine.light.log_field import CHROMA, even_field, natural_field
+
+
+def test_the_jacobian_is_that_of_finite_differences(rng):
+    field = natural_field()
+    white = 0.5 * rng.normal(size=field.unknowns)
+    rows = [rng.normal(size=(count, field.terms)) for count in (3, 5, 4)]
+
+    def images(at):
+        x = field.coefficients(field.radiance(at))
+        return np.concatenate([r @ each for r, each in zip(rows, x, strict=True)])
+
+    step = 1e-5 * np.eye(field.unknowns)
+    numerical = np.stack([(images(white + s) - images(white - s)) / 2e-5 for s in step], 1)
+    found = field.jacobian(rows, field.radiance(white))
+    np.testing.assert_allclose(found, numerical, atol=1e-6 * np.abs(numerical).max())
+
+
+def test_fields_drawn_have_the_variances_of_the_table(rng):
+    """Addition theorem: a stationary field's variance is sum s_l^2 (2 l + 1) / (4 pi), everywhere."""
+    table = json.loads(log_field.TABLE.read_text())
+    field = natural_field()
+    white = rng.normal(size=(1500, field.unknowns))
+    white[:, 0] = 0  # the level is as good as unknown
+    logs = np.stack([np.linalg.solve(CHROMA, field.logarithm(w)) for w in white])
+    logs -= np.linalg.solve(CHROMA, np.log(field.radiance(np.zeros(field.unknowns))))
+    for i, (name, order, gain) in enumerate((("luminance", 12, 1.4), ("red_blue", 6, 1.0), ("green", 6, 1.0))):
+        l = np.arange(1, order + 1)
+        power = (gain * table[name]["at_degree_1"] * l ** -table[name]["decline"]) ** 2
+        stated = (power * (2 * l + 1)).sum() + (table[name]["level"] ** 2 if i else 0.0)
+        assert logs[:, i].var() == pytest.approx(stated / (4 * np.pi), rel=0.06), name
+
+
+def test_the_prior_knows_up_and_down_and_no_other_direction(rng):
+    """Covariances depend on the angle between two directions alone; the mean does not change about the vertical."""
+    field = natural_field()
+    d = rng.normal(size=(20, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    harmonics = [sh.evaluate(field.order, np.array(t @ d.T).T) for t in (np.eye(3), Rotation.random(rng=5).as_matrix())]
+    of_l = field.deviation[: sh.term_count(field.order)] ** 2
+    before, after = ((y * of_l) @ y.T for y in harmonics)
+    np.testing.assert_allclose(after, before, atol=1e-9 * before.max())
+    nothing = np.zeros(field.unknowns)
+    about = Rotation.from_rotvec([0, 0, 1.1]).as_matrix()
+    np.testing.assert_allclose(field.at(nothing, d @ about.T), field.at(nothing, d), rtol=1e-9)
+    up, down = field.at(nothing, np.array([[0, 0, 1.0], [0, 0, -1.0]]))
+    assert (up > 1.5 * down).all()
+
+
+def test_radiance_is_positive_the_same_by_both_ways_and_finite_on_the_way(rng):
+    field = natural_field()
+    white = 2 * rng.normal(size=field.unknowns)
+    np.testing.assert_allclose(field.at(white, field.directions).T, field.radiance(white), rtol=1e-9)
+    assert (field.radiance(white) > 0).all() and np.isfinite(field.radiance(1e3 * white)).all()
+
+
+def test_coefficients_are_the_integrals_over_the_sphere():
+    """Of even light, and of cos^2 about a slanted axis, whose integral has a closed form."""
+    field = natural_field()
+    axis = np.array([0.6, 0.0, 0.8])
+    radiance = np.stack([np.ones(400), 2 * np.ones(400), (field.directions @ axis) ** 2])
+    x = field.coefficients(radiance)
+    even = np.eye(1, field.terms)[0] * np.sqrt(4 * np.pi)
+    squared = sh.evaluate(2, axis[None])[0] * (8 * np.pi / 15)  # cos^2 = 1/3 + 2/3 P_2, the addition theorem
+    squared[:4] = [np.sqrt(4 * np.pi) / 3, 0, 0, 0]
+    np.testing.assert_allclose(x[:2], np.outer([1, 2], even), atol=0.02)
+    np.testing.assert_allclose(x[2, :9], squared, atol=0.01)
+
+
+def test_even_light_is_one_level_and_one_colour():
+    field = even_field()
+    assert field.unknowns == 3
+    radiance = field.radiance(np.array([0.3, 1.0, -0.5]))
+    assert np.ptp(radiance, axis=1).max() < 1e-12 and np.ptp(radiance[:, 0]) > 0.01
+
+
+def test_the_table_is_what_the_shipped_maps_teach(monkeypatch):
+    """`scripts/learn_natural_light` again, with its file left alone."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    script = Path(__file__).parents[2] / "scripts" / "learn_natural_light"
+    loader = SourceFileLoader("learn_natural_light", str(script))
+    module = module_from_spec(spec_from_loader(loader.name, loader))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    loader.exec_module(module)
+    files = sorted(maps.FOLDER.glob("*.exr"))
+    table = json.loads(log_field.TABLE.read_text())
+    assert table.pop("maps") == [f.stem for f in files]
+    learned = module.learn([module.expansions(np.asarray(maps.read_map(f), np.float64)) for f in files])
+    assert learned.keys() == table.keys()
+    np.testing.assert_allclose(learned.pop("zonal_mean"), table.pop("zonal_mean"), rtol=1e-6)
+    for name, each in table.items():
+        assert learned[name] == pytest.approx(each, rel=1e-6)

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The light of a photograph: lamps, skies and both are told apart; symmetries; what is stated; frames; derivatives."""
+
+import numpy as np
+import pytest
+
+from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.light.log_field import natural_field
+from btfsep_engine.light.natural import natural_amplitude
+from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, off, project, shown, side_light
+
+
+def sky(bright=4.0):
+    """Smooth light from above, a little from the left: radiance falls by a factor exp(-2 bright / 3) to below."""
+    axis = np.array([-0.3, -0.3, 0.9])
+    return project(lambda d: np.exp(bright * (d @ axis - 1) / 3)[:, None] * [0.95, 1.0, 1.05])
+
+
+def solved(rng, x, *, noise=0.03, pixels=1200, albedo=(0.5, 0.5, 0.5)):
+    basis, normals, _ = half_sphere(rng, pixels=pixels, albedo=albedo)
+    solver = LightSolver(basis, normals=normals, order=4)
+    b = shown(basis, x, rng, noise)
+    return solver.solve(b), solver, b
+
+
+def apart(lamp_found, direction) -> float:
+    """Degrees."""
+    return float(np.degrees(np.arccos(np.clip(lamp_found.direction @ direction, -1, 1))))
+
+
+def is_plain(fit) -> bool:
+    return fit.found.solution.model.field.order == 0
+
+
+def test_one_lamp_is_found_to_a_degree_and_is_all_that_there_is(rng):
+    fit, _, _ = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0, 3.0, 3.0]))
+    assert is_plain(fit) and len(fit.lamps) == 1
+    assert apart(fit.lamps[0], SUN) < 1 and fit.lamps[0].degrees < 3
+    np.testing.assert_allclose(fit.lamps[0].irradiance, 3, rtol=0.05)
+    assert fit.lamps[0].share == pytest.approx(3 / (3 + 0.1 * 4 * np.pi), rel=0.05)
+
+
+def test_two_lamps_are_found_to_five_degrees_the_brighter_one_first(rng):
+    fit, _, _ = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0] * 3) + lamp(FILL, [1.5] * 3))
+    assert is_plain(fit) and len(fit.lamps) == 2
+    assert apart(fit.lamps[0], SUN) < 5 and apart(fit.lamps[1], FILL) < 5
+    assert fit.lamps[1].irradiance.mean() == pytest.approx(1.5, rel=0.2)
+
+
+def test_even_light_has_no_lamp(rng):
+    for _ in range(3):
+        fit, _, _ = solved(rng, even(), noise=0.1, pixels=300)
+        assert is_plain(fit) and not fit.lamps
+        np.testing.assert_allclose(fit.coefficients[0], np.sqrt(4 * np.pi), rtol=0.05)
+
+
+def test_a_smooth_sky_has_no_lamp_and_is_a_free_one(rng):
+    fit, _, _ = solved(rng, sky())
+    assert not is_plain(fit) and not fit.lamps
+    assert off(fit, sky()) < 0.08
+
+
+def test_a_weak_lamp_beside_much_light_is_found_where_it_is_worth_its_cost(rng):
+    """Between 5 and 50 of the logarithm of the evidence."""
+    fit, _, _ = solved(rng, even() + lamp(SUN, [0.7] * 3), noise=0.08, pixels=300)
+    assert is_plain(fit) and len(fit.lamps) == 1 and apart(fit.lamps[0], SUN) < 12
+
+
+def test_a_sun_in_a_sky_is_told_from_it(rng):
+    x = sky() + lamp(SUN, [1.5] * 3)
+    fit, _, _ = solved(rng, x, noise=0.02)
+    assert apart(fit.lamps[0], SUN) < 5
+    assert off(fit, x) < 0.12
+    share = 1.5 / (np.sqrt(4 * np.pi) * x[0].mean())
+    assert fit.lamps[0].share == pytest.approx(share, rel=0.3)
+
+
+def test_exposure_scales_the_light_and_reflectance_its_inverse(rng):
+    fit, solver, b = solved(rng, side_light(), pixels=400)
+    np.testing.assert_allclose(solver.solve(5 * b).every, 5 * fit.every, rtol=1e-5, atol=1e-6)
+    darker = LightSolver(solver.basis.images / 2, normals=half_normals(rng, solver), order=4)
+    np.testing.assert_allclose(darker.solve(b).every, 2 * fit.every, rtol=1e-5, atol=1e-6)
+
+
+def half_normals(rng, solver):
+    """The sphere's normals again, from the cosines in its basis images."""
+    first = solver.basis.smooth[:, :3]  # Y_1: y, z, x
+    return first[:, [2, 0, 1]] / np.linalg.norm(first, axis=1, keepdims=True)
+
+
+def test_red_and_blue_are_alike(rng):
+    fit, solver, b = solved(rng, side_light(), pixels=400, albedo=(0.7, 0.5, 0.3))
+    swapped = LightSolver(solver.basis.images[..., ::-1], normals=half_normals(rng, solver), order=4)
+    found = swapped.solve(b[:, ::-1])
+    np.testing.assert_allclose(found.every[:, ::-1], fit.every, atol=0.01 * np.abs(fit.every).max())
+    assert found.evidence == pytest.approx(fit.evidence, abs=0.5)
+
+
+def test_a_usual_tint_is_the_lights_and_an_unusual_one_the_objects(rng):
+    usual = np.array([1.12, 1.0, 0.88])
+    fit, _, _ = solved(rng, side_light() * usual)
+    colour = fit.coefficients[0] / fit.coefficients[0].mean()
+    truth = (side_light() * usual)[0]
+    np.testing.assert_allclose(colour, truth / truth.mean(), rtol=0.03)
+    assert fit.tint.unknown < 0.1
+    dyed = np.array([3.0, 1.0, 0.3])
+    fit, solver, b = solved(rng, side_light() * dyed)
+    colour = fit.coefficients[0] / fit.coefficients[0].mean()
+    assert fit.tint.unknown > 0.9 and colour[0] / colour[2] < 2  # of ten
+    # the photo is what it is: who multiplies by the object's own colour sees it again
+    left = b - solver.basis.predicted(fit.shown)
+    assert np.linalg.norm(left) / np.linalg.norm(b) == pytest.approx(fit.residual, rel=1e-3) and fit.residual < 0.06
+    np.testing.assert_allclose(fit.shown * fit.tint.gain, fit.every)
+
+
+def test_the_reflectance_of_a_piece_is_known_to_a_tenth(rng):
+    """However well a photo is explained, what is stated of the light's level holds that."""
+    fit, _, _ = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0] * 3), noise=0.01)
+    level = np.log(fit.samples[:, 0].mean(1))
+    assert 0.09 < level.std() < 0.16
+    assert ((fit.stddev[0] / fit.coefficients[0]) > 0.09).all()
+
+
+def test_what_is_stated_are_the_ends_and_the_middle_of_the_samples(rng):
+    fit, _, _ = solved(rng, sky(3.0), noise=0.1, pixels=60)
+    few = fit.samples[:, :25]
+    np.testing.assert_allclose(fit.interval, np.percentile(few, [2.5, 97.5], axis=0))
+    assert (fit.interval[0] <= fit.interval[1]).all() and fit.samples.shape == (200, 100, 3)
+    wide = np.sqrt((np.maximum(fit.stddev**2 - (0.1 * fit.coefficients) ** 2, 0)).mean(1))
+    natural = natural_amplitude(9)[:25] * fit.coefficients[0].mean()
+    assert 0 < fit.determined.sum() < 25
+    np.testing.assert_array_equal(fit.determined, wide < 0.5 * natural)
+
+
+def test_the_order_that_is_reported_changes_no_number(rng):
+    basis, normals, _ = half_sphere(rng, pixels=300)
+    b = shown(basis, side_light(), rng, 0.03)
+    low, high = (LightSolver(basis, normals=normals, order=order).solve(b) for order in (1, 4))
+    np.testing.assert_array_equal(low.coefficients, high.coefficients[:4])
+    np.testing.assert_array_equal(low.stddev, high.stddev[:4])
+
+
+@pytest.mark.parametrize("light", [side_light(), even((0.2,) * 3) + lamp(SUN, [3.0] * 3)], ids=["rich", "lamp"])
+def test_from_its_own_light_on_a_photo_has_the_same_light(rng, light):
+    fit, solver, b = solved(rng, light)
+    again = solver.solve(b, start=fit)
+    assert np.linalg.norm(again.every - fit.every) < 0.01 * np.linalg.norm(fit.every)
+    assert again.found.solution.model is fit.found.solution.model
+    doubled = solver.solve(2 * b, start=fit)
+    np.testing.assert_allclose(doubled.every, 2 * again.every, rtol=1e-3, atol=1e-3)
+
+
+def test_a_rich_light_explains_all_that_it_can(rng):
+    """It is the most probable one without the discrepancy: a further Newton step without that gains nothing."""
+    fit, _, _ = solved(rng, sky(), noise=0.1)
+    found = fit.found
+    model, white = found.solution.model, found.solution.white
+    assert not is_plain(fit)
+    rows = found.photo.rows(found.photo.misfit(found.solution.x), strict=True)
+    x, radiance = model.light(white)
+    j = model.jacobian(white, radiance, rows.root)
+    slope = j.T @ rows.residual(x) + white
+    assert 0.5 * slope @ np.linalg.solve(np.eye(len(slope)) + j.T @ j, slope) < 0.05
+
+
+@pytest.mark.parametrize("light", [side_light(), even((0.2,) * 3) + lamp(SUN, [3.0] * 3)], ids=["rich", "lamp"])
+@pytest.mark.parametrize("tint", [(1, 1, 1), (2.5, 1, 0.4)])
+def test_what_light_can_imitate_is_the_fits_derivative(rng, light, tint):
+    fit, solver, b = solved(rng, light * np.array(tint), noise=0.05, pixels=600)
+    change = b * (1 + rng.normal(size=(1, 3)) * half_normals(rng, solver))
+    up, down = (solver.solve(b + sign * 0.01 * change, start=fit) for sign in (1, -1))
+    numerical = solver.basis.predicted((up.shown - down.shown) / 0.02)
+    imitated = change - solver.smoother(fit)(change)
+    assert np.linalg.norm(imitated - numerical) < 0.08 * np.linalg.norm(numerical)
+
+
+def test_samples_are_laplaces(rng):
+    """The lights' scatter about the most probable one is that of (I + J^T J)^-1."""
+    basis, normals, _ = half_sphere(rng, pixels=2000, albedo=(0.5,) * 3)
+    cap = normals @ [0.6, -0.6, 0.5] > 0.5  # a part of the sphere: its unknowns go together
+    solver = LightSolver(basis[cap], normals=normals[cap], order=2)
+    fit = solver.solve(shown(basis[cap], sky(), rng, 0.03))
+    best, model = fit.found.solution, fit.found.solution.model
+    assert isinstance(model, LightModel) and model.field is natural_field()
+    values, vectors = np.linalg.eigh(best.factor @ best.factor.T)
+    drawn = best.white + (rng.normal(size=(600, len(values))) / np.sqrt(values)) @ vectors.T
+    by_hand = np.array([model.light(white)[0][1] for white in drawn])
+
+    def ratios(lights):  # what pixels show over the level, so that scale and tint, which are not Laplace's, are gone
+        return (lights @ solver.basis.images[::16, :, 1].T) / lights[:, :1]
+
+    found = ratios(fit.samples[:, :, 1]).std(0) / ratios(by_hand).std(0)
+    assert np.median(found) == pytest.approx(1, abs=0.12) and np.max(found) < 1.5 and np.min(found) > 0.65
