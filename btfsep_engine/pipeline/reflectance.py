@@ -5,8 +5,8 @@ Nothing is as Lambert has it, and light can imitate what a surface departs from 
 near it (`btf.departures`) are always tried. A measured one is doubted only where the misfit looks like shading
 (`fit.diagnose`, "diffuse"), which is what a wrong balance of matte and gloss leaves over. The material of the largest
 evidence, its prior counted, stands for the object in the fit. But roughness and a natural sky imitate each other, and
-the evidence cannot always tell: a departure is believed only where it makes the light simpler, a plain one, or one of
-far fewer effective unknowns. Objects are looked at one by one, the largest first.
+the evidence cannot always tell: a departure is believed only where it makes the light simpler: a plain one with
+lamps, or one with lamps and far fewer effective unknowns. Objects are looked at one by one, the largest first.
 """
 
 from dataclasses import dataclass, replace
@@ -49,9 +49,13 @@ def shading_left(problems, fit: Fit, solver, exposures) -> float:
 
 
 def simpler(departed: Fit, fit: Fit) -> bool:
-    """Whether a fit's light is plain, or has far fewer effective unknowns than another's."""
+    """Whether a fit's light is of lamps and plain, or has far fewer effective unknowns than another's.
+
+    Under light without a lamp roughness only makes all of it a little brighter: nothing could tell.
+    """
     plain = departed.found.rival is not None
-    return plain or departed.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
+    fewer = departed.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
+    return bool(departed.lamps) and (plain or fewer)
 
 
 def nearer_materials(problems, used, fit: Fit, solver, exposures, settings) -> Nearer:
