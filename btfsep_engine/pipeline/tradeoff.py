@@ -21,7 +21,7 @@ from btfsep_engine.pipeline.settings import PRESETS, Settings, choose
 from btfsep_engine.progress import Reporter
 
 ORDER = 2  # up to which errors are measured
-TIMED = ("transport", "fit")
+TIMED = ("transport", "fit", "reflectance")  # the materials near the given one are fits, too
 THOROUGH = {"pixels": 32_000, "directions": 2048, "bounces": 8}
 ONE_BY_ONE = {  # from "balanced", one at a time
     "pixels": [{"pixels": n} for n in (250, 1000, 16_000)],
