@@ -261,7 +261,7 @@ def test_two_objects_share_one_light(sphere_job_folder, capsys):
     assert main(["estimate", str(folder), "--order", "2", "--no-report", "--json"]) == 0
     result = json_lines(capsys.readouterr().out.split("\n", 1)[1])[-1]["result"]
     assert [o["material"] for o in result["objects"]] == ["reference/white-diffuse", "reference/grey18"]
-    assert min(o["pixels"] for o in result["objects"]) > 10 and max(o["residual"] for o in result["objects"]) < 0.1
+    assert min(o["pixels"] for o in result["objects"]) > 10 and max(o["residual"] for o in result["objects"]) < 0.15
     found = read_lighting(result["lighting"]).coefficients
     assert off_as_seen(found, truth) < A_TENTH
 

@@ -12,7 +12,8 @@ from btfsep_engine import images
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import read_lighting
 
-RUN = ["--material", "reference/white-diffuse", "--order", "2", "--no-report"]
+# the light has order 2 and nothing is noisy: least squares finds it exactly, whatever the file looks like
+RUN = ["--material", "reference/white-diffuse", "--order", "2", "--estimator", "least-squares", "--no-report"]
 
 
 def edited(folder, change):
