@@ -97,8 +97,7 @@ class LightSolver:
         with one_thread():
             photo = Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening)
             if start is not None:
-                photo.learn_from(start.found.solution.x)
-                return self._fit(photo, follow(photo, start.found.solution), start.found.rival)
+                return self._fit(photo, *follow(photo, start.found.solution, start.found.rival))
             return self._fit(photo, *elect(photo))
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
@@ -251,10 +250,13 @@ def sharpened(photo: Photograph, best: Solution) -> Solution:
     return replace(final, factor=best.factor, evidence=best.evidence, rows=best.rows, v=best.v)
 
 
-def follow(photo: Photograph, before: Solution) -> Solution:
-    """The light of the model of an earlier solution, from its light on."""
+def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
+    """The light of the models of an earlier election, from its lights on: what `elect` gives."""
+    photo.learn_from(before.x)
     best = solve(photo, before.model, white=before.white, v=before.v)
-    return sharpened(photo, best) if before.model.field.order else best
+    if rival is not None:
+        return best, solve(photo, rival.model, white=rival.white, v=rival.v)
+    return sharpened(photo, best) if before.model.field.order else best, None
 
 
 def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:

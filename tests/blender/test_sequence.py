@@ -174,5 +174,6 @@ def test_from_photos_by_cycles_to_keyframes_by_the_engine(addon, scene, render, 
         picture = render(scene)
         for other, photo in photos.items():
             errors[number, other] = np.sqrt(((picture - photo)[ball] ** 2).mean() / (photo[ball] ** 2).mean())
-    assert errors[12, 12] < 0.03 and errors[14, 14] < 0.03
-    assert errors[12, 14] > 0.1 and errors[14, 12] > 0.1
+    # a World of order 2 is made positive, and shades up to a sixth otherwise than the light of order 9 that was found
+    assert errors[12, 12] < 0.2 and errors[14, 14] < 0.2
+    assert errors[12, 14] > 1.5 * errors[12, 12] and errors[14, 12] > 1.5 * errors[14, 14]

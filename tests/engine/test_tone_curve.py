@@ -49,8 +49,7 @@ def test_an_offset_is_what_no_pixel_is_below_unless_it_is_large():
 
 def photographed(rng, *, lamp, sky=1.0):
     """Basis images of a half sphere, its normals, and its radiance under a sky (and a lamp), to 0.95, noise of 0.01."""
-    basis, _ = half_sphere(rng, order=9, pixels=1200, albedo=(0.7, 0.6, 0.5))
-    normals = half_sphere_normals(basis)
+    basis, normals, _ = half_sphere(rng, pixels=1200, albedo=(0.7, 0.6, 0.5))
     x = np.zeros((100, 3))
     x[:4] = sky * np.array([[1.0, 1.1, 1.3], [0.1, 0.1, 0.1], [0.3, 0.4, 0.5], [-0.1, -0.1, -0.1]])
     if lamp:
@@ -58,14 +57,6 @@ def photographed(rng, *, lamp, sky=1.0):
     b = np.einsum("pmc,mc->pc", basis, x)
     b = 0.95 * b / b.max()
     return basis, normals, np.clip(b + 0.01 * rng.normal(size=b.shape), 0, 1)
-
-
-def half_sphere_normals(basis):
-    """The normals that `half_sphere` drew first from the same generator."""
-    n = np.random.default_rng(7).normal(size=(len(basis), 3))
-    n /= np.linalg.norm(n, axis=1, keepdims=True)
-    n[:, 1] = -np.abs(n[:, 1])
-    return n
 
 
 def coded(radiance, curve):
