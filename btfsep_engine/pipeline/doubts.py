@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Warnings about an estimate, in words, and every threshold at which one is given.
 
-The thresholds of structure were set a fourth or more above what 21 photographs by Cycles with the right material and
-geometry show, under two lights, and are judged by photographs under two others (docs/fit.md).
+The thresholds of structure were set above what a dozen photographs by Cycles with the right material and geometry show,
+and well under what a lamp at four radii shows; docs/fit.md has how often each doubt is raised on others.
 """
 
 from dataclasses import dataclass
