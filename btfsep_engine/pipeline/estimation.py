@@ -26,6 +26,7 @@ from btfsep_engine.pipeline.doubts import (
 from btfsep_engine.pipeline.given import given_materials
 from btfsep_engine.pipeline.interreflection import NOT_SO_BRIGHT, contradicted, open_share, own_light
 from btfsep_engine.pipeline.lamps import key_lights
+from btfsep_engine.pipeline.light_account import colour_doubts, colour_words, lamp_record, light_words, sky_radiance
 from btfsep_engine.pipeline.modelling import (
     all_chosen_points,
     all_with_own_light,
@@ -46,10 +47,6 @@ UNSEEN = (
     "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
     "reflections by what the camera does not see, the stated uncertainty knows nothing"
 )
-
-
-UNKNOWN_COLOUR = 0.5  # probability, from which on it is said that the object's colour is not known
-BROAD = 30.0  # a lamp that is no sun: exp(BROAD cos), 15 degrees wide
 
 
 @dataclass(frozen=True)
@@ -360,66 +357,6 @@ def result_record(found: Estimate, settings: Settings) -> dict:
         "saturated_pixels": scene.job.photo.saturated,
         **run_record(settings, scene.reporter),
     }
-
-
-def sky_radiance(fit: Fit, lighting: Lighting):
-    """The fit's own positive radiance (directions (m, 3) -> (m, 3)), with the lamps that are no suns as broad discs."""
-    kept = [lamp for lamp in fit.lamps if not any(np.allclose(lamp.direction, sun.direction) for sun in lighting.suns)]
-
-    def radiance(directions):
-        out = fit.found.radiance(directions)
-        for lamp in kept:
-            disc = np.exp(BROAD * (np.asarray(directions) @ lamp.direction - 1))  # of integral 2 pi / BROAD
-            out = out + disc[:, None] * (lamp.irradiance * BROAD / (2 * np.pi))
-        return out
-
-    return radiance
-
-
-def lamp_record(lamp) -> dict:
-    """A lamp of the fit for JSON."""
-    return {
-        "direction": lamp.direction,
-        "direction_stddev_degrees": lamp.degrees,
-        "irradiance": lamp.irradiance,
-        "stddev": lamp.stddev,
-        "share": lamp.share,
-        "share_stddev": lamp.share_stddev,
-    }
-
-
-def light_words(fit: Fit) -> str:
-    """Which model of the light the photo asked for."""
-    if fit.found is None:
-        return "spherical harmonics by least squares"
-    lamps = len(fit.lamps)
-    beside = f" and {lamps} lamp{'s' if lamps > 1 else ''}" if lamps else ""
-    plain = fit.found.solution.model.field.order == 0
-    return f"even light{beside}: nothing richer explains the photo better" if plain else f"a free sky{beside}"
-
-
-def colour_words(fit: Fit) -> str:
-    """Whose colour a tint was taken to be."""
-    if fit.tint is None:
-        return "the light's colour is what the material's leaves over"
-    if fit.tint.unknown > UNKNOWN_COLOUR:
-        return (
-            "the object's colour is not the material's, and not known: the light was taken to be as little coloured as "
-            "light usually is"
-        )
-    return "the object's colour was taken to be the material's"
-
-
-def colour_doubts(fit: Fit) -> list[str]:
-    """That the object's colour is not known."""
-    if fit.tint is None or fit.tint.unknown <= UNKNOWN_COLOUR:
-        return []
-    r, g, b = 1 / fit.tint.gain
-    return [
-        "the object's colour is not known: no usual light makes the material look like the photo; the object was taken "
-        f"to reflect {r:.2f}, {g:.2f}, {b:.2f} times (red, green, blue) its material, and what the light's colour is, "
-        "is known only as well as lights usually scatter; give the object's colour ('surface'), if you know it"
-    ]
 
 
 def determined_words(reported, fitted=None) -> str:
