@@ -20,7 +20,7 @@ from btfsep_engine.fit.least_squares import DETERMINED
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.linear_algebra import one_thread
 from btfsep_engine.fit.log_normal import REFLECTANCE
-from btfsep_engine.fit.products import Basis, Photograph
+from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.light.log_field import natural_field
 
 LIGHTS = 24  # drawn from the prior, for the expected error
@@ -111,7 +111,7 @@ def _about(ready: Basis, model: LightModel, white, noise: float):
     inside = x / photo.level[:, None]
     photo.learn_from(inside)
     photo.effective = 1.5  # channels' misfits go together, as texture and shape make them
-    rows = photo.rows(noise**2 * photo.mean_square)
+    rows = photo.rows(noise**2 * photo.mean_square, NEARLY_RIGHT)
     j = model.jacobian(white, radiance / photo.level[:, None], rows.root)
     j_x = model.jacobian(white, radiance, [np.eye(ready.terms)] * 3)
     j_x = j_x.reshape(3, ready.terms, -1).transpose(1, 0, 2).reshape(3 * ready.terms, -1)

@@ -69,7 +69,7 @@ class LightModel:
 
     def lights(self, whites) -> np.ndarray:
         """Coefficients (m, 3, terms) of all of the light of many unknowns (m, unknowns)."""
-        out = np.stack([self.field.coefficients(self.field.radiance(self.parts(white)[0])) for white in whites])
+        out = self.field.coefficients(self.field.radiance(whites[:, : self.field.unknowns]))
         for i in range(len(self.lamps)):
             lamps = [self.lamp(i, self.parts(white)[1][i]) for white in whites]
             out += np.stack([e for _, e in lamps])[..., None] * self._harmonics([d for d, _ in lamps])[:, None]

@@ -18,15 +18,15 @@ the photo does not show what it says of those that it does, and nobody knows tha
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
 from btfsep_engine.fit.least_squares import Fit, determined
-from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
 from btfsep_engine.fit.linear_algebra import one_thread
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
-from btfsep_engine.fit.search import FLOOR, Solution, solve
+from btfsep_engine.fit.search import EXACT, EXACT_COST, Solution, solve
 from btfsep_engine.light.log_field import even_field, natural_field
 from btfsep_engine.light.natural import natural_amplitude
 
@@ -35,7 +35,11 @@ SEEN = (
     0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them could be as strong as it likes
 )
 HOPELESS = 50.0  # of the logarithm of the evidence: so far below, a plain model's lamps are not tried beside a field
+HIDDEN = 0.04  # of the same: a lamp that the photo could not know of
+HIDDEN_LAMPS = 0.5  # expected number of them over a whole sphere of such directions
 SAMPLES = 200
+WIDER = 1.25  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
+CENTRINGS = 4  # steps by which samples are moved to what the photo says
 REFLECTANCE = 0.1  # of all light: a material's reflectance differs from piece to piece
 RANGE = (2.5, 97.5)  # percentiles of what is stated as the range
 MIDDLE = (15.9, 84.1)  # of a standard deviation: tails of an exponential would make the mean square say anything
@@ -131,17 +135,17 @@ class LightSolver:
     def _samples(self, best: Solution, rival: Solution | None, unit, tint):
         """(samples, terms, 3) of all of the light, and its lamps."""
         random = np.random.default_rng(self.seed)
-        model, n = best.model, len(best.white)
-        moved = solve_triangular(best.factor.T, random.standard_normal((n, SAMPLES)), lower=False)
+        model = best.model
+        whites, lights = posterior_samples(best, SAMPLES, random)
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
-        lights = model.lights(best.white + moved.T).transpose(0, 2, 1)
         if rival is not None:
-            lights[::2] = self._other_lights(rival, len(lights[::2]), random)
+            lights[::2] = posterior_samples(rival, len(lights[::2]), random)[1]
+        lights += hidden_lamps(self.basis, SAMPLES, random)
         samples = lights * (unit * factors)[:, None]
         lamps = []
         for i, q in enumerate(model.parts(best.white)[1]):
             at = model.field.unknowns + 5 * i
-            drawn = [model.lamp(i, best.white[at : at + 5] + step[at : at + 5]) for step in moved.T]
+            drawn = [model.lamp(i, white[at : at + 5]) for white in whites]
             direction, irradiance = model.lamp(i, q)
             off = np.arccos(np.clip([d @ direction for d, _ in drawn], -1, 1))
             each = np.stack([e for _, e in drawn]) * unit * factors
@@ -152,32 +156,20 @@ class LightSolver:
             lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std())))
         return samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share))
 
-    @staticmethod
-    def _other_lights(rival: Solution, count: int, random) -> np.ndarray:
-        moved = solve_triangular(rival.factor.T, random.standard_normal((len(rival.white), count)), lower=False)
-        return rival.model.lights(rival.white + moved.T).transpose(0, 2, 1)
-
     def smoother(self, fit: Fit):
         """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.
 
-        The derivative of the fit by the photograph: with J of the unknowns, b - A J_x (I + J^T J)^-1 J_x^T A^T N^-1 b,
-        a rich model's without the discrepancy and with the noise of `sharpened`.
+        The derivative of the fit by the photograph: with J of the unknowns, b - A J_x (I + J^T J)^-1 J_x^T A^T N^-1 b.
         """
         best, photo = fit.found.solution, fit.found.photo
-        terms, rich = self.basis.terms, best.model.field.order > 0
-        with one_thread():
-            v, factor = best.v, best.factor
-            if rich:
-                v = np.maximum(photo.misfit(best.x), FLOOR**2 * photo.mean_square)
-                j = best.model.jacobian(best.white, best.radiance, photo.rows(v, strict=True).root)
-                factor = np.linalg.cholesky(np.eye(j.shape[1]) + j.T @ j)
-            by_light = best.model.jacobian(best.white, best.radiance, [np.eye(terms)] * 3)  # (3 terms, unknowns)
+        terms = self.basis.terms
+        by_light = best.model.jacobian(best.white, best.radiance, [np.eye(terms)] * 3)  # (3 terms, unknowns)
 
         def left(values):
             with one_thread():
-                step = by_light.T @ photo.scores(values, v, strict=rich).ravel()
-                step = solve_triangular(factor, step, lower=True)
-                x = by_light @ solve_triangular(factor.T, step, lower=False)
+                step = by_light.T @ photo.scores(values, best.v, best.discrepancy).ravel()
+                step = solve_triangular(best.factor, step, lower=True)
+                x = by_light @ solve_triangular(best.factor.T, step, lower=False)
                 return values - self.basis.predicted(x.reshape(3, terms).T * photo.level)
 
         return left
@@ -205,6 +197,57 @@ class Found:
         """The field's radiance in ``directions : (m, 3)``, without lamps: (m, 3), positive."""
         model = self.solution.model
         return model.field.at(model.parts(self.solution.white)[0], np.asarray(directions)) * self.unit
+
+
+def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns (count, unknowns) and lights (count, all terms, 3), as probable as the posterior has them.
+
+    Laplace's samples theta + delta, moved until what they predict of the photo is what the linear model says they
+    should, r + J delta: an exponential is brighter in the mean than at its middle, and the photo knows how bright it is
+    (randomise, then optimise: Bardsley and others 2014, with the derivative at the maximum for all).
+    """
+    model = best.model
+    jacobian = model.jacobian(best.white, best.radiance, best.rows.root)
+    delta = WIDER * solve_triangular(best.factor.T, random.standard_normal((len(best.white), count)), lower=False).T
+    wanted = best.rows.residual(best.x) + delta @ jacobian.T
+    whites = best.white + delta
+
+    def off(lights):
+        parts = [
+            x @ root.T - y
+            for x, root, y in zip(lights.transpose(1, 0, 2), best.rows.root, best.rows.target, strict=True)
+        ]
+        return np.concatenate(parts, 1) - wanted
+
+    lights = model.lights(whites)
+    left = off(lights)
+    for _ in range(CENTRINGS):
+        step = cho_solve((best.factor, True), (left @ jacobian).T).T
+        trial = whites - step
+        lights_there = model.lights(trial)
+        left_there = off(lights_there)
+        better = np.square(left_there).sum(1) < np.square(left).sum(1)
+        whites[better], lights[better], left[better] = trial[better], lights_there[better], left_there[better]
+    return whites, lights.transpose(0, 2, 1)
+
+
+def hidden_lamps(basis: Basis, count: int, random) -> np.ndarray:
+    """Lamps in the directions from which hardly a pixel is lit: (count, terms, 3), most of them none.
+
+    A field's logarithm is Gaussian, and has no lamps; those that the photo shows have been found. Of others, behind the
+    object as a rule, nothing is known but that lamps are: as bright as `fit.light_model` takes lamps to be, or half of
+    its spread from it.
+    """
+    field = natural_field()
+    response = basis.mean_response @ field.to_coefficients
+    places = field.directions[response < HIDDEN * response.max()]
+    out = np.zeros((count, basis.terms, 3))
+    lit = random.random(count) < HIDDEN_LAMPS * len(places) / len(field.directions)
+    if lit.any():
+        d = places[random.integers(len(places), size=lit.sum())]
+        irradiance = 2 * np.pi * np.exp(BRIGHTNESS / 2 * random.standard_normal(len(d)))
+        out[lit] = (sh.evaluate(sh.order_of(basis.terms), d) * irradiance[:, None])[..., None]
+    return out
 
 
 def restated(fit: Fit, samples) -> Fit:
@@ -235,28 +278,28 @@ def elect(photo: Photograph) -> tuple[Solution, Solution | None]:
         white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
         rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
     rich = with_lamps(photo, rich, place=brightest)
-    if plain.evidence > rich.evidence:
-        return plain, rich
-    return sharpened(photo, rich), None
+    plain, rich = exact_if_so(photo, plain, place=most_explained), exact_if_so(photo, rich, place=brightest)
+    return (plain, rich) if plain.evidence > rich.evidence else (rich, None)
 
 
-def sharpened(photo: Photograph, best: Solution) -> Solution:
-    """The light of a rich model that explains all it can of the photo; what is stated stays the tolerant model's.
+def exact_if_so(photo: Photograph, best: Solution, *, place) -> Solution:
+    """The same model, or with more lamps, where the photo says that nothing is missing but light.
 
-    Where light as rich as nature's is what the photo asks for, it errs less without the discrepancy; a plain model has
-    too few unknowns to make up for a misfit, and errs less with it.
+    A model that takes its materials for nearly right pays for what they might miss by its determinant, at most.
     """
-    final = solve(photo, best.model, white=best.white, v=best.v, strict=True)
-    return replace(final, factor=best.factor, evidence=best.evidence, rows=best.rows, v=best.v)
+    if best.rows.log_determinant < EXACT_COST:
+        return best
+    exact = solve(photo, best.model, white=best.white, v=best.v, discrepancy=EXACT)
+    return max(best, with_lamps(photo, exact, place=place), key=lambda s: s.evidence)
 
 
 def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
     """The light of the models of an earlier election, from its lights on: what `elect` gives."""
     photo.learn_from(before.x)
-    best = solve(photo, before.model, white=before.white, v=before.v)
-    if rival is not None:
-        return best, solve(photo, rival.model, white=rival.white, v=rival.v)
-    return sharpened(photo, best) if before.model.field.order else best, None
+    best, rival = (
+        s and solve(photo, s.model, white=s.white, v=s.v, discrepancy=s.discrepancy) for s in (before, rival)
+    )
+    return best, rival
 
 
 def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
@@ -267,7 +310,7 @@ def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
         known = best.model.parts(best.white)[1].ravel()
         at = model.field.unknowns
         white[at : at + len(known)] = known
-        trial = solve(photo, model, white=white, v=best.v)
+        trial = solve(photo, model, white=white, v=best.v, discrepancy=best.discrepancy)
         if trial.evidence <= best.evidence:
             break
         best = trial

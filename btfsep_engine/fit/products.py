@@ -7,8 +7,8 @@ Channel by channel, at unit response, a photograph is taken to be
 
 F is what a model that is nearly right misses: reflectance, tone and shape that are off by a part D, smoothly over the
 normals (Y: harmonics of the normal up to `SMOOTH_ORDER`, each pixel's size as a first fit x' predicts it). Light can
-imitate such a misfit; under this model it need not. a is integrated out, so that the inverse covariance is, with
-W = 1 / (h v),
+imitate such a misfit; under this model it need not. How right the model is, D, is for the evidence to say
+(`fit.log_normal`). a is integrated out, so that the inverse covariance is, with W = 1 / (h v),
 
     N^-1 = W - W F (I + F^T W F)^-1 F^T W
 
@@ -32,7 +32,7 @@ from btfsep_engine.errors import InputError
 CHANNELS = ("red", "green", "blue")
 EVIDENCE = 500  # pixels: alpha of the coarsened posterior
 SMOOTH_ORDER = 4
-DISCREPANCY = 0.08  # D, root mean square over the normals
+NEARLY_RIGHT = 0.08  # D, root mean square over the normals, of a material that is taken for another's
 NEGLIGIBLE = 1e-2  # an eigenvalue of A^T N^-1 A, where the prior of the light has variances of some 1
 CHUNK = 1 << 13  # pixels: the basis images of a large photo are never copied whole
 SINGLE = np.sqrt(4 * np.pi)  # the first coefficient of light of radiance 1
@@ -66,7 +66,7 @@ class Basis:
                     "choose another material",
                 )
         smooth = sh.evaluate(SMOOTH_ORDER, np.asarray(normals, np.float64))[:, 1:]
-        self.smooth = smooth * (DISCREPANCY * SINGLE / np.sqrt(smooth.shape[1]))
+        self.smooth = smooth * (SINGLE / np.sqrt(smooth.shape[1]))  # Y: its rows are of length 1
         self.grams = [self._weighted_gram(c, None) for c in range(3)]
         self.mean_response = sum(self.rows(c).mean(0) for c in range(3)) / 3  # (terms,)
 
@@ -164,7 +164,7 @@ class Photograph:
         return self._stiff * 3 / self.effective * (1 + self.basis.pixels / EVIDENCE)
 
     def learn_from(self, x) -> None:
-        """Sets, from a first fit's coefficients x (3, terms), the discrepancy's size and the channels' number.
+        """Sets, from a first fit's coefficients x (3, terms), what the discrepancy is a part of, and the channels.
 
         `effective`, how many independent channels the misfit has: 1, all alike, to 3.
         """
@@ -178,14 +178,14 @@ class Photograph:
             weighted = f * self._weight[:, c, None]
             self._smooth.append((weighted.T @ f, weighted.T @ self.basis.rows(c), weighted.T @ self.b[:, c]))
 
-    def rows(self, v, *, strict: bool = False) -> Rows:
-        """The products at the pixels' noise v (3,), relative to the channels' levels; ``strict`` : without F."""
+    def rows(self, v, discrepancy: float) -> Rows:
+        """The products at the pixels' noise v (3,), relative to the channels' levels, and at a discrepancy D >= 0."""
         root, target, rest, log_determinant = [], [], 0.0, 0.0
         for c in range(3):
             w = 1 / (v[c] * self.coarsening)
             gram, moment, energy = self.grams[c] * w, self.moments[c] * w, self.energies[c] * w
-            if self._smooth is not None and not strict:
-                ff, fa, fb = (each * w for each in self._smooth[c])
+            if self._smooth is not None:
+                ff, fa, fb = self._discrepancy(c, w, discrepancy)
                 lower = np.linalg.cholesky(ff + np.eye(len(ff)))
                 fa, fb = (solve_triangular(lower, each, lower=True) for each in (fa, fb))
                 gram, moment, energy = gram - fa.T @ fa, moment - fa.T @ fb, energy - fb @ fb
@@ -198,16 +198,21 @@ class Photograph:
             rest += max(float(energy - target[-1] @ target[-1]), 0.0)
         return Rows(root, target, rest, log_determinant)
 
-    def scores(self, radiance, v, *, strict: bool = False) -> np.ndarray:
+    def _discrepancy(self, c: int, w: float, size: float) -> tuple:
+        """F^T W F, F^T W A and F^T W b of a channel."""
+        ff, fa, fb = self._smooth[c]
+        return ff * (w * size**2), fa * (w * size), fb * (w * size)
+
+    def scores(self, radiance, v, discrepancy: float) -> np.ndarray:
         """A^T N^-1 b of other values b (p, 3) than the photo's, in the photo's own unit: (3, terms)."""
         b, out = np.asarray(radiance, np.float64) / (self.basis.response * self.level), []
         for c in range(3):
             w = 1 / (v[c] * self.coarsening)
             weighted = w * self._weight[:, c] * b[:, c]
             out.append(self.basis.rows(c).T @ weighted)
-            if self._smooth is not None and not strict:
-                ff, fa, _ = (each * w for each in self._smooth[c])
-                of_f = self.basis.smooth.T @ (self._first[:, c] * weighted)
+            if self._smooth is not None:
+                ff, fa, _ = self._discrepancy(c, w, discrepancy)
+                of_f = discrepancy * (self.basis.smooth.T @ (self._first[:, c] * weighted))
                 out[c] = out[c] - fa.T @ np.linalg.solve(ff + np.eye(len(ff)), of_f)
         return np.stack(out)
 
@@ -219,13 +224,13 @@ class Photograph:
         ]
         return np.maximum(out, 0) / np.maximum(self.count, 1e-300)
 
-    def noise(self, x, v) -> np.ndarray:
-        """Mean square of b - A x - F a with the most probable a, at the noise v: (3,)."""
+    def noise(self, x, v, discrepancy: float) -> np.ndarray:
+        """Mean square of b - A x - F a with the most probable a, at the noise v and a discrepancy: (3,)."""
         out = self.misfit(x)
         for c in range(3 if self._smooth is not None else 0):
             w = 1 / (v[c] * self.coarsening)
-            ff, fa, fb = self._smooth[c]
+            ff, fa, fb = self._discrepancy(c, w, discrepancy)
             score = fb - fa @ x[c]
-            a = np.linalg.solve(np.eye(len(ff)) + w * ff, w * score)
-            out[c] += (a @ ff @ a - 2 * a @ score) / max(self.count[c], 1e-300)
+            a = np.linalg.solve(np.eye(len(ff)) + ff, score)
+            out[c] += (a @ ff @ a - 2 * a @ score) / (w * max(self.count[c], 1e-300))
         return np.maximum(out, 0)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_solve, lapack
 
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.products import Photograph, Rows
+from btfsep_engine.fit.products import NEARLY_RIGHT, Photograph, Rows
 
 STEPS = 40  # of one search; 5 to 15 are usual
 ROUNDS = 6  # of the noise
@@ -24,6 +24,8 @@ FLOOR = 0.05  # of a channel's root mean square
 FIRST_NOISE = 0.3  # of it: where a search without a guess begins
 SETTLED = 0.05  # of the logarithm of the noise
 GAIN = 3e-3  # of the logarithm of the probability: less is no step worth taking
+EXACT = 0.02  # discrepancy of a model that is as good as exact
+EXACT_COST = 12.0  # of the logarithm of the evidence: how much less probable such a model is
 LAMP_COST = 5.0  # of the logarithm of the evidence: how much less probable one more lamp is, wherever it stands
 STIFFEST = 1e5  # of the damping
 
@@ -37,7 +39,7 @@ class Solution:
     model : LightModel
     white : (unknowns,), theta
     x : (3, terms), coefficients of all of the light; radiance : (3, n), of the field
-    v : (3,), noise; rows : Rows at it
+    v : (3,), noise; discrepancy : of the model of the photo, D; rows : Rows at both
     factor : (unknowns, unknowns), lower Cholesky factor of I + J^T J
     evidence : its logarithm
     steps : of the search
@@ -48,29 +50,30 @@ class Solution:
     x: np.ndarray
     radiance: np.ndarray
     v: np.ndarray
+    discrepancy: float
     rows: Rows
     factor: np.ndarray
     evidence: float
     steps: int
 
 
-def solve(photo: Photograph, model: LightModel, *, white=None, v=None, strict=False) -> Solution:
+def solve(photo: Photograph, model: LightModel, *, white=None, v=None, discrepancy=NEARLY_RIGHT) -> Solution:
     """The most probable light of ``photo``.
 
     Parameters
     ----------
     white, v : where the search begins; None: even light, and a large noise
-    strict : whether the photo's discrepancy is left out, so that light explains all that it can
+    discrepancy : D of `fit.products`
     """
     white = np.zeros(model.unknowns) if white is None else white
     floor = FLOOR**2 * photo.mean_square
     v = np.maximum(FIRST_NOISE**2 * photo.mean_square if v is None else v, floor)
     steps = 0
     for left in reversed(range(ROUNDS)):
-        rows = photo.rows(v, strict=strict)
+        rows = photo.rows(v, discrepancy)
         white, x, radiance, lowest, taken = _minimised(rows, model, white)
         steps += taken
-        now = np.maximum((photo.misfit(x) if strict else photo.noise(x, v)), floor)
+        now = np.maximum(photo.noise(x, v, discrepancy), floor)
         settled = np.abs(np.log(now / v)).max() < SETTLED
         if settled or not left:  # what is stated is all at one noise
             break
@@ -84,8 +87,9 @@ def solve(photo: Photograph, model: LightModel, *, white=None, v=None, strict=Fa
         - rows.log_determinant
         - 0.5 * float((photo.count * np.log(v)).sum()) / photo.coarsening
         - LAMP_COST * len(model.lamps)
+        - EXACT_COST * (discrepancy < NEARLY_RIGHT)
     )
-    return Solution(model, white, x, radiance, v, rows, factor, evidence, steps)
+    return Solution(model, white, x, radiance, v, discrepancy, rows, factor, evidence, steps)
 
 
 def _precision(jacobian) -> np.ndarray:

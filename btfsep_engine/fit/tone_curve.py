@@ -101,7 +101,7 @@ def log_probability(fit, log_slopes, weights) -> float:
     """
     photo, solution = fit.found.photo, fit.found.solution
     slopes = float((weights * (log_slopes - np.log(photo.level))).sum())
-    left = np.maximum(photo.noise(solution.x, solution.v), LEAST_NOISE**2 * photo.mean_square)
+    left = np.maximum(photo.noise(solution.x, solution.v, solution.discrepancy), LEAST_NOISE**2 * photo.mean_square)
     over = np.maximum(solution.v / left, 1.0)
     floor = 0.5 * float((photo.count * (np.log(over) + 1 / over - 1)).sum())
     # the number of independent channels is each fit's own: the sum has to be tempered alike under all curves

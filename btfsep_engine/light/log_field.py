@@ -90,16 +90,16 @@ class LogField:
         return CHROMA @ np.stack([y[:, : part.stop - part.start] @ self.mean[part] for part in self._parts])
 
     def logarithm(self, white) -> np.ndarray:
-        """u = log L, (3, n), of the white unknowns (k,)."""
-        fields = [factor @ white[part] for factor, part in zip(self._factors, self._parts, strict=True)]
-        return np.minimum(self._mean_logarithm + CHROMA @ np.stack(fields), LARGEST_LOG)
+        """u = log L, (…, 3, n), of white unknowns (…, k)."""
+        fields = [white[..., part] @ factor.T for factor, part in zip(self._factors, self._parts, strict=True)]
+        return np.minimum(self._mean_logarithm + CHROMA @ np.stack(fields, -2), LARGEST_LOG)
 
     def radiance(self, white) -> np.ndarray:
-        """L, (3, n), of the white unknowns (k,)."""
+        """L, (…, 3, n), of white unknowns (…, k)."""
         return np.exp(self.logarithm(white))
 
     def coefficients(self, radiance) -> np.ndarray:
-        """T L: (3, terms) of the radiance (3, n)."""
+        """T L: (…, 3, terms) of the radiance (…, 3, n)."""
         return radiance @ self.to_coefficients.T
 
     def jacobian(self, rows, radiance) -> np.ndarray:

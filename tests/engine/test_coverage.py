@@ -7,8 +7,8 @@ import pytest
 from btfsep_engine.fit.colour import DYE
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.linear_algebra import one_thread
-from btfsep_engine.fit.log_normal import SAMPLES, LightSolver
-from btfsep_engine.fit.products import Basis, Photograph
+from btfsep_engine.fit.log_normal import SAMPLES, WIDER, LightSolver, posterior_samples
+from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.fit.search import solve
 from btfsep_engine.light.log_field import CHROMA, LogField, natural_field
 from tests.engine.half_sphere import half_sphere, project, shown, side_light
@@ -28,7 +28,7 @@ def pictured(rng, pixels=120):
     solver = LightSolver(basis, normals=normals, order=2)
     object_own = np.exp(0.1 * rng.normal() + CHROMA[:, 1:] @ (DYE * rng.normal(size=2)))
     clean = shown(basis, x) * object_own
-    smooth = np.stack([solver.basis.smooth @ rng.normal(size=24) for _ in range(3)], 1)
+    smooth = NEARLY_RIGHT * np.stack([solver.basis.smooth @ rng.normal(size=24) for _ in range(3)], 1)
     noise = 0.1 * np.sqrt((clean**2).mean(0)) * rng.normal(size=clean.shape)
     return solver, clean * (1 + smooth) + noise, x
 
@@ -73,7 +73,7 @@ def elliptical(log_likelihood, start, count, rng):
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_laplaces_samples_are_near_those_of_the_exact_posterior(seed):
-    """Quantiles of order 1 agree to 4 % of the light's level in place, and to a quarter in width; 24 unknowns.
+    """Quantiles of order 1 agree to 4 % of the light's level in place, and to 15 % in width but for `WIDER`.
 
     The most probable logarithm is not that of the mean: the place differs by more than these ranges, without the
     reflectance's tenth, are wide.
@@ -94,10 +94,10 @@ def test_laplaces_samples_are_near_those_of_the_exact_posterior(seed):
 
     with one_thread():
         exact = elliptical(log_likelihood, solution.white, 6000, rng)[1000::5]
-    drawn = LightSolver._other_lights(solution, SAMPLES * 4, rng)
+    _, drawn = posterior_samples(solution, SAMPLES * 4, rng)
     exact = np.array([model.light(w)[0].mean(0)[:4] for w in exact])
     drawn = np.array([x.mean(1)[:4] for x in drawn])
     q_exact, q_drawn = (np.percentile(each, (16, 50, 84), axis=0) for each in (exact, drawn))
     width = (q_exact[2] - q_exact[0]) / 2
     assert (np.abs(q_drawn - q_exact) < 0.04 * q_exact[1, 0]).all()
-    np.testing.assert_allclose((q_drawn[2] - q_drawn[0]) / 2, width, rtol=0.25)
+    np.testing.assert_allclose((q_drawn[2] - q_drawn[0]) / 2, WIDER * width, rtol=0.15)

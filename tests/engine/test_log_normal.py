@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.log_normal import LightSolver, hidden_lamps
+from btfsep_engine.fit.products import NEARLY_RIGHT
+from btfsep_engine.fit.search import EXACT
 from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.light.natural import natural_amplitude
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, off, project, shown, side_light
@@ -151,17 +153,37 @@ def test_from_its_own_light_on_a_photo_has_the_same_light(rng, light):
     np.testing.assert_allclose(doubled.every, 2 * again.every, rtol=1e-3, atol=1e-3)
 
 
-def test_a_rich_light_explains_all_that_it_can(rng):
-    """It is the most probable one without the discrepancy: a further Newton step without that gains nothing."""
-    fit, _, _ = solved(rng, sky(), noise=0.1)
-    found = fit.found
-    model, white = found.solution.model, found.solution.white
-    assert not is_plain(fit)
-    rows = found.photo.rows(found.photo.misfit(found.solution.x), strict=True)
-    x, radiance = model.light(white)
-    j = model.jacobian(white, radiance, rows.root)
-    slope = j.T @ rows.residual(x) + white
-    assert 0.5 * slope @ np.linalg.solve(np.eye(len(slope)) + j.T @ j, slope) < 0.05
+def test_where_nothing_but_light_is_missing_the_model_is_taken_for_exact(rng):
+    """And where the material reflects a tenth more or less, smoothly over the normals, it is not."""
+    fit, solver, b = solved(rng, sky(), noise=0.02)
+    assert fit.found.solution.discrepancy == EXACT
+    misfit = solver.basis.smooth @ rng.normal(size=24)
+    assert solver.solve(b * (1 + 0.1 * misfit[:, None])).found.solution.discrepancy == NEARLY_RIGHT
+
+
+def test_samples_predict_what_the_photo_says(rng):
+    """An exponential's mean is above its middle: without a correction the lights would be a fifth too bright."""
+    fit, solver, b = solved(rng, sky(), noise=0.1)
+    brightness = np.array([solver.basis.predicted(x).mean() for x in fit.samples / fit.tint.gain])
+    assert np.median(brightness) == pytest.approx(b.mean(), rel=0.03)
+
+
+def test_of_lamps_behind_the_object_the_range_knows(rng):
+    """Behind a matte sphere nothing is lit: one lamp in ten or twenty samples is there, and nowhere else."""
+    basis, normals, _ = half_sphere(rng, pixels=4000, albedo=(0.5,) * 3, gloss=0)
+    seen = rng.random(len(normals)) < -normals[:, 1]  # as a camera sees it
+    solver = LightSolver(basis[seen], normals=normals[seen], order=4)
+    fit = solver.solve(shown(basis[seen], sky(), rng, 0.1))
+    lamps = hidden_lamps(solver.basis, 2000, np.random.default_rng(1))
+    lit = lamps[:, 0, 0] > 0
+    assert 0.02 < lit.mean() < 0.2
+    towards = lamps[lit][:, [3, 1, 2], 0] * [-1, -1, 1]
+    assert (towards[:, 1] > 0.7 * np.linalg.norm(towards, axis=1)).all()  # the camera looks along +y
+    photographed = np.array([solver.basis.predicted(x).mean() for x in lamps[lit]])
+    unlit = solver.basis.predicted(even()).mean()
+    assert np.median(photographed) < 0.04 * unlit
+    without = np.percentile(fit.samples[:, 0].mean(-1), 90)
+    assert fit.interval[1, 0].mean() > 1.1 * without
 
 
 @pytest.mark.parametrize("light", [side_light(), even((0.2,) * 3) + lamp(SUN, [3.0] * 3)], ids=["rich", "lamp"])

@@ -8,12 +8,13 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.products import Basis, Photograph
+from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.fit.search import solve
 from btfsep_engine.light.log_field import even_field, natural_field
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, shown, side_light
 
 COST = 5.0  # of a lamp, of the logarithm of the evidence (docs/fit.md)
+EXACT, EXACT_COST = 0.02, 12.0  # a discrepancy as good as none, and how much less probable it is
 
 
 @pytest.mark.parametrize("field", [even_field(), natural_field()], ids=["even", "natural"])
@@ -54,24 +55,26 @@ def dense_evidence(photo, solution, first):
     precision = np.eye(model.unknowns)
     for c in range(3):
         a = basis.rows(c)
-        f = basis.smooth * (a @ first[c])[:, None]
+        f = solution.discrepancy * basis.smooth * (a @ first[c])[:, None]
         n = h * solution.v[c] * np.eye(len(a)) + f @ f.T
         left = photo.b[:, c] - a @ solution.x[c]
         seen = a @ by_light[c]
         precision += seen.T @ np.linalg.solve(n, seen)
         log_n = np.linalg.slogdet(n)[1] - len(a) * np.log(h * solution.v[c])  # of the discrepancy's part alone
         out -= 0.5 * (left @ np.linalg.solve(n, left) + log_n + len(a) * np.log(solution.v[c]) / h)
+    out -= EXACT_COST if solution.discrepancy == EXACT else 0
     return out - 0.5 * np.linalg.slogdet(precision)[1] - COST * len(model.lamps)
 
 
+@pytest.mark.parametrize("discrepancy", [EXACT, NEARLY_RIGHT])
 @pytest.mark.parametrize("lamps", [(), (SUN,), (SUN, FILL)])
 @pytest.mark.parametrize("field", [even_field(), natural_field()], ids=["even", "natural"])
-def test_the_evidence_is_laplaces_of_the_dense_problem(field, lamps, rng):
+def test_the_evidence_is_laplaces_of_the_dense_problem(field, lamps, discrepancy, rng):
     basis, normals, _ = half_sphere(rng, pixels=200)
     photo = Photograph(Basis(basis, normals), shown(basis, side_light(), rng, 0.1))
     first = side_light().T / photo.level[:, None]
     photo.learn_from(first)
-    solution = solve(photo, LightModel(field, lamps))
+    solution = solve(photo, LightModel(field, lamps), discrepancy=discrepancy)
     assert solution.evidence == pytest.approx(dense_evidence(photo, solution, first), abs=0.2)
 
 
