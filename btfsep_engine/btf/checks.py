@@ -4,7 +4,7 @@
 from btfsep_engine.btf import linear, reciprocity
 from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.btf.library import Library
-from btfsep_engine.btf.model import Tabulated
+from btfsep_engine.btf.model import Material, Tabulated
 from btfsep_engine.errors import InputError
 
 MAX_RECIPROCITY_ERROR = 0.3  # measured materials have up to 0.2
@@ -27,12 +27,7 @@ def check(library: Library, name: str) -> dict:
     """
     problems, facts = [], {}
     if name not in library.entries:
-        material = library.load(name)  # a reference material, a surface by numbers, or InputError
-        if isinstance(material, Tabulated):
-            problems = _physical(material, facts)
-        else:
-            value = material.diffuse_albedo()
-            facts = {"albedo": [float(value.min()), float(value.max())], "reciprocity_error": 0.0}
+        problems = _physical(library.load(name), facts)  # a reference material, a surface by numbers, or InputError
         return {"name": name, "ok": not problems, "problems": problems, **facts}
     try:
         material = library.load(name)
@@ -58,16 +53,16 @@ def _against_index(entry, material: Tabulated) -> list:
     return problems
 
 
-def _physical(material: Tabulated, facts: dict) -> list:
-    problems, albedo = [], material.albedo()
+def _physical(material: Material, facts: dict) -> list:
+    problems, albedo, table = [], material.directional_albedo(), material.table
     facts["albedo"] = [round(float(albedo.min()), 4), round(float(albedo.max()), 4)]
     if not albedo.max() < 1:
         problems.append(f"it reflects {albedo.max():.1%} of the light from some views, more than comes")
-    error = reciprocity.reciprocity_error(material.mean_abrdf, material.views, material.lights)
+    error = reciprocity.reciprocity_error(table.mean_abrdf, table.views, table.lights)
     facts["reciprocity_error"] = round(error, 4)
     if error > MAX_RECIPROCITY_ERROR:
         problems.append(f"its mean is not reciprocal: relative error {error:.2f}")
-    mean = material.mean_abrdf
+    mean = table.mean_abrdf
     if mean.min() < -MAX_NEGATIVE * abs(mean.mean()):
         problems.append(f"its mean reflectance is negative for some directions ({mean.min():.2g})")
     return problems

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine.btf.directions import ubo2014_directions
-from btfsep_engine.btf.model import Lambertian, Material, Mirror, Tabulated
+from btfsep_engine.btf.model import Material, Tabulated
 
 ROUGHNESSES = (0.2, 0.3)  # sigma of Oren and Nayar's slopes, radians
 GLOSS = 0.7  # roughness of the gloss that is added, and its alpha's root
@@ -36,17 +36,17 @@ class Departure:
 
 def departures(material: Material) -> list[Departure]:
     """The materials that are tried beside ``material`` (one texel), the likeliest first; none for a mirror."""
-    if isinstance(material, Mirror):
+    if material.mirror_reflectance is not None:
         return []
     gloss = gloss_lobe()
-    if isinstance(material, Lambertian):
+    if material.matte_albedo is not None:
         found = [Departure("a little gloss", _table(material, _diffuse(material, 1.0) + gloss), EACH)]
         for sigma in ROUGHNESSES:
             rough = _diffuse(material, oren_nayar(sigma)[..., None])
             words = f"roughness (Oren and Nayar's sigma {sigma}) and a little gloss"
             found.append(Departure(words, _table(material, rough + gloss), 2 * EACH))
         return found
-    mean = material.mean_material()
+    mean = material.mean_material().table
     values = mean.angular[..., 0] * mean.texels[0, 0, 0] if mean.texels.shape[-1] == 1 else mean.mean_abrdf
     dull = (1 - DULLER) * values + DULLER * np.asarray(mean.diffuse_albedo()) / np.pi
     near = [Departure("less gloss", _table(material, dull), EACH)]
@@ -55,18 +55,16 @@ def departures(material: Material) -> list[Departure]:
     return near
 
 
-def _diffuse(material: Lambertian, shape) -> np.ndarray:
+def _diffuse(material: Material, shape) -> np.ndarray:
     count = len(ubo2014_directions())
-    return np.broadcast_to(np.asarray(material.albedo) / np.pi, (count, count, 3)) * shape
+    return np.broadcast_to(material.matte_albedo / np.pi, (count, count, 3)) * shape
 
 
 def _table(material: Material, values) -> Tabulated:
-    views = material.views if isinstance(material, Tabulated) else ubo2014_directions()
-    lights = material.lights if isinstance(material, Tabulated) else views
+    """``values`` (views, lights, 3) over the directions of the material's own table."""
+    table, texel = material.table, np.ones((1, 1, 1), np.float32)
     angular = np.asarray(values, np.float32)[..., None]
-    return Tabulated(
-        material.name, material.material_class, np.ones((1, 1, 1), np.float32), angular, views, lights, 1.0
-    )
+    return Tabulated(material.name, material.material_class, texel, angular, table.views, table.lights, 1.0)
 
 
 def _pairs():

@@ -66,11 +66,13 @@ class Interpolator:
     triangles : (t, 3) int32, indices into the direction list
     affine : (t, 3, 3) float64, weights = affine @ (x, y, 1) at parabolic (x, y)
     grid : (GRID, GRID) int32, triangle at each cell centre, [row y, column x]; they cover the whole disk
+    count : of directions in the list
     """
 
     triangles: np.ndarray
     affine: np.ndarray
     grid: np.ndarray
+    count: int
 
     def weights(self, directions):
         """Taps of ``directions : (n, 3) float, local, upper hemisphere``.
@@ -87,6 +89,12 @@ class Interpolator:
         w = affine[..., 0] * xy[..., None, 0] + affine[..., 1] * xy[..., None, 1] + affine[..., 2]
         w = np.maximum(w, 0)
         return self.triangles[triangle], w / w.sum(-1, keepdims=True)
+
+    def hats(self, directions) -> csr_array:
+        """(count, n) float64: the weight of each of the list's directions at each of ``directions``."""
+        index, share = self.weights(directions)
+        at = index.ravel(), np.repeat(np.arange(len(directions)), 3)
+        return csr_array((share.ravel(), at), (self.count, len(directions)))
 
 
 @lru_cache(maxsize=16)
@@ -105,7 +113,7 @@ def _interpolator(key: bytes, count: int) -> Interpolator:
         affine = np.broadcast_to([[0, 0, 1.0], [0, 0, 0], [0, 0, 0]], (count, 3, 3))
         triangles = np.repeat(np.arange(count, dtype=np.int32)[:, None], 3, 1)
         nearest = cKDTree(points).query(np.stack([x, y], -1))[1]
-        return Interpolator(triangles, affine, nearest.astype(np.int32))
+        return Interpolator(triangles, affine, nearest.astype(np.int32), count)
     vertices, simplices, held = _with_band(points, simplices[regular], hull)
     corners = np.concatenate([vertices[simplices], np.ones((len(simplices), 3, 1))], -1)
     affine = np.linalg.inv(corners).transpose(0, 2, 1)
@@ -120,7 +128,7 @@ def _interpolator(key: bytes, count: int) -> Interpolator:
         better = smallest > best[box]
         best[box][better] = smallest[better]
         grid[box][better] = number
-    return Interpolator(held[simplices].astype(np.int32), affine, grid)
+    return Interpolator(held[simplices].astype(np.int32), affine, grid, count)
 
 
 def _with_band(points, simplices, hull):
@@ -194,9 +202,4 @@ def light_projection(directions, functions) -> np.ndarray:
     functions : of (p, 3) directions, gives (p, m)
     """
     nodes, weights = hemisphere_quadrature()
-    index, share = interpolator(directions).weights(nodes)
-    values = functions(nodes) * (weights * nodes[:, 2])[:, None]
-    hats = csr_array(
-        (share.ravel(), (index.ravel(), np.repeat(np.arange(len(nodes)), 3))), (len(directions), len(nodes))
-    )
-    return hats @ values
+    return interpolator(directions).hats(nodes) @ (functions(nodes) * (weights * nodes[:, 2])[:, None])

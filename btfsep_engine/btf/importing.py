@@ -181,7 +181,7 @@ def import_material(folder, source, *, name: str, material_class: str, replace_o
     read = read_source(source, name=full, material_class=material_class, **options)
     reporter = options.get("reporter") or Reporter()
     material = read.material
-    albedo = material.albedo().max(1)
+    albedo = material.directional_albedo().max(1)
     if albedo.max() >= 1:
         reporter.warn(
             f"{full}: it would reflect {albedo.max():.0%} of the light from some views; "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A material in memory.
+"""A material in memory: what every kind of it answers, and the kinds.
 
 One rule for the cosine: what is held here is **without** cos(theta_i), in 1/sr; the transport multiplies it
 in, once. One model for all tabulated materials, linear in both factors:
@@ -7,17 +7,75 @@ in, once. One model for all tabulated materials, linear in both factors:
     BTF(x, omega_i, omega_o)[c] = sum_k texels[x, k] * angular[view, light, c, k]
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine.btf.directions import cosine_weights, interpolator, light_projection
-from btfsep_engine.sh import evaluate
+from btfsep_engine.btf.directions import cosine_weights, interpolator, ubo2014_directions
+
+
+class Material:
+    """What all others ask of a material. A new kind gives its names and :meth:`abrdf`; the rest follows from its table.
+
+    Attributes
+    ----------
+    name : "class/name"
+    material_class : one of the classes of UBO2014, "reference" or "surface"
+    has_texture : whether it differs from place to place
+    lines_up : whether its texture is known to lie where the photo's does
+    matte_albedo : (3,) of a perfectly diffuse material, which is as bright from everywhere; None: of no other
+    mirror_reflectance : (3,) of a perfect mirror, which shows nothing of a beam without extent; None: of no other
+    """
+
+    has_texture = lines_up = False
+    matte_albedo = mirror_reflectance = None
+
+    def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
+        """Values at points, a mirror's own direction left out.
+
+        Parameters
+        ----------
+        position_mm : (n, 2) float, along the tangent and the bitangent; a texture is periodic
+        to_light, to_eye : (n, 3) float, unit, local, upper hemisphere
+
+        Returns
+        -------
+        (n, 3) float, 1/sr, without the cosine
+        """
+        raise NotImplementedError
+
+    @cached_property
+    def table(self) -> "Tabulated":
+        """Its :meth:`abrdf` at the directions of UBO2014, for what looks materials up."""
+        d = ubo2014_directions()
+        n = len(d)
+        values = self.abrdf(np.zeros((n * n, 2)), np.tile(d, (n, 1)), np.repeat(d, n, 0)).reshape(n, n, 3, 1)
+        texel = np.ones((1, 1, 1), np.float32)
+        return Tabulated(self.name, self.material_class, texel, values.astype(np.float32), d, d, 1.0)
+
+    def mean_material(self) -> "Material":
+        """The same material without its texture (the paper's regulariser, section 3.3)."""
+        return self
+
+    def truncated(self, components: int | None) -> "Material":
+        """The same material with no more than so many factors; None: with all."""
+        return self
+
+    def directional_albedo(self) -> np.ndarray:
+        """(views, 3) float64: the share of light from all sides that the mean sends each way; < 1 for what can exist.
+
+        The directional-hemispherical reflectance, of a reciprocal material seen from the light's side.
+        """
+        return np.einsum("vlc,l->vc", self.table.mean_abrdf.astype(np.float64), cosine_weights(self.table.lights))
+
+    def diffuse_albedo(self) -> np.ndarray:
+        """(3,) float64: the share of light from all sides alike that its mean reflects (bihemispherical)."""
+        return cosine_weights(self.table.views) @ self.directional_albedo() / np.pi
 
 
 @dataclass(frozen=True)
-class Tabulated:
+class Tabulated(Material):
     """A factorised BTF over texel x view x light.
 
     Attributes
@@ -42,13 +100,15 @@ class Tabulated:
     laid_mean: np.ndarray | None = None
 
     @property
+    def table(self) -> "Tabulated":
+        return self
+
+    @property
     def has_texture(self) -> bool:
-        """Whether it differs from place to place."""
         return self.texels.shape[:2] != (1, 1)
 
     @property
     def lines_up(self) -> bool:
-        """Whether its texture is known to lie where the photo's does."""
         return self.laid_mean is not None
 
     @cached_property
@@ -74,31 +134,8 @@ class Tabulated:
         """(views, lights, 3) float32, the ABRDF averaged over all texels."""
         return self.angular @ self.mean_texel
 
-    def light_coefficients(self, order: int) -> np.ndarray:
-        """The light side projected onto real spherical harmonics, per view.
-
-        Under a light of coefficients L in the local frame, a texel t seen from view v sends
-        ``sum_jk result[v, c, k, j] texels[t, k] L[j, c]`` (nothing blocks the light, which comes from above).
-
-        Returns
-        -------
-        (views, 3, k, (order + 1)^2) float32: the integrals of angular(view, omega) cos(theta) Y_j(omega)
-        """
-        q = light_projection(self.lights, lambda nodes: evaluate(order, nodes)).astype(np.float32)
-        return np.einsum("vlck,lj->vckj", self.angular, q, optimize=True)
-
     def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
-        """Values at points: 3 x 3 directions and 2 x 2 texels are blended.
-
-        Parameters
-        ----------
-        position_mm : (n, 2) float, along the tangent and the bitangent; the texture is periodic
-        to_light, to_eye : (n, 3) float, unit, local, upper hemisphere
-
-        Returns
-        -------
-        (n, 3) float32, 1/sr, without the cosine
-        """
+        """3 x 3 directions and 2 x 2 texels are blended: (n, 3) float32."""
         h, w, _ = self.texels.shape
         x, y = (np.asarray(position_mm, np.float64) / self.texel_mm - 0.5).T
         column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
@@ -117,16 +154,8 @@ class Tabulated:
                 total += (view_share[:, i] * light_share[:, j]).astype(np.float32)[:, None] * value
         return total
 
-    def albedo(self) -> np.ndarray:
-        """(views, 3) float64: directional-hemispherical reflectance of the mean ABRDF; below 1 for what can exist."""
-        return np.einsum("vlc,l->vc", self.mean_abrdf.astype(np.float64), cosine_weights(self.lights))
-
-    def diffuse_albedo(self) -> np.ndarray:
-        """(3,) float64: the share of light from all sides alike that the mean ABRDF reflects (bihemispherical)."""
-        return cosine_weights(self.views) @ self.albedo() / np.pi
-
     def mean_material(self) -> "Tabulated":
-        """The same material with one texel: its mean ABRDF (the paper's regulariser, section 3.3)."""
+        """The same material with one texel: its mean ABRDF."""
         return Tabulated(
             self.name,
             self.material_class,
@@ -137,44 +166,53 @@ class Tabulated:
             self.texel_mm * max(self.texels.shape[:2]),
         )
 
-
-class _Analytic:
-    """What materials without tables share with :class:`Tabulated`."""
-
-    has_texture = lines_up = False
-
-    def mean_material(self):
-        """Itself."""
-        return self
+    def truncated(self, components: int | None) -> "Tabulated":
+        return replace(self, texels=self.texels[..., :components], angular=self.angular[..., :components])
 
 
 @dataclass(frozen=True)
-class Lambertian(_Analytic):
+class Lambertian(Material):
     """A perfectly diffuse reference material: albedo : (3,) linear RGB in [0, 1]."""
 
     name: str
     albedo: np.ndarray
     material_class: str = "reference"
 
-    def diffuse_albedo(self) -> np.ndarray:
-        """(3,) float64, as :meth:`Tabulated.diffuse_albedo`."""
+    @property
+    def matte_albedo(self) -> np.ndarray:
         return np.asarray(self.albedo, np.float64)
+
+    def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
+        return np.broadcast_to(self.matte_albedo / np.pi, (len(position_mm), 3))
+
+    def directional_albedo(self) -> np.ndarray:
+        return self.matte_albedo[None]
+
+    def diffuse_albedo(self) -> np.ndarray:
+        return self.matte_albedo
 
 
 @dataclass(frozen=True)
-class Mirror(_Analytic):
+class Mirror(Material):
     """A perfect mirror: reflectance : (3,) linear RGB in [0, 1]."""
 
     name: str
     reflectance: np.ndarray
     material_class: str = "reference"
 
-    def diffuse_albedo(self) -> np.ndarray:
-        """(3,) float64, as :meth:`Tabulated.diffuse_albedo`."""
+    @property
+    def mirror_reflectance(self) -> np.ndarray:
         return np.asarray(self.reflectance, np.float64)
 
+    def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
+        return np.zeros((len(position_mm), 3))
 
-Material = Tabulated | Lambertian | Mirror
+    def directional_albedo(self) -> np.ndarray:
+        return self.mirror_reflectance[None]
+
+    def diffuse_albedo(self) -> np.ndarray:
+        return self.mirror_reflectance
+
 
 REFERENCE = {
     "reference/white-diffuse": Lambertian("reference/white-diffuse", np.full(3, 0.8)),

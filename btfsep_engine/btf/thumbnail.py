@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from btfsep_engine.btf.model import Lambertian, Material, Mirror
+from btfsep_engine.btf.model import Material
 
 LIGHTS = (((-0.62, 0.45, 0.64), 2.6), ((0.75, -0.1, 0.65), 0.5), ((0.0, 0.3, 0.95), 0.4))  # direction, irradiance
 PATCH_MM = 80.0  # the picture's width
@@ -37,21 +37,17 @@ def render(material: Material, side: int = 160) -> np.ndarray:
 def _shaded(material, position, frame) -> np.ndarray:
     eye = frame @ np.array([0.0, 0.0, 1.0])
     eye[:, 2] = np.maximum(eye[:, 2], 1e-3)
-    if isinstance(material, Mirror):
+    if material.mirror_reflectance is not None:
         mirrored = 2 * eye[:, 2:] * frame[:, 2] - [0.0, 0.0, 1.0]
         sky = 0.25 + 0.75 * np.clip(mirrored[:, 1:2], 0, 1)
         for direction, strength in LIGHTS:
             d = np.array(direction) / np.linalg.norm(direction)
             sky = sky + strength * (mirrored @ d > 0.97)[:, None]
-        return sky * np.asarray(material.reflectance)
+        return sky * material.mirror_reflectance
     total = np.zeros((len(position), 3))
     for direction, strength in LIGHTS:
         local = frame @ (np.array(direction) / np.linalg.norm(direction))
         cosine = np.maximum(local[:, 2:], 0)
-        if isinstance(material, Lambertian):
-            value = np.asarray(material.albedo) / np.pi
-        else:
-            local[:, 2] = np.maximum(local[:, 2], 1e-3)
-            value = material.abrdf(position, local, eye)
-        total += value * (cosine * strength)
+        local[:, 2] = np.maximum(local[:, 2], 1e-3)
+        total += material.abrdf(position, local, eye) * (cosine * strength)
     return total

@@ -166,7 +166,7 @@ def _measure_and_add(read: TextureMaps, settings, directions, library, made_by, 
             reporter=reporter,
             checkpoints=checkpoints,
         )
-    albedo = found.material.albedo()
+    albedo = found.material.directional_albedo()
     if albedo.max() >= 1:
         reporter.warn(f"{maps.name}: from some views it reflects {albedo.max():.0%} of the light; take more --samples")
     with reporter.stage("writing"):

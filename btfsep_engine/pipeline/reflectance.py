@@ -15,7 +15,6 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.btf.departures import departures
-from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.pipeline.problem import pose
@@ -69,7 +68,7 @@ def nearer_materials(problems, used, fit: Fit, solver, exposures, settings) -> N
     settings : Settings, of the fit; its bounces those that the basis images have
     """
     chi2 = shading_left(problems, fit, solver, exposures)
-    doubted = [chi2 > SPEAKS or isinstance(m, Lambertian) for m in used[0]]
+    doubted = [chi2 > SPEAKS or m.matte_albedo is not None for m in used[0]]
     if not any(doubted):
         return Nearer(
             problems, fit, solver, exposures, "as in the library: what is left over does not look like shading"

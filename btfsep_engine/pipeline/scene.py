@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.btf.model import Mirror
 from btfsep_engine.job.model import Job
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
@@ -147,7 +146,7 @@ class PreparedScene:
 
     def sun_radiance(self, points: SurfacePoints, material, sun: Sun) -> np.ndarray:
         """Radiance (p, 3) float32 of points under a sun alone, with its own shadows, without interreflections."""
-        if isinstance(material, Mirror):
+        if material.mirror_reflectance is not None:
             light = SHLighting(sun.coefficients(MIRRORED))
             return self.radiance(points, material, light, directions=INDIRECT_DIRECTIONS)[:, 0]
         per_beam = beam_radiance(

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.compare import direction_error, relative_l2
 from btfsep_engine.pipeline.estimation import estimate, object_materials
@@ -61,13 +60,7 @@ class Fixed:
     """A library of materials that are loaded already, their factors cut to ``components``."""
 
     def __init__(self, materials, components: int | None):
-        self.materials = {m.name: self._cut(m.material, components) for m in materials}
-
-    @staticmethod
-    def _cut(material, components):
-        if components is None or not isinstance(material, Tabulated):
-            return material
-        return replace(material, texels=material.texels[..., :components], angular=material.angular[..., :components])
+        self.materials = {m.name: m.material.truncated(components) for m in materials}
 
     def load(self, name):
         """The material called ``name``."""

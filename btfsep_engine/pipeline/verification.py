@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.btf.model import Mirror
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
@@ -63,7 +62,7 @@ class Verification:
         similar = {
             name: self.similarity(material, recogniser, radiance, described)
             for name, material in asked.items()
-            if not isinstance(material, Mirror)
+            if material.mirror_reflectance is None
         }
         if not similar:
             return answer

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from btfsep_engine.btf.model import Material, Mirror
+from btfsep_engine.btf.model import Material
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.transport import LANES
@@ -32,7 +32,7 @@ def beam_radiance(
     directions = np.asarray(directions, np.float64)
     count = len(directions)
     out = np.zeros((3, len(points), count), np.float32)
-    if isinstance(material, Mirror) or count == 0:
+    if material.mirror_reflectance is not None or count == 0:
         return out.transpose(1, 2, 0)
     weights = Weights(tracer, material, directions, millimetres_per_unit=millimetres_per_unit)
     scale = weights.colour * np.float32(count / (4 * np.pi))  # Weights are of light from all over the sky

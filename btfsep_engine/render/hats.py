@@ -19,7 +19,6 @@ lobes as wide as the spacing seen from a listed direction, nearer than values at
 from functools import lru_cache
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from btfsep_engine.btf.directions import GRID, hemisphere_quadrature, interpolator
 from btfsep_engine.conventions import fibonacci_sphere
@@ -151,9 +150,7 @@ def _along_curve(nodes, centre) -> np.ndarray:
 def _smoothing(key: bytes, count: int) -> np.ndarray:
     """(count, count): S f are the averages, over the hats, of what is interpolated between the values f."""
     nodes, weights = hemisphere_quadrature()
-    index, share = interpolator(np.frombuffer(key, np.float64).reshape(count, 3)).weights(nodes)
-    rows = (share.ravel(), (index.ravel(), np.repeat(np.arange(len(nodes)), 3)))
-    hats = csr_array(rows, (count, len(nodes)))
+    hats = interpolator(np.frombuffer(key, np.float64).reshape(count, 3)).hats(nodes)
     mass = ((hats * (weights * nodes[:, 2])) @ hats.T).toarray()
     return mass / mass.sum(1, keepdims=True)
 

@@ -20,7 +20,6 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from btfsep_engine.btf.directions import cosine_weights, hemisphere_quadrature, interpolator, ubo2014_directions
 from btfsep_engine.btf.model import Tabulated
@@ -111,14 +110,14 @@ def flat_table(roughness: float, f0: float, *, metal: bool) -> np.ndarray:
     count, (nodes, weights) = len(directions), hemisphere_quadrature()
     density = len(nodes) / (2 * np.pi)
     flat = _Flat(roughness, f0, metal=metal)
-    hats = _hats(directions, nodes)
+    hats = interpolator(directions).hats(nodes)
     values = flat.at_nodes(directions, nodes, density) * (density * weights)[None, :, None]
     total = hats @ values.transpose(1, 0, 2).reshape(len(nodes), -1)
     total = total.reshape(count, count, 2).transpose(1, 0, 2)
     if flat.material.glossy:
         lights, values = flat.at_lobes(directions, density)
         for view, (of_view, light) in enumerate(zip(values, lights, strict=True)):
-            total[view] += _hats(directions, light) @ of_view
+            total[view] += interpolator(directions).hats(light) @ of_view
     table = np.ascontiguousarray(total / (hats @ (weights * nodes[:, 2]))[None, :, None])
     # each of the two for itself, so that a colour and an image of that colour are one material
     table = np.stack(
@@ -126,14 +125,6 @@ def flat_table(roughness: float, f0: float, *, metal: bool) -> np.ndarray:
     )
     table.flags.writeable = False  # it is shared
     return table
-
-
-def _hats(directions, lights) -> csr_array:
-    """(directions, lights): the weight of each direction's hat at each light."""
-    index, share = interpolator(directions).weights(lights)
-    return csr_array(
-        (share.ravel(), (index.ravel(), np.repeat(np.arange(len(lights)), 3))), (len(directions), len(lights))
-    )
 
 
 class _Flat:

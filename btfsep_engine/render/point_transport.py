@@ -7,7 +7,7 @@ light's irradiance at right angles to it.
 
 import numpy as np
 
-from btfsep_engine.btf.model import Lambertian, Material, Mirror
+from btfsep_engine.btf.model import Material
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.render.appearance import LightTables, to_local
 from btfsep_engine.render.surface import SurfacePoints
@@ -39,9 +39,9 @@ def point_radiance(
     (p, M, 3) float32
     """
     out = np.zeros((len(points), lights.count, 3), np.float32)
-    if isinstance(material, Mirror):
+    if material.mirror_reflectance is not None:
         return out
-    look_up = None if isinstance(material, Lambertian) else LightTables(tracer, material)
+    look_up = LightTables(tracer, material.table) if material.matte_albedo is None else None
     for start in range(0, len(points), PIXELS):
         part = points.take(slice(start, start + PIXELS))
         tables = look_up and look_up.at(part, millimetres_per_unit=millimetres_per_unit)
@@ -50,7 +50,7 @@ def point_radiance(
             local = to_local(part, direction)
             lit = (local[:, 2] > 0) & _unblocked(tracer, part, direction, distance)
             if look_up is None:
-                value = np.asarray(material.albedo) / np.pi
+                value = material.matte_albedo / np.pi
             else:
                 lane = tracer.dr.arange(tracer.mi.UInt32, len(part))
                 rgb = look_up.value(tables, lane, tracer.vector(local), tracer.mi.Bool(lit))

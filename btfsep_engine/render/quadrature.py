@@ -11,7 +11,6 @@ falls between two directions shows as a change.
 
 import numpy as np
 
-from btfsep_engine.btf.model import Mirror
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.render.sampling import spread
@@ -36,7 +35,7 @@ def enough_directions(transport_of, points, material, *, order: int, tolerance: 
     -------
     directions, and their estimated error; with the most directions it can be above the tolerance
     """
-    if isinstance(material, Mirror) or len(points) == 0:
+    if material.mirror_reflectance is not None or len(points) == 0:
         return FEWEST, 0.0  # a mirror's own direction is followed, whatever the set
     few = points.take(spread(points, PROBE))
     natural = natural_amplitude(order)[:, None].astype(np.float32)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from btfsep_engine.btf.model import Material, Mirror
+from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
@@ -166,8 +166,8 @@ class Indirect:
         """
         points, directions = transport.points, transport.directions
         out = np.zeros((3, len(points), self.lightings.count), np.float32)
-        if isinstance(material, Mirror):
-            self._put(out, self._mirrored(transport), np.asarray(material.reflectance, np.float32))
+        if material.mirror_reflectance is not None:
+            self._put(out, self._mirrored(transport), material.mirror_reflectance.astype(np.float32))
             return out.transpose(1, 2, 0)
         weights = transport.weights(material)
         step = max(1, LANES // len(directions))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine.btf.model import Lambertian, Material, Mirror
+from btfsep_engine.btf.model import Lambertian, Material
 from btfsep_engine.job.model import Job
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.progress import Reporter
@@ -80,14 +80,14 @@ class Reference:
     def _bsdf(self, material: Material | None, textured: bool) -> dict:
         if material is None:
             return BLACK
-        if isinstance(material, Lambertian):
-            albedo = {"type": "rgb", "value": np.asarray(material.albedo, float).tolist()}
+        if material.matte_albedo is not None:
+            albedo = {"type": "rgb", "value": material.matte_albedo.tolist()}
             return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": albedo}}
-        if isinstance(material, Mirror):
-            colour = {"type": "rgb", "value": np.asarray(material.reflectance, float).tolist()}
+        if material.mirror_reflectance is not None:
+            colour = {"type": "rgb", "value": material.mirror_reflectance.tolist()}
             conductor = {"type": "conductor", "material": "none", "specular_reflectance": colour}
             return {"type": "twosided", "bsdf": conductor}
-        return {"type": "btf", "material": held(material), "tangents": "uv" if textured else "vertical"}
+        return {"type": "btf", "material": held(material.table), "tangents": "uv" if textured else "vertical"}
 
     def _shape(self, number, mesh, bsdf, uv):
         """A mesh whose corners are vertices of their own: normals and charts may break at every edge."""

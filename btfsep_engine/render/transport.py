@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine.btf.model import Lambertian, Material, Mirror, Tabulated
+from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
@@ -83,7 +83,7 @@ class Transport:
         -------
         (p, M, 3) float32, the channels outermost in memory
         """
-        if isinstance(material, Mirror):
+        if material.mirror_reflectance is not None:
             return self._mirror(material, lightings)
         light = self._light(lightings)
         weights = self.weights(material)
@@ -99,7 +99,7 @@ class Transport:
             out *= weights.colour[:, None, None]
         return out.transpose(1, 2, 0)
 
-    def weights(self, material: Lambertian | Tabulated) -> Weights:
+    def weights(self, material: Material) -> Weights:
         """What the material makes of light from the shared directions."""
         return Weights(self.tracer, material, self.directions, millimetres_per_unit=self.millimetres_per_unit)
 
@@ -108,9 +108,9 @@ class Transport:
         normal, eye = self.points.normal, self.points.to_eye
         return 2 * (normal * eye).sum(1, keepdims=True) * normal - eye
 
-    def _mirror(self, material: Mirror, lightings) -> np.ndarray:
+    def _mirror(self, material: Material, lightings) -> np.ndarray:
         reflected = self.reflected_directions()
         seen = self.tracer.sees_sky(self.points.position, self.points.flat_normal, reflected)
         light = np.asarray(lightings.radiance(reflected), np.float32)
-        light = np.broadcast_to(light, (*light.shape[:2], 3)) * np.asarray(material.reflectance, np.float32)
+        light = np.broadcast_to(light, (*light.shape[:2], 3)) * material.mirror_reflectance.astype(np.float32)
         return np.where(seen[:, None, None], light, np.float32(0))

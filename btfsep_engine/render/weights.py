@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from btfsep_engine.btf.model import Lambertian, Tabulated
+from btfsep_engine.btf.model import Material
 from btfsep_engine.render.appearance import LightTables
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer, divided
@@ -18,7 +18,7 @@ class Weights:
     Parameters
     ----------
     tracer : Tracer
-    material : Lambertian or Tabulated
+    material : Material, no mirror
     directions : (n, 3) float, unit, world; each stands for 4 pi / n
     millimetres_per_unit : millimetres in a world unit
 
@@ -27,14 +27,14 @@ class Weights:
     colour : (3,) float32
     """
 
-    def __init__(self, tracer: Tracer, material: Lambertian | Tabulated, directions, *, millimetres_per_unit: float):
+    def __init__(self, tracer: Tracer, material: Material, directions, *, millimetres_per_unit: float):
         self.tracer, self.mi, self.dr = tracer, tracer.mi, tracer.dr
         self.count, self.millimetres_per_unit = len(directions), millimetres_per_unit
         scale = 4 * np.pi / len(directions)
-        if isinstance(material, Lambertian):
-            self.tables, self.colour = None, np.asarray(material.albedo, np.float32) / np.float32(np.pi)
+        if material.matte_albedo is not None:
+            self.tables, self.colour = None, material.matte_albedo.astype(np.float32) / np.float32(np.pi)
         else:
-            self.tables, self.colour = LightTables(tracer, material), np.ones(3, np.float32)
+            self.tables, self.colour = LightTables(tracer, material.table), np.ones(3, np.float32)
         # the solid angle goes with the direction
         self._directions = self._packets([directions, np.full((len(directions), 1), scale)])
 

@@ -269,4 +269,4 @@ def test_names_that_differ_in_case_only_get_files_of_their_own(tmp_path):
     storing.add(tmp_path, flat("felt/one", 0.2))
     opened = library.open_library(tmp_path)
     assert len({e.file.lower() for e in opened.entries.values()}) == 2
-    assert [round(float(opened.load(n).albedo()[0, 0]), 2) for n in ("felt/One", "felt/one")] == [0.4, 0.2]
+    assert [round(float(opened.load(n).directional_albedo()[0, 0]), 2) for n in ("felt/One", "felt/one")] == [0.4, 0.2]

@@ -28,7 +28,7 @@ def test_matte_is_lambert_whatever_the_roughness():
         found = table(roughness=roughness, specular=0.0)
         np.testing.assert_allclose(found, np.broadcast_to(np.array(COLOUR) / np.pi, found.shape), rtol=1e-5)
     white = homogeneous(Surface((1.0, 1.0, 1.0), specular=0.0), "surface/x")
-    np.testing.assert_allclose(white.albedo(), 1, rtol=1e-5)  # a white furnace
+    np.testing.assert_allclose(white.directional_albedo(), 1, rtol=1e-5)  # a white furnace
 
 
 @pytest.mark.parametrize("roughness", [0.05, 0.15, 0.26, 0.5, 1.0])
@@ -59,7 +59,7 @@ def test_white_keeps_its_energy_and_nothing_reflects_more_than_comes():
     for roughness in (0.05, 0.3, 0.6, 1.0):
         for metallic in (0.0, 0.4, 1.0):
             white = homogeneous(Surface((1.0,) * 3, roughness=roughness, metallic=metallic, specular=1.0), "surface/x")
-            albedo = white.albedo()
+            albedo = white.directional_albedo()
             assert albedo.max() < 1.001 and white.angular.min() >= 0
             assert albedo.min() > 0.97
             # a ring of views is one view, turned
