@@ -7,10 +7,10 @@ table over the light list; a light direction then costs three taps, whatever the
 
 import numpy as np
 
-from btfsep_engine.btf.directions import GRID, interpolator
+from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Tabulated
+from btfsep_engine.render.arrays import DirectionTaps, dr, floats, mi
 from btfsep_engine.render.surface import SurfacePoints
-from btfsep_engine.render.tracer import Tracer
 
 PROBE_TEXELS = 1.5  # between look-ups within a pixel: with one for all of it, single pixels are 5 to 15 % wrong
 PROBES = 12  # in a pixel, about
@@ -114,19 +114,14 @@ class LightTables:
 
     Parameters
     ----------
-    tracer : Tracer, for its Mitsuba and Dr.Jit modules
     material : Tabulated
     """
 
-    def __init__(self, tracer: Tracer, material: Tabulated):
-        self._tracer, self.mi, self.dr, self.material = tracer, tracer.mi, tracer.dr, material
+    def __init__(self, material: Tabulated):
+        self.material = material
         views, lights = material.angular.shape[:2]
         self.views, self.lights = views, lights
-        taps = interpolator(material.lights)
-        self._grid = tracer.integers(taps.grid)
-        # a corner of a triangle in one packet: its row of the affine map, and which light it is
-        corners = np.concatenate([taps.affine, taps.triangles[..., None]], -1)
-        self._corners = tracer.floats(corners)
+        self._taps = DirectionTaps(material.lights)
         padded = np.zeros((views, material.texels.shape[2], lights, 4), np.float32)
         padded[..., :3] = np.moveaxis(material.angular, 3, 1)
         self._angular = padded.reshape(views, -1, lights * 4)
@@ -149,7 +144,7 @@ class LightTables:
         for some in np.split(order, ends[:-1]):
             if len(some):
                 tables[some] = rows[some] @ self._angular[taps[some[0]]].reshape(rows.shape[1], -1)
-        return self._tracer.floats(tables)
+        return floats(tables)
 
     def _view_taps(self, points):
         """Three views and their weights for each point: (n, 3) int and (n, 3) float32."""
@@ -178,16 +173,9 @@ class LightTables:
         -------
         mitsuba Vector4f : RGB, 1/sr
         """
-        mi, dr = self.mi, self.dr
-        u, v = omega.x / (1 + omega.z), omega.y / (1 + omega.z)  # the parabolic map
-        column = mi.UInt32(dr.clip((u + 1) * (GRID / 2), 0, GRID - 1))
-        row = mi.UInt32(dr.clip((v + 1) * (GRID / 2), 0, GRID - 1))
-        triangle = dr.gather(mi.UInt32, self._grid, row * GRID + column, active)
         base = point * dr.opaque(mi.UInt32, self.lights)
         values, total = mi.Vector4f(0), mi.Float(0)
-        for corner in range(3):
-            affine = dr.gather(mi.Vector4f, self._corners, triangle * 3 + corner, active)
-            weight = dr.maximum(affine.x * u + affine.y * v + affine.z, 0)
+        for number, weight in self._taps(omega, active):
             total += weight
-            values += weight * dr.gather(mi.Vector4f, tables, base + mi.UInt32(affine.w), active)
+            values += weight * dr.gather(mi.Vector4f, tables, base + number, active)
         return values / total

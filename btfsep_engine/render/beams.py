@@ -34,7 +34,7 @@ def beam_radiance(
     out = np.zeros((3, len(points), count), np.float32)
     if material.mirror_reflectance is not None or count == 0:
         return out.transpose(1, 2, 0)
-    weights = Weights(tracer, material, directions, millimetres_per_unit=millimetres_per_unit)
+    weights = Weights(material, directions, millimetres_per_unit=millimetres_per_unit)
     scale = weights.colour * np.float32(count / (4 * np.pi))  # Weights are of light from all over the sky
     step = max(1, LANES // count)
     for start in range(0, len(points), step):

@@ -20,8 +20,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from btfsep_engine.btf.directions import GRID, hemisphere_quadrature, interpolator
+from btfsep_engine.btf.directions import hemisphere_quadrature, interpolator
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.render.arrays import DirectionTaps, dr, floats, mi
 
 DRAWN = 256  # directions in the table of a hat; a power of two
 FINE = 800_000  # directions over the sphere that they are taken from, 0.2 degrees apart
@@ -29,7 +30,7 @@ STEPS = 8  # of the sharpening; more change little
 
 
 class Hats:
-    """The hats of a list of lights, for Dr.Jit. The renderer's variant has to be set before.
+    """The hats of a list of lights, for Dr.Jit.
 
     Parameters
     ----------
@@ -38,8 +39,6 @@ class Hats:
     """
 
     def __init__(self, lights, *, averaged: bool):
-        import mitsuba as mi
-
         self.averaged, self.count = averaged, len(lights)
         if averaged:
             table, self.drawn = _table(np.ascontiguousarray(lights, np.float64).tobytes(), len(lights)), DRAWN
@@ -47,14 +46,10 @@ class Hats:
             points = np.concatenate([lights, np.ones((len(lights), 1))], 1)
             table, self.drawn = (points[:, None], np.ones(len(lights)), np.zeros(len(lights))), 1
         directions, norm, scale = table
-        self.directions = mi.Float(directions.astype(np.float32).ravel())
-        self.cosine = mi.Float(np.asarray(lights, np.float32)[:, 2].copy())
-        self.norm, self.scale = mi.Float(norm.astype(np.float32)), mi.Float(scale.astype(np.float32))
+        self.directions, self.cosine = floats(directions), floats(np.asarray(lights)[:, 2])
+        self.norm, self.scale = floats(norm), floats(scale)
         if averaged:
-            taps = interpolator(lights)
-            self.grid = mi.UInt32(taps.grid.astype(np.uint32).ravel())
-            self.corners = mi.UInt32(taps.triangles.astype(np.uint32).ravel())
-            self.affine = mi.Float(taps.affine.astype(np.float32).ravel())
+            self.taps = DirectionTaps(lights)
 
     def draw(self, light, entry):
         """A direction of the hat of ``light``, and what is needed to weigh it.
@@ -69,9 +64,6 @@ class Hats:
         density : Float, per steradian, over h_j(direction); and 1 / h_j(direction)
         scale : Float; the mean over the entries of f(direction) cos * scale / density is f_j cos_j
         """
-        import drjit as dr
-        import mitsuba as mi
-
         row = dr.gather(mi.Vector4f, self.directions, light * self.drawn + entry)
         direction = mi.Vector3f(row.x, row.y, row.z)
         if not self.averaged:
@@ -79,28 +71,16 @@ class Hats:
         return direction, self._density(light, direction.z), row.w, dr.gather(mi.Float, self.scale, light)
 
     def _density(self, light, z):
-        import drjit as dr
-        import mitsuba as mi
-
         return (z + dr.gather(mi.Float, self.cosine, light)) * dr.gather(mi.Float, self.norm, light)
 
     def at(self, direction):
         """The hats that reach a direction (above the horizon): three of (number, h_j, density over h_j, scale)."""
-        import drjit as dr
-        import mitsuba as mi
-
-        x, y = (c / (1 + dr.maximum(direction.z, 0)) for c in (direction.x, direction.y))
-        column, row = (mi.UInt32(dr.clip((c + 1) * (GRID / 2), 0, GRID - 1)) for c in (x, y))
-        triangle = dr.gather(mi.UInt32, self.grid, row * GRID + column)
-        affine = [dr.gather(mi.Float, self.affine, triangle * 9 + i) for i in range(9)]
-        shares = [dr.maximum(affine[3 * i] * x + affine[3 * i + 1] * y + affine[3 * i + 2], 0) for i in range(3)]
-        total = shares[0] + shares[1] + shares[2]
-        found = []
-        for i, share in enumerate(shares):
-            light = dr.gather(mi.UInt32, self.corners, triangle * 3 + i)
-            scale = dr.gather(mi.Float, self.scale, light)
-            found.append((light, share / total, self._density(light, direction.z), scale))
-        return found
+        taps = self.taps(direction)
+        total = taps[0][1] + taps[1][1] + taps[2][1]
+        return [
+            (light, share / total, self._density(light, direction.z), dr.gather(mi.Float, self.scale, light))
+            for light, share in taps
+        ]
 
 
 @lru_cache(maxsize=4)

@@ -1,56 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Dr.Jit versions of what a tabulated material needs at a ray: taps of a list of directions, light directions to draw.
+"""Light directions drawn for a tabulated material, in Dr.Jit.
 
-Light directions are drawn from a piecewise-constant density on the square that the cosine-weighted hemisphere is
+They are drawn from a piecewise-constant density on the square that the cosine-weighted hemisphere is
 mapped from (Shirley and Chiu's concentric map, then Malley's lift): inside a cell the density over solid angle is
 cell probability x CELLS^2 x cos(theta) / pi, so the cosine is followed exactly and the table follows the ABRDF.
 """
 
 import numpy as np
 
-from btfsep_engine.btf.directions import GRID, Interpolator, interpolator
+from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Tabulated
+from btfsep_engine.render.arrays import dr, floats, mi
 
 CELLS = 32  # cells along an edge of the square; the lists' 15 degrees are 5 of them
 PER_CELL = 3  # nodes along an edge of a cell, over which the ABRDF is averaged
 COSINE_SHARE = 0.15  # of the samples follow the cosine alone: bounds the weight where the mean ABRDF is dark
 
 
-class DirectionTaps:
-    """`btf.directions.Interpolator` on the device: which three list directions a direction lies between.
-
-    Parameters
-    ----------
-    mi : the mitsuba module, a Dr.Jit variant set
-    taps : Interpolator
-    """
-
-    def __init__(self, mi, taps: Interpolator):
-        self.mi = mi
-        self.grid = mi.UInt32(taps.grid.astype(np.uint32).ravel())
-        self.affine = mi.Float(np.ascontiguousarray(taps.affine, np.float32).ravel())
-        self.corners = mi.UInt32(np.ascontiguousarray(taps.triangles, np.uint32).ravel())
-
-    def __call__(self, direction, active):
-        """List indices and weights of a local direction in the upper hemisphere: 3 UInt32, 3 Float, sum 1."""
-        import drjit as dr
-
-        mi = self.mi
-        u, v = direction.x / (1 + direction.z), direction.y / (1 + direction.z)  # the parabolic map
-        column = mi.UInt32(dr.clip((u + 1) * (GRID / 2), 0, GRID - 1))
-        row = mi.UInt32(dr.clip((v + 1) * (GRID / 2), 0, GRID - 1))
-        triangle = dr.gather(mi.UInt32, self.grid, row * GRID + column, active)
-        indices, weights = [], []
-        for corner in range(3):
-            a, b, c = (dr.gather(mi.Float, self.affine, triangle * 9 + corner * 3 + i, active) for i in range(3))
-            weights.append(dr.maximum(a * u + b * v + c, 0))
-            indices.append(dr.gather(mi.UInt32, self.corners, triangle * 3 + corner, active))
-        total = weights[0] + weights[1] + weights[2]
-        scale = dr.select(total > 0, 1 / total, 0)
-        return indices, [w * scale for w in weights]
-
-
-def cell_probabilities(mi, material: Tabulated) -> np.ndarray:
+def cell_probabilities(material: Tabulated) -> np.ndarray:
     """The probability of each cell of the square, for every view of the material's list.
 
     It is the mean ABRDF (positive part, mean of the channels) averaged over the cell, mixed with COSINE_SHARE of
@@ -79,26 +46,21 @@ class LightSampling:
 
     Parameters
     ----------
-    mi : the mitsuba module, a Dr.Jit variant set
     material : Tabulated
     """
 
-    def __init__(self, mi, material: Tabulated):
-        self.mi = mi
-        cells = cell_probabilities(mi, material)
+    def __init__(self, material: Tabulated):
+        cells = cell_probabilities(material)
         rows = np.cumsum(cells.sum(2), 1).astype(np.float32)
         columns = np.cumsum(cells / cells.sum(2, keepdims=True), 2).astype(np.float32)
         rows[:, -1], columns[..., -1] = 1, 1
         # the density is that of the rounded tables which are drawn from
         drawn = np.diff(rows, axis=1, prepend=0)[..., None] * np.diff(columns, axis=2, prepend=0)
-        self.rows, self.columns = mi.Float(rows.ravel()), mi.Float(columns.ravel())
-        self.density = mi.Float((drawn * CELLS**2 / np.pi).astype(np.float32).ravel())
+        self.rows, self.columns = floats(rows), floats(columns)
+        self.density = floats(drawn * CELLS**2 / np.pi)
 
     def pdf(self, views, shares, direction, active):
         """Density over solid angle of drawing a local ``direction``, for the view with the taps ``views, shares``."""
-        import drjit as dr
-
-        mi = self.mi
         square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(direction.x, direction.y))
         column, row = (mi.UInt32(dr.clip(s * CELLS, 0, CELLS - 1)) for s in (square.x, square.y))
         density = mi.Float(0)
@@ -108,9 +70,6 @@ class LightSampling:
 
     def draw(self, views, shares, sample1, sample2, active):
         """A local direction from uniform numbers: one of the three views by its share, then a cell, then a place."""
-        import drjit as dr
-
-        mi = self.mi
         view = dr.select(sample1 < shares[0], views[0], dr.select(sample1 < shares[0] + shares[1], views[1], views[2]))
         row, y = self._invert(self.rows, view, sample2.y, active)
         column, x = self._invert(self.columns, view * CELLS + row, sample2.x, active)
@@ -120,9 +79,6 @@ class LightSampling:
 
     def _invert(self, table, number, u, active):
         """The cell of table row ``number`` that ``u`` falls into, and where in it (0 to 1)."""
-        import drjit as dr
-
-        mi = self.mi
         base = number * CELLS
         cell = dr.binary_search(0, CELLS - 1, lambda i: dr.gather(mi.Float, table, base + mi.UInt32(i), active) <= u)
         cell = mi.UInt32(cell)

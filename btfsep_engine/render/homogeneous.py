@@ -26,7 +26,7 @@ from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.surfaces import CLASS, Surface
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.render.appearance import spatial_factors
-from btfsep_engine.render.backend import import_mitsuba
+from btfsep_engine.render.arrays import dr, floats, mi, vector
 from btfsep_engine.render.hats import sharpened
 from btfsep_engine.render.microfacet import Microfacets
 from btfsep_engine.render.parametrise import mean_scale
@@ -131,21 +131,16 @@ class _Flat:
     """A flat surface of the micro-BRDF: A cos and B cos over the density with which lights are looked at."""
 
     def __init__(self, roughness: float, f0: float, *, metal: bool):
-        self.mi, self.roughness = import_mitsuba(), roughness
+        self.roughness = roughness
         self.material = Microfacets(f0, metal=metal)
 
     def _facet(self, views, number):
         """The surface seen from the views of these numbers: red has the base colour 0, green 1."""
-        import drjit as dr
-
-        mi = self.mi
-        view = dr.gather(mi.Vector3f, mi.Vector3f(*views.T.astype(np.float32)), number)
+        view = dr.gather(mi.Vector3f, vector(views), number)
         roughness = dr.opaque(mi.Float, float(self.roughness))  # opaque: one compiled kernel serves all surfaces
         return self.material.facet(mi.Color3f(0, 1, 1), roughness, mi.Vector3f(0, 0, 1), view, mi.Float(1))
 
     def _weighed(self, facet, light, density: float, shape) -> np.ndarray:
-        import drjit as dr
-
         value, of_lobe = self.material.value_and_density(facet, light)
         value *= light.z / (density + LOBE * of_lobe)
         dr.eval(value)
@@ -154,24 +149,18 @@ class _Flat:
 
     def at_nodes(self, views, nodes, density: float) -> np.ndarray:
         """(views, nodes, 2) float32."""
-        import drjit as dr
-
-        mi = self.mi
         lane = dr.arange(mi.UInt32, len(views) * len(nodes))
         view = lane // len(nodes)
-        light = dr.gather(mi.Vector3f, mi.Vector3f(*nodes.T.astype(np.float32)), lane - view * len(nodes))
+        light = dr.gather(mi.Vector3f, vector(nodes), lane - view * len(nodes))
         return self._weighed(self._facet(views, view), light, density, (len(views), len(nodes)))
 
     def at_lobes(self, views, density: float):
         """LOBE directions of each view's lobe (views, LOBE, 3) and the values there (views, LOBE, 2)."""
-        import drjit as dr
-
-        mi = self.mi
         lane = dr.arange(mi.UInt32, len(views) * LOBE)
         view = lane // LOBE
         facet = self._facet(views, view)
-        u1, u2 = (np.modf((np.arange(LOBE) + 0.5) * step)[0].astype(np.float32) for step in R2)
-        u1, u2 = (dr.gather(mi.Float, mi.Float(u), lane - view * LOBE) for u in (u1, u2))
+        u1, u2 = (np.modf((np.arange(LOBE) + 0.5) * step)[0] for step in R2)
+        u1, u2 = (dr.gather(mi.Float, floats(u), lane - view * LOBE) for u in (u1, u2))
         light = self.material.lobe(facet, u1, u2)
         dr.eval(light)
         lights = np.stack([c.numpy() for c in light], -1).reshape(len(views), LOBE, 3)

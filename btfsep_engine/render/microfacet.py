@@ -15,6 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from btfsep_engine.render.arrays import dr, floats, mi
+
 TABLE = 32  # nodes along n.v and along roughness
 
 
@@ -77,8 +79,6 @@ class Facet:
 
     def taken(self, index) -> "Facet":
         """The facets of the numbers ``index : UInt32``."""
-        import drjit as dr
-
         return Facet(**{k: None if v is None else dr.gather(type(v), v, index) for k, v in vars(self).items()})
 
     def arrays(self) -> list:
@@ -87,7 +87,7 @@ class Facet:
 
 
 class Microfacets:
-    """Evaluates and samples the micro-BRDF in Dr.Jit. The renderer's variant has to be set before it is made.
+    """Evaluates and samples the micro-BRDF in Dr.Jit.
 
     Parameters
     ----------
@@ -96,9 +96,6 @@ class Microfacets:
     """
 
     def __init__(self, f0: float, *, metal: bool = False):
-        import drjit as dr
-        import mitsuba as mi
-
         self.layered, self.metal = f0 > 0, metal
         self.glossy = self.layered or metal
         if self.layered:
@@ -106,12 +103,10 @@ class Microfacets:
             table = layer_albedo(float(f0))
             mu = np.linspace(0, 1, TABLE)
             mean = ((table * 2 * mu)[:, 1:] + (table * 2 * mu)[:, :-1]).sum(1) / (2 * (TABLE - 1))
-            self.table, self.mean = mi.Float(table.ravel().astype(np.float32)), mi.Float(mean.astype(np.float32))
+            self.table, self.mean = floats(table), floats(mean)
 
     def facet(self, base, roughness, normal, view, metallic=None) -> Facet:
         """A surface and an eye; ``base : Color3f``, ``roughness, metallic : Float``, unit ``normal, view``."""
-        import drjit as dr
-
         nv = dr.maximum(dr.dot(normal, view), 1e-3)
         diffuse = base * dr.inv_pi
         if not self.glossy:
@@ -129,17 +124,11 @@ class Microfacets:
 
     @staticmethod
     def _floor(a):
-        import drjit as dr
-        import mitsuba as mi
-
         low = mi.UInt32(dr.minimum(dr.floor(a), TABLE - 2))
         return low, a - mi.Float(low)
 
     def _albedo(self, row, cosine):
         """E, linear between the nodes."""
-        import drjit as dr
-        import mitsuba as mi
-
         (r0, fr), (c0, fc) = self._floor(row), self._floor(dr.clip(cosine, 0, 1) * (TABLE - 1))
         at = r0 * TABLE + c0
         low = dr.lerp(dr.gather(mi.Float, self.table, at), dr.gather(mi.Float, self.table, at + 1), fc)
@@ -148,9 +137,6 @@ class Microfacets:
 
     def value_and_density(self, facet: Facet, light):
         """f, 1/sr, without the cosine, and the density of :meth:`lobe`, 1/sr; 0 for lights below the surface."""
-        import drjit as dr
-        import mitsuba as mi
-
         nl = dr.dot(facet.normal, light)
         lit = nl > 0
         nl = dr.maximum(nl, 1e-4)
@@ -173,9 +159,6 @@ class Microfacets:
     def lobe(self, facet: Facet, u1, u2):
         """A direction that a facet visible to the eye reflects to it (Dupuy and Benyoub 2023), of the density
         D G1(n.v) / (4 n.v); perhaps below the surface. ``u1, u2`` are random numbers in [0, 1)."""
-        import drjit as dr
-        import mitsuba as mi
-
         frame, alpha = mi.Frame3f(facet.normal), dr.sqrt(facet.alpha2)
         eye = frame.to_local(facet.view)
         eye.z = facet.cosine
@@ -193,9 +176,6 @@ class Microfacets:
         ----------
         u1, u2, choice : random numbers in [0, 1)
         """
-        import drjit as dr
-        import mitsuba as mi
-
         frame = mi.Frame3f(facet.normal)
         cosine = frame.to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2)))
         if not self.glossy:

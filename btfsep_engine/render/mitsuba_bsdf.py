@@ -28,10 +28,10 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine.btf import fmf
-from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.errors import InputError
-from btfsep_engine.render.hemisphere_sampling import DirectionTaps, LightSampling
+from btfsep_engine.render.arrays import DirectionTaps, dr, floats, mi
+from btfsep_engine.render.hemisphere_sampling import LightSampling
 
 NAME = "btf"
 SMALLEST_COSINE = 1e-3  # of the eye, as in appearance.LightTables
@@ -84,8 +84,6 @@ def _plugin_class(variant: str):
     """The plugin's class: its base is another one in each variant."""
     if not variant.endswith("_ad_rgb"):
         raise InputError("plugin 'btf'", f"variant {variant}", "use llvm_ad_rgb or cuda_ad_rgb")
-    import drjit as dr
-    import mitsuba as mi
 
     class BTF(mi.BSDF):
         """See the module."""
@@ -120,10 +118,10 @@ def _plugin_class(variant: str):
             texels[:, :k] = material.texels.reshape(-1, k)
             angular = np.zeros((views, lights, k, 4), np.float32)
             angular[..., :3] = material.angular.transpose(0, 1, 3, 2)
-            self.texels, self.angular = mi.Float(texels.ravel()), mi.Float(angular.ravel())
-            self.views = DirectionTaps(mi, interpolator(material.views))
-            self.lights = DirectionTaps(mi, interpolator(material.lights))
-            self.sampling = LightSampling(mi, material)
+            self.texels, self.angular = floats(texels), floats(angular)
+            self.views = DirectionTaps(material.views)
+            self.lights = DirectionTaps(material.lights)
+            self.sampling = LightSampling(material)
             # opaque: a kernel that is compiled serves materials of other sizes
             self.width, self.height, self.texels_per_uv = (
                 dr.opaque(mi.Float, n) for n in (width, height, texels_per_uv)
@@ -192,7 +190,7 @@ def _plugin_class(variant: str):
         def _value(self, si, eye_taps, light, active):
             """The BTF without the cosine, at the eye's taps and a local light direction."""
             factors = self._factors(si, active)
-            light_indices, light_weights = self.lights(light, active)
+            light_indices, light_weights = self.lights.normalised(light, active)
             total = mi.Vector4f(0)
             for view, view_weight in zip(*eye_taps, strict=True):
                 for number, light_weight in zip(light_indices, light_weights, strict=True):
@@ -214,14 +212,14 @@ def _plugin_class(variant: str):
             importance = ctx.mode == mi.TransportMode.Importance
             eye, light = (wo_local, wi_local) if importance else (wi_local, wo_local)
             light = mi.Vector3f(light.x, light.y, dr.maximum(light.z, 0))
-            eye_taps = self.views(self._eye(eye), seen)
+            eye_taps = self.views.normalised(self._eye(eye), seen)
             colour = mi.Color3f(0)
             if value:
                 colour = dr.select(seen, self._value(si, eye_taps, light, seen) * wo_local.z, mi.Color3f(0))
             if importance:  # nothing is tabulated by light: along the cosine
                 return colour, dr.select(active & (wo_local.z > 0), wo_local.z / dr.pi, 0)
             above = active & (wo_local.z > 0)
-            taps = self.views(self._eye(wi_local), above)
+            taps = self.views.normalised(self._eye(wi_local), above)
             return colour, self.sampling.pdf(*taps, wo_local, above)
 
         def eval(self, ctx, si, wo, active=True):
@@ -242,7 +240,7 @@ def _plugin_class(variant: str):
             if ctx.mode == mi.TransportMode.Importance:
                 local = mi.warp.square_to_cosine_hemisphere(sample2)
             else:
-                taps = self.views(self._eye(self._in(frame, si.wi)), active)
+                taps = self.views.normalised(self._eye(self._in(frame, si.wi)), active)
                 local = self.sampling.draw(*taps, sample1, sample2, active)
             drawn.wo = frame[0] * local.x + frame[1] * local.y + frame[2] * local.z
             value, drawn.pdf = self._evaluated(ctx, si, drawn.wo, active)

@@ -27,7 +27,7 @@ from btfsep_engine.btf.factorise import StreamingFactoriser
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.procedural import Maps
 from btfsep_engine.progress import Reporter
-from btfsep_engine.render.backend import import_mitsuba
+from btfsep_engine.render.arrays import dr, floats, mi
 from btfsep_engine.render.hats import Hats, sharpened
 from btfsep_engine.render.microfacet import Facet, Microfacets
 
@@ -170,20 +170,16 @@ class Patch:
     """
 
     def __init__(self, maps: Maps, lights, *, seed: int = 0, averaged: bool = False):
-        import_mitsuba()
-        import drjit as dr
-        import mitsuba as mi
-
         self.maps, self.seed, self.rays = maps, seed, 0
         self.lights = np.ascontiguousarray(lights, np.float32)
         self.n = len(maps.height_mm)
         self.size = dr.opaque(mi.Float, maps.size_mm)  # opaque: one compiled kernel serves all materials
         self.top = float(maps.height_mm.max() + 0.01 * maps.size_mm)
-        self.scene = mi.load_dict({"type": "scene", "patch": _mesh(mi, maps)})
+        self.scene = mi.load_dict({"type": "scene", "patch": _mesh(maps)})
         metal = maps.metal()
         attributes = [maps.base_colour, *(a[..., None] for a in (maps.roughness, *metal))]
         self.stride = 4 + len(metal)
-        self.attributes = mi.Float(np.ascontiguousarray(np.concatenate(attributes, -1), np.float32).ravel())
+        self.attributes = floats(np.concatenate(attributes, -1))
         self.material = Microfacets(maps.f0, metal=bool(metal))
         self.hats = Hats(lights, averaged=averaged)
         self.lobes = LOBES if averaged and self.material.glossy else 0
@@ -207,9 +203,6 @@ class Patch:
 
     def _looked_at(self, views, first: int, texels: int, samples: int) -> np.ndarray:
         """What all paths send to the eye under each light; the layout is that of (views, 3, texels^2, lights)."""
-        import drjit as dr
-        import mitsuba as mi
-
         count = texels * texels
         out = dr.zeros(mi.Float, len(views) * 3 * count * len(self.lights))
         for sample in range(samples):
@@ -225,9 +218,6 @@ class Patch:
 
     def _paths(self, views, texels: int, seeds) -> Iterator[Vertex]:
         """One path a view and texel: its vertices one after the other; those that left the patch are taken out."""
-        import drjit as dr
-        import mitsuba as mi
-
         count = texels * texels
         path = dr.arange(mi.UInt32, len(views) * count)
         number = path // count
@@ -275,17 +265,11 @@ class Patch:
 
     def _wrapped(self, point):
         """The point moved by whole tiles into the middle tile."""
-        import drjit as dr
-        import mitsuba as mi
-
         x, y = (c - dr.floor(c / self.size) * self.size for c in (point.x, point.y))
         return mi.Point3f(x, y, point.z)
 
     def _surface(self, place):
         """Base colour, roughness and (where there is any) metallic at a place, bilinear between the cells' centres."""
-        import drjit as dr
-        import mitsuba as mi
-
         gx, gy = (c * (self.n / self.size) - 0.5 for c in (place.x, place.y))
         x0, y0 = dr.floor(gx), dr.floor(gy)
         fx, fy = gx - x0, gy - y0
@@ -308,9 +292,6 @@ class Patch:
         ray : Ray3f; facing : Float, the cosine at the surface
         weigh : what :meth:`Hats.draw` gives beside the direction
         """
-        import drjit as dr
-        import mitsuba as mi
-
         n_lights = len(self.lights)
         entry, start_of = dr.gather(mi.UInt32, of_path, vertex.path), vertex.path // count * n_lights
         dr.eval(entry, start_of)
@@ -325,9 +306,6 @@ class Patch:
 
     def _connect(self, out, vertex: Vertex, bounce: int, count: int, share: float, of_path, of_light) -> None:
         """Adds what the vertices send on under each light to ``out`` (:meth:`_looked_at`), times ``share``."""
-        import drjit as dr
-        import mitsuba as mi
-
         lobes = 0 if bounce else self.lobes
         weight, row = vertex.weight * share, self._row(vertex.path, count)
         dr.eval(weight, row)
@@ -347,9 +325,6 @@ class Patch:
 
     def _connect_lobe(self, out, vertex: Vertex, weight, row, count: int) -> None:
         """As :meth:`_connect`, along directions of the vertices' own lobes."""
-        import drjit as dr
-        import mitsuba as mi
-
         for number in range(self.lobes):
             u1, u2 = (u + number * step for u, step in zip(vertex.numbers, R2, strict=True))
             direction = self.material.lobe(vertex.facet, u1 - dr.floor(u1), u2 - dr.floor(u2))
@@ -370,7 +345,7 @@ class Patch:
         return (path + 2 * count * (path // count)) * len(self.lights)
 
 
-def _mesh(mi, maps: Maps):
+def _mesh(maps: Maps):
     """Three by three tiles of the height field; the middle tile spans [0, size]^2; millimetres."""
     n = len(maps.height_mm)
     edge = 3 * n

@@ -10,6 +10,7 @@ import numpy as np
 from btfsep_engine.btf.model import Material
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.render.appearance import LightTables, to_local
+from btfsep_engine.render.arrays import dr, mi, vector
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
@@ -41,7 +42,7 @@ def point_radiance(
     out = np.zeros((len(points), lights.count, 3), np.float32)
     if material.mirror_reflectance is not None:
         return out
-    look_up = LightTables(tracer, material.table) if material.matte_albedo is None else None
+    look_up = LightTables(material.table) if material.matte_albedo is None else None
     for start in range(0, len(points), PIXELS):
         part = points.take(slice(start, start + PIXELS))
         tables = look_up and look_up.at(part, millimetres_per_unit=millimetres_per_unit)
@@ -52,8 +53,8 @@ def point_radiance(
             if look_up is None:
                 value = material.matte_albedo / np.pi
             else:
-                lane = tracer.dr.arange(tracer.mi.UInt32, len(part))
-                rgb = look_up.value(tables, lane, tracer.vector(local), tracer.mi.Bool(lit))
+                lane = dr.arange(mi.UInt32, len(part))
+                rgb = look_up.value(tables, lane, vector(local), mi.Bool(lit))
                 value = np.array(rgb).T[:, :3]
             shaded = value * (np.maximum(local[:, 2:], 0) * irradiance)
             out[start : start + len(part), number] = np.where(lit[:, None], shaded, 0)

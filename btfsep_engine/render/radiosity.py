@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.render.arrays import dr
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
 SAMPLES = 3000  # surface samples where none are named
@@ -106,7 +107,7 @@ class Network:
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
         facing *= -np.sign((facing * omega[arrived]).sum(1, keepdims=True))
         feature = self._feature(arrival, facing)
-        distance, taps = self._tree.query(feature, k=NEIGHBOURS, workers=self.tracer.dr.thread_count())
+        distance, taps = self._tree.query(feature, k=NEIGHBOURS, workers=dr.thread_count())
         weights = (1 / (distance + 1e-3)).astype(np.float32)
         return arrived, taps, weights / weights.sum(1, keepdims=True)
 

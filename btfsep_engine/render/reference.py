@@ -16,7 +16,8 @@ from btfsep_engine.btf.model import Lambertian, Material
 from btfsep_engine.job.model import Job
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.progress import Reporter
-from btfsep_engine.render.mitsuba_bsdf import held, register
+from btfsep_engine.render.arrays import dr, mi, vector
+from btfsep_engine.render.mitsuba_bsdf import held
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.tracer import Tracer
@@ -58,8 +59,7 @@ class Reference:
     """
 
     def __init__(self, job: Job, tracer: Tracer, materials, *, bounces: int = 1, textured: bool = True, reporter=None):
-        self.job, self.tracer, self.mi, self.dr = job, tracer, tracer.mi, tracer.dr
-        register(self.mi)
+        self.job, self.tracer = job, tracer
         unseen = [
             m if m is None else Lambertian(diffuse_albedo(m))
             for m, o in zip(materials, job.objects, strict=True)
@@ -75,7 +75,7 @@ class Reference:
                 )
             self._shapes[f"shape{number:04d}"] = self._shape(number, mesh, self._bsdf(material, laid), uv)
         depth = {"max_depth": bounces + 1, "rr_depth": bounces + 2, "hide_emitters": True}
-        self.integrator = self.mi.load_dict({"type": "path", **depth})
+        self.integrator = mi.load_dict({"type": "path", **depth})
 
     def _bsdf(self, material: Material | None, textured: bool) -> dict:
         if material is None:
@@ -91,7 +91,6 @@ class Reference:
 
     def _shape(self, number, mesh, bsdf, uv):
         """A mesh whose corners are vertices of their own: normals and charts may break at every edge."""
-        mi = self.mi
         properties = mi.Properties()
         properties["bsdf"] = mi.load_dict(bsdf)
         n = len(mesh.faces)
@@ -144,7 +143,6 @@ class Reference:
 
     def _lit_scenes(self, lightings):
         """(number of the light, sign, scene) of everything that has to be rendered."""
-        mi = self.mi
         if isinstance(lightings, PointLights | DirectionalLights):
             for number in range(lightings.count):
                 yield number, 1, mi.load_dict({"type": "scene", "light": self._lamp(lightings, number), **self._shapes})
@@ -206,7 +204,7 @@ class Reference:
 
     def _traced(self, scene, pixels, samples, seed, jitter):
         """Mean of the paths through each pixel and the variance of that mean: 2 x (p, 3) float32."""
-        mi, dr, camera = self.mi, self.dr, self.job.camera
+        camera = self.job.camera
         rotation = camera.to_world[:3, :3]
         corner = np.stack(
             [(pixels[:, 1] - camera.cx) / camera.fx, -(pixels[:, 0] - camera.cy) / camera.fy, -np.ones(len(pixels))], -1
@@ -230,7 +228,7 @@ class Reference:
             sampler.seed(int(np.random.SeedSequence([*seed, start]).generate_state(1)[0]), lanes)
             point = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, samples)
             within = sampler.next_2d() if jitter else mi.Point2f(*(dr.opaque(mi.Float, x) for x in CENTRE))
-            direction = dr.gather(mi.Vector3f, self.tracer.vector(part), point) + within.x * right + within.y * down
+            direction = dr.gather(mi.Vector3f, vector(part), point) + within.x * right + within.y * down
             ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(eye), dr.normalize(direction)))
             colour, _, _ = self.integrator.sample(scene, sampler, ray)
             dr.eval(colour)  # now: every sum would trace the paths again

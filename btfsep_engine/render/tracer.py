@@ -10,11 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.render.backend import import_mitsuba
+from btfsep_engine.render.arrays import divided, dr, mi, packets, vector
 
 MISS = np.int32(-1)
 LANES = 1 << 22  # rays traced at once: bounds the memory of a pass to a few hundred MB
-ALIGNMENT = 64  # bytes, of memory that Dr.Jit works on
 OFFSET = 2e-4  # start of a secondary ray off its surface, in scene radii
 
 
@@ -45,10 +44,6 @@ class Tracer:
     """
 
     def __init__(self, meshes):
-        self.mi = import_mitsuba()
-        import drjit
-
-        self.dr = drjit
         self.meshes = tuple(meshes)
         if not self.meshes:
             raise InputError("the job", "no geometry", "export at least one object with faces")
@@ -58,14 +53,13 @@ class Tracer:
         self.centre = (low + high) / 2
         self.radius = float(np.linalg.norm(high - low) / 2) or 1.0
         shapes = {f"mesh{i:04d}": self._mitsuba_mesh(i, mesh) for i, mesh in enumerate(self.meshes)}
-        self.scene = self.mi.load_dict({"type": "scene", **shapes})
+        self.scene = mi.load_dict({"type": "scene", **shapes})
         # a hit names its shape by registry id: the table back to our mesh numbers
-        registry = np.array(self.dr.reinterpret_array(self.mi.UInt32, self.scene.shapes_dr()))
+        registry = np.array(dr.reinterpret_array(mi.UInt32, self.scene.shapes_dr()))
         self._numbers = np.zeros(int(registry.max()) + 1, np.int32)
         self._numbers[registry] = [self._shape_number(shape) for shape in self.scene.shapes()]
 
     def _mitsuba_mesh(self, number, mesh):
-        mi = self.mi
         shape = mi.Mesh(f"mesh{number:04d}", len(mesh.vertices), len(mesh.faces), has_vertex_normals=False)
         params = mi.traverse(shape)
         params["vertex_positions"] = mi.Float(self.to_local(mesh.vertices).astype(np.float32).ravel())
@@ -81,24 +75,6 @@ class Tracer:
         """World positions in the tracer's own, centred and scaled, space."""
         return (np.asarray(points, np.float64) - self.centre) / self.radius
 
-    def vector(self, values):
-        """(n, 3) array to a Mitsuba vector of n lanes."""
-        return self.mi.Vector3f(*(self.floats(column) for column in np.asarray(values, np.float32).T))
-
-    def packets(self, values):
-        """(n, 3) array to a Mitsuba Float whose lanes are gathered four at a time, the fourth 0."""
-        padded = np.zeros((len(values), 4), np.float32)
-        padded[:, :3] = values
-        return self.floats(padded)
-
-    def floats(self, values):
-        """An array of any shape to a flat Mitsuba Float."""
-        return self.mi.Float(_aligned(values, np.float32))
-
-    def integers(self, values):
-        """An array of any shape, of numbers >= 0, to a flat Mitsuba UInt32."""
-        return self.mi.UInt32(_aligned(values, np.uint32))
-
     def nearest(self, origins, directions) -> Hits:
         """Nearest hits of rays ``origins, directions : (n, 3) float``, world space, directions unit."""
         n = len(origins)
@@ -108,13 +84,11 @@ class Tracer:
         distance = np.full(n, np.inf)
         for start in range(0, n, LANES):
             part = slice(start, min(n, start + LANES))
-            ray = self.mi.Ray3f(
-                self.mi.Point3f(self.vector(self.to_local(origins[part]))), self.vector(directions[part])
-            )
+            ray = mi.Ray3f(mi.Point3f(vector(self.to_local(origins[part]))), vector(directions[part]))
             hit = self.scene.ray_intersect_preliminary(ray, coherent=False)
-            found = [hit.is_valid(), self.dr.reinterpret_array(self.mi.UInt32, hit.shape), hit.prim_index]
+            found = [hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), hit.prim_index]
             found += [hit.prim_uv.x, hit.prim_uv.y, hit.t]
-            self.dr.eval(found)  # together: one by one, each would trace its rays again
+            dr.eval(found)  # together: one by one, each would trace its rays again
             valid, shape, index, u, v, t = (np.array(a) for a in found)
             mesh[part] = np.where(valid, self._numbers[np.where(valid, shape, 0)], MISS)
             face[part] = np.where(valid, index.astype(np.int32), 0)
@@ -146,12 +120,11 @@ class Tracer:
 
     def visible_lanes(self, positions, offset_normals, directions):
         """As :meth:`visible`, left where it was traced: a Mitsuba Bool of p * n lanes, evaluated."""
-        mi, dr = self.mi, self.dr
         p, n = len(positions), len(directions)
         starts = self.to_local(positions) + OFFSET * np.asarray(offset_normals, np.float64)
-        starts, normals, shared = (self.packets(a) for a in (starts, offset_normals, directions))
+        starts, normals, shared = (packets(a) for a in (starts, offset_normals, directions))
         lane = dr.arange(mi.UInt32, p * n)
-        point = divided(mi, dr, lane, n)
+        point = divided(lane, n)
         origin, normal = (dr.gather(mi.Vector4f, a, point).xyz for a in (starts, normals))
         omega = dr.gather(mi.Vector4f, shared, lane - point * dr.opaque(mi.UInt32, n)).xyz
         above = dr.dot(normal, omega) > 0
@@ -164,29 +137,3 @@ class Tracer:
         starts = np.asarray(positions, np.float64) + OFFSET * self.radius * np.asarray(offset_normals, np.float64)
         above = (np.asarray(offset_normals) * directions).sum(1) > 0
         return above & (self.nearest(starts, directions).mesh == MISS)
-
-
-def _aligned(values, kind) -> np.ndarray:
-    """A flat copy at an address that is a multiple of `ALIGNMENT`.
-
-    Dr.Jit borrows NumPy's memory, and compiles other kernels for memory that is not aligned: without this, chance would
-    decide whether a kernel is found in the cache.
-    """
-    values = np.asarray(values)
-    room = np.empty(values.size * np.dtype(kind).itemsize + ALIGNMENT, np.uint8)
-    start = -room.ctypes.data % ALIGNMENT
-    flat = room[start : start + values.size * np.dtype(kind).itemsize].view(kind)
-    flat.reshape(values.shape)[...] = values
-    return flat
-
-
-def divided(mi, dr, lane, divisor: int):
-    """``lane // divisor`` for a divisor that may change from call to call without a new kernel.
-
-    Processors have no fast division of whole numbers: the high half of a product, at most one too large.
-    """
-    if divisor == 1:  # 2^32 is no UInt32
-        return lane
-    quotient = dr.mul_hi(lane, dr.opaque(mi.UInt32, -(-(2**32) // divisor)))
-    over = quotient * dr.opaque(mi.UInt32, divisor) > lane
-    return quotient - dr.select(over, mi.UInt32(1), mi.UInt32(0))

@@ -101,7 +101,7 @@ class Transport:
 
     def weights(self, material: Material) -> Weights:
         """What the material makes of light from the shared directions."""
-        return Weights(self.tracer, material, self.directions, millimetres_per_unit=self.millimetres_per_unit)
+        return Weights(material, self.directions, millimetres_per_unit=self.millimetres_per_unit)
 
     def reflected_directions(self) -> np.ndarray:
         """The mirror directions of the points' view directions: (p, 3) float64, unit."""

@@ -5,8 +5,8 @@ import numpy as np
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.render.appearance import LightTables
+from btfsep_engine.render.arrays import divided, dr, floats, integers, mi, packets
 from btfsep_engine.render.surface import SurfacePoints
-from btfsep_engine.render.tracer import Tracer, divided
 
 
 class Weights:
@@ -17,7 +17,6 @@ class Weights:
 
     Parameters
     ----------
-    tracer : Tracer
     material : Material, no mirror
     directions : (n, 3) float, unit, world; each stands for 4 pi / n
     millimetres_per_unit : millimetres in a world unit
@@ -27,20 +26,15 @@ class Weights:
     colour : (3,) float32
     """
 
-    def __init__(self, tracer: Tracer, material: Material, directions, *, millimetres_per_unit: float):
-        self.tracer, self.mi, self.dr = tracer, tracer.mi, tracer.dr
+    def __init__(self, material: Material, directions, *, millimetres_per_unit: float):
         self.count, self.millimetres_per_unit = len(directions), millimetres_per_unit
         scale = 4 * np.pi / len(directions)
         if material.matte_albedo is not None:
             self.tables, self.colour = None, material.matte_albedo.astype(np.float32) / np.float32(np.pi)
         else:
-            self.tables, self.colour = LightTables(tracer, material.table), np.ones(3, np.float32)
+            self.tables, self.colour = LightTables(material.table), np.ones(3, np.float32)
         # the solid angle goes with the direction
-        self._directions = self._packets([directions, np.full((len(directions), 1), scale)])
-
-    def _packets(self, columns):
-        """Columns side by side as a Mitsuba Float, to be gathered four at a time."""
-        return self.tracer.floats(np.concatenate(columns, 1))
+        self._directions = floats(np.concatenate([directions, np.full((len(directions), 1), scale)], 1))
 
     def of_all(self, points: SurfacePoints, active) -> list[np.ndarray]:
         """Weights of every direction at every point.
@@ -53,26 +47,25 @@ class Weights:
         -------
         1 or 3 arrays (points, directions) float32
         """
-        lane = self.dr.arange(self.mi.UInt32, len(points) * self.count)
-        point = divided(self.mi, self.dr, lane, self.count)
-        direction = lane - point * self.dr.opaque(self.mi.UInt32, self.count)
+        lane = dr.arange(mi.UInt32, len(points) * self.count)
+        point = divided(lane, self.count)
+        direction = lane - point * dr.opaque(mi.UInt32, self.count)
         return [w.reshape(len(points), self.count) for w in self._of(points, point, direction, active)]
 
     def of_pairs(self, points: SurfacePoints, point, direction) -> list[np.ndarray]:
         """Weights of pairs, given by numbers of points and directions (t,): 1 or 3 arrays (t,) float32."""
-        point, direction = (self.tracer.integers(i) for i in (point, direction))
-        return self._of(points, point, direction, self.dr.full(self.mi.Bool, True, len(point)))
+        point, direction = (integers(i) for i in (point, direction))
+        return self._of(points, point, direction, dr.full(mi.Bool, True, len(point)))
 
     def _of(self, points, point, direction, active) -> list[np.ndarray]:
-        mi, dr = self.mi, self.dr
         omega = dr.gather(mi.Vector4f, self._directions, direction)
         if self.tables is None:
-            normal = dr.gather(mi.Vector4f, self.tracer.packets(points.normal), point)
+            normal = dr.gather(mi.Vector4f, packets(points.normal), point)
             cosine = normal.x * omega.x + normal.y * omega.y + normal.z * omega.z
             values = [dr.select(active & (cosine > 0), cosine * omega.w, 0)]
         else:
             tables = self.tables.at(points, millimetres_per_unit=self.millimetres_per_unit)
-            frames = self._packets([points.tangent, points.bitangent, points.normal, np.zeros((len(points), 3))])
+            frames = floats(np.stack([points.tangent, points.bitangent, points.normal, np.zeros((len(points), 3))], 1))
             a, b, c = (dr.gather(mi.Vector4f, frames, point * 3 + i) for i in range(3))
             local = mi.Vector3f(
                 a.x * omega.x + a.y * omega.y + a.z * omega.z,

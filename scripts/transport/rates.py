@@ -16,6 +16,7 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.render import radiosity
 from btfsep_engine.render.appearance import LightTables
+from btfsep_engine.render.arrays import dr, mi, vector
 from btfsep_engine.render.tracer import OFFSET, Tracer
 from btfsep_engine.render.transport import Transport
 from btfsep_engine.render.weights import Weights
@@ -36,12 +37,11 @@ def rays(options) -> str:
     """Rays a second inside the kernel against a bare loop of the same rays, called in turn."""
     stage, lights = Stage(level=5, size=SIZE, textured=True), SHBasis(9)
     points, tracer = stage.some(), stage.tracer
-    mi, dr = tracer.mi, tracer.dr
     material = open_library(options.library).load(MATERIALS[0])
     directions = stage.transport(points, DIRECTIONS).directions
     point, direction = np.nonzero(points.flat_normal @ directions.T > 0)
     start = tracer.to_local(points.position) + OFFSET * points.flat_normal
-    origin, omega = mi.Point3f(tracer.vector(start[point])), tracer.vector(directions[direction])
+    origin, omega = mi.Point3f(vector(start[point])), vector(directions[direction])
     dr.eval(origin, omega)
 
     def bare():
@@ -112,7 +112,7 @@ def warm(options) -> str:
 
             seconds, got = seconds_of(run, options.repeats)
             rows.append((f"{label}, {directions} directions", *_both(seconds), f"{relative(got, truth):.3f}"))
-            with steps(stage.tracer.dr) as spent:
+            with steps(dr) as spent:
                 whole = sum(timed(run)[0][1] for _ in range(options.repeats))
             named = [spent[name] for name, _, _ in STEPS]
             shown = [f"{1000 * s / options.repeats:.0f}" for s in (whole, *named, whole - sum(named))]
