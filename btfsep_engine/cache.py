@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where everything that can be made again is kept: one folder, and one kind of file that is whole or is not there.
 
-An entry holds arrays by name. In front of them stands the SHA-256 of the entry's own folder and name and of all that
-follows, so that a file that a disk, a crash or a person has changed, or put in the place of another, is made again.
+An entry holds arrays by name. It is called by a :func:`digest` of all that it depends on. In front of them stands the
+SHA-256 of the entry's own folder and name and of all that follows, so that a file that a disk, a crash or a person has
+changed, or put in the place of another, is made again.
 """
 
+import dataclasses
 import hashlib
 import os
 import shutil
@@ -72,3 +74,30 @@ def write(path, arrays: dict) -> None:
 def _digest(path: Path, file) -> bytes:
     """Of the entry's place in the cache and of the rest of ``file``."""
     return hashlib.file_digest(file, partial(hashlib.sha256, os.fsencode("/".join(path.parts[-2:])))).digest()
+
+
+def digest(*parts) -> str:
+    """A key of content: texts, numbers, dataclasses, bytes, arrays, None, and lists and tuples of these."""
+    h = hashlib.sha256()
+
+    def feed(part):
+        if isinstance(part, np.ndarray):
+            data = np.ascontiguousarray(part)
+            h.update(f"array {data.dtype.str} {data.shape};".encode())
+            h.update(data.tobytes())
+        elif isinstance(part, bytes):
+            h.update(f"bytes {len(part)};".encode() + part)
+        elif isinstance(part, list | tuple):
+            h.update(f"list {len(part)};".encode())
+            for item in part:
+                feed(item)
+        elif part is None or isinstance(part, str | int | float | bool):
+            h.update(f"{type(part).__name__} {part!r};".encode())
+        elif dataclasses.is_dataclass(part):
+            h.update(f"{type(part).__name__};".encode())
+            feed([item for f in dataclasses.fields(part) for item in (f.name, getattr(part, f.name))])
+        else:
+            raise TypeError(f"no digest of a {type(part).__name__}")
+
+    feed(list(parts))
+    return h.hexdigest()

@@ -17,11 +17,12 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from btfsep_engine import atomic
-from btfsep_engine.btf import fmf, procedural
+from btfsep_engine.btf import linear, procedural
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.lock import locked
 from btfsep_engine.btf.model import REFERENCE, Material, Tabulated
 from btfsep_engine.btf.surfaces import GIVEN, SURFACES
+from btfsep_engine.cache import digest
 from btfsep_engine.errors import InputError
 
 INDEX = "index.json"
@@ -77,8 +78,7 @@ class Library:
     @property
     def digest(self) -> str:
         """A hash of every material's name and content, for the keys of caches."""
-        facts = [(e.name, e.sha256) for e in sorted(self.entries.values(), key=lambda e: e.name)]
-        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+        return digest([(e.name, e.sha256) for e in sorted(self.entries.values(), key=lambda e: e.name)])
 
     def load(self, name: str) -> Material:
         """The material called ``name``.
@@ -113,7 +113,7 @@ class Library:
                 "build or download the library again",
             )
         # the bytes that were hashed, whatever is put in the file's place meanwhile
-        return fmf.read(path, data=data, name=entry.name, material_class=entry.material_class)
+        return linear.read(path, data=data, name=entry.name, material_class=entry.material_class)
 
     def show(self, name: str) -> dict:
         """Facts about a material: name, class, kind, mean albedo (3 floats, under light from everywhere), for those

@@ -5,7 +5,6 @@ Files whose factors are linear and shared by the channels are taken as they are.
 factorised anew in the linear domain, and kept in the cache folder under the hash of the file's content.
 """
 
-import json
 from contextlib import suppress
 
 import numpy as np
@@ -13,8 +12,8 @@ import numpy as np
 from btfsep_engine import cache
 from btfsep_engine.btf import reciprocity
 from btfsep_engine.btf.formats.colour import RGB
-from btfsep_engine.btf.formats.mapped import EXPORT, sha256
-from btfsep_engine.btf.formats.ubo2014 import LARGEST, BtfFile
+from btfsep_engine.btf.formats.mapped import EXPORT
+from btfsep_engine.btf.formats.ubo2014 import LARGEST, BtfFile, open_btf
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.recompress import LinearFactors, recompress
 from btfsep_engine.errors import InputError
@@ -28,9 +27,21 @@ MAX_DECODED_TEXELS = 1024 * 1024  # of a file that has to be decoded
 CLASSES = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
 
 
-def to_material(file: BtfFile, **options) -> Tabulated:
-    """The material of an opened file; options and errors as in :func:`to_material_and_error`."""
-    return to_material_and_error(file, **options)[0]
+def read(path, data=None, **options) -> Tabulated:
+    """Reads a ``.btf`` file into memory.
+
+    Parameters
+    ----------
+    path : path of the file
+    data : its bytes, where they are mapped already
+    options : name, material_class, cosine, components, flip_v, reporter of :func:`to_material_and_error`
+
+    Raises
+    ------
+    InputError
+        Not such a file, cut short, inconsistent, not finite, or of a kind that is not supported.
+    """
+    return to_material_and_error(open_btf(path, data), **options)[0]
 
 
 def to_material_and_error(
@@ -120,7 +131,7 @@ def _own_factors(file: BtfFile, components: int | None) -> LinearFactors | None:
     return LinearFactors(spatial, angular, 0.0)
 
 
-def converted(file: BtfFile, *, components: int, seed: int = 0, reporter: Reporter | None = None) -> LinearFactors:
+def converted(file: BtfFile, *, components: int, reporter: Reporter | None = None) -> LinearFactors:
     """The file's values factorised anew, linear RGB, the cosine in them as stored: from the cache, or made now.
 
     A damaged or older cache file is replaced. Two processes may do it at once: both may decode, each file appears
@@ -129,12 +140,12 @@ def converted(file: BtfFile, *, components: int, seed: int = 0, reporter: Report
     if file.texels > MAX_DECODED_TEXELS:
         raise InputError(str(file.path), f"{file.texels} texels are too many to decode", "give a smaller resampling")
     components = max(1, min(components, 2 * sum(file.components) + 2))
-    key = sha256(json.dumps(["linear", VERSION, file.sha256(), components, seed, file.components]).encode())
+    key = cache.digest(VERSION, file.sha256(), components, file.components)
     stored = cache.cache_folder() / "materials" / f"{key[:32]}.entry"
     kept = cache.read(stored)
     if kept is not None:
         return LinearFactors(kept["spatial"], kept["angular"], float(kept["relative_error"]))
-    factors = recompress(file.decode, file.texels, file.pairs, components=components, seed=seed, reporter=reporter)
+    factors = recompress(file.decode, file.texels, file.pairs, components=components, reporter=reporter)
     with suppress(InputError):  # only costs the decoding next time
         cache.write(stored, vars(factors))
     return factors
@@ -156,7 +167,7 @@ def check_reciprocity(file: BtfFile) -> reciprocity.Reciprocity:
 
 
 def cosine_included(file: BtfFile, cosine: str = "header", *, reporter: Reporter | None = None) -> bool:
-    """Whether cos(theta_i) is taken to be in the data; ``cosine`` as in :func:`to_material`."""
+    """Whether cos(theta_i) is taken to be in the data; ``cosine`` as in :func:`to_material_and_error`."""
     if cosine not in COSINE:
         raise InputError(f"cosine '{cosine}'", "it is not one of the rules", "use " + ", ".join(COSINE))
     if cosine in ("included", "excluded"):

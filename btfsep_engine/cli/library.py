@@ -73,8 +73,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
     opened = opened_library(library_folder)
     result = opened.show(name)
     if maps is not None:
-        from btfsep_engine.btf.building import export_maps
-        from btfsep_engine.btf.procedural import NAMES
+        from btfsep_engine.btf.procedural import NAMES, export_maps
 
         if name not in NAMES:
             raise InputError(f"material '{name}'", "it was not made from procedural maps", "leave out --maps")
@@ -89,7 +88,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
 @command
 def library_build(*, folder, names, reporter):
     """Builds all 42 materials into FOLDER by path-tracing displaced patches; resumes where it stopped."""
-    from btfsep_engine.btf.building import build
+    from btfsep_engine.pipeline.measuring import build
 
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK):  # said before the work, not after

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import click
 
-from btfsep_engine.btf.building import DEFAULT_SETTINGS
 from btfsep_engine.btf.map_files import CONVENTIONS
 from btfsep_engine.cli.command import command
+from btfsep_engine.pipeline.measuring import DEFAULT_SETTINGS, MeasureSettings, measure_maps
 
 
 def _number(name: str, words: str):
@@ -39,8 +39,6 @@ def measure(
     *, maps, name, material_class, size_mm, height_mm, folder, replace_old, f0, normal_convention, reporter, **numbers
 ):
     """Measures a material from texture maps with a virtual gonioreflectometer; goes on where it was stopped."""
-    from btfsep_engine.pipeline.measuring import MeasureSettings, measure_maps
-
     result = measure_maps(
         maps,
         name=name,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measuring a material from texture maps into a library folder."""
+"""Measuring materials into a library folder: those of a user's texture maps, and the procedural ones."""
 
 import hashlib
 import json
@@ -10,18 +10,23 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import __version__
-from btfsep_engine.btf.building import DEFAULT_SETTINGS, VERSION
+from btfsep_engine.btf import procedural
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.importing import full_name
-from btfsep_engine.btf.library import entries_of, file_sha256
+from btfsep_engine.btf.library import Library, entries_of, is_whole, open_library, unknown_material
 from btfsep_engine.btf.linear import CLASSES
 from btfsep_engine.btf.storing import add
-from btfsep_engine.btf.texture_maps import TextureMaps, read_maps
+from btfsep_engine.btf.texture_maps import read_maps
+from btfsep_engine.cache import digest
 from btfsep_engine.checkpoints import EVERY, Checkpoints
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.patch import measure
 
+VERSION = 2  # of the measurement; another one when the same maps would give another material
+# what the default library is measured with; the time and size that follow are in docs/library.md
+DEFAULT_SETTINGS = {"mesh": 512, "texels": 80, "samples": 1, "components": 8, "seed": 0}
+SETUP = "virtual gonioreflectometer, displaced patch"
 LIMITS = {"texels": (8, 1024), "samples": (1, 256), "components": (2, 64), "seed": (0, 2**31 - 1), "mesh": (4, 2048)}
 TEXEL_MM, FEWEST_AND_MOST = 0.5, (80, 160)  # the grain of leather, 80 mm of it, is lost with 1 mm and seen with 0.5
 
@@ -127,11 +132,31 @@ def measure_maps(
     made_by = measurement_digest(read.maps, settings, directions)
     entry, was_there, speed = entries_of(library).get(full), False, None
     if entry is not None:
-        was_there = entry.made_by == made_by and _holds(library / entry.file, entry.sha256)
+        was_there = entry.made_by == made_by and is_whole(library, entry)
         if not was_there and not replace_old:
             raise InputError(f"material '{full}'", "the library has one of this name", "use another name, or --replace")
     if not was_there:
-        entry, speed = _measure_and_add(read, settings, directions, library, made_by, every, replace_old, reporter)
+        checkpoints = Checkpoints("measure", made_by, every=every, reporter=reporter)
+        with reporter.stage("measure"):
+            found = _measured(
+                read.maps, settings, lights=directions, views=directions, reporter=reporter, checkpoints=checkpoints
+            )
+        albedo = found.material.directional_albedo()
+        if albedo.max() >= 1:
+            reporter.warn(f"{full}: from some views it reflects {albedo.max():.0%} of the light; take more --samples")
+        with reporter.stage("writing"):
+            entry = add(
+                library,
+                found.material,
+                setup=SETUP,
+                layout="dfmf",  # what other programs read, pysmtb among them; it has no place for the height
+                source="maps: " + ", ".join(read.files.values()),
+                relative_error=found.relative_error,
+                made_by=made_by,
+                overwrite=replace_old,
+            )
+        checkpoints.remove()
+        speed = found.speed()
     return {
         "name": full,
         "class": material_class,
@@ -151,49 +176,70 @@ def measure_maps(
     }
 
 
-def _measure_and_add(read: TextureMaps, settings, directions, library, made_by, every, replace_old, reporter):
-    maps = read.maps
-    checkpoints = Checkpoints("measure", made_by, every=every, reporter=reporter)
-    with reporter.stage("measure"):
-        found = measure(
-            maps,
-            texels=settings.texels,
-            samples=settings.samples,
-            components=settings.components,
-            lights=directions,
-            views=directions,
-            seed=settings.seed,
-            reporter=reporter,
-            checkpoints=checkpoints,
-        )
-    albedo = found.material.directional_albedo()
-    if albedo.max() >= 1:
-        reporter.warn(f"{maps.name}: from some views it reflects {albedo.max():.0%} of the light; take more --samples")
-    with reporter.stage("writing"):
-        entry = add(
-            library,
+def _measured(maps: procedural.Maps, settings: MeasureSettings, **options):
+    """:func:`btfsep_engine.render.patch.measure` with these settings."""
+    numbers = {key: getattr(settings, key) for key in ("texels", "samples", "components", "seed")}
+    return measure(maps, **numbers, **options)
+
+
+def measurement_digest(maps: procedural.Maps, settings: MeasureSettings, directions) -> str:
+    """A key of all that a measurement depends on: the maps to the last bit, settings, directions, versions."""
+    versions = [metadata.version(package) for package in ("mitsuba", "drjit", "numpy")]
+    numbers = [settings.texels, settings.samples, settings.components, settings.seed]
+    return digest(VERSION, __version__, versions, maps, numbers, np.asarray(directions, np.float64))
+
+
+def build(folder, *, names=None, reporter: Reporter | None = None, told=None, **settings) -> Library:
+    """Measures the procedural materials into ``folder``. What was built with the same settings is kept.
+
+    Parameters
+    ----------
+    folder : made if it is not there
+    names : some of :data:`btfsep_engine.btf.procedural.NAMES`; None: all 42. Other entries of the folder stay
+    reporter : told the progress of each material
+    told : called with a dict of each material that was measured: name, seconds, rays, rays_per_second
+    settings : mesh, texels, samples, components, seed in place of :data:`DEFAULT_SETTINGS`
+
+    Raises
+    ------
+    InputError
+        An unknown name; a folder that cannot be written; no working renderer.
+    """
+    settings = MeasureSettings(**DEFAULT_SETTINGS | settings)
+    names = list(procedural.NAMES if names is None else names)
+    for name in names:
+        if name not in procedural.NAMES:
+            raise unknown_material(name, procedural.NAMES)
+    folder, reporter = Path(folder), reporter or Reporter()
+    entries = entries_of(folder)
+    for number, name in enumerate(names):
+        reporter.progress("library", number / len(names), name)
+        maps = procedural.maps(name, settings.mesh)
+        made_by = build_digest(maps, settings)
+        if name in entries and entries[name].made_by == made_by and is_whole(folder, entries[name]):
+            continue
+        found = _measured(maps, settings, reporter=reporter)
+        if told:
+            told({"name": name, **found.speed()})
+        step = max(1, len(maps.height_mm) // settings.texels)  # the file keeps the height at the texels' resolution
+        entries[name] = add(
+            folder,
             found.material,
-            setup="virtual gonioreflectometer, displaced patch",
-            layout="dfmf",  # what other programs read, pysmtb among them; it has no place for the height
-            source="maps: " + ", ".join(read.files.values()),
+            height_mm=maps.height_mm[::step, ::step],
+            setup=SETUP,
             relative_error=found.relative_error,
             made_by=made_by,
-            overwrite=replace_old,
+            overwrite=True,
         )
-    checkpoints.remove()
-    return entry, found.speed()
+    reporter.progress("library", 1.0)
+    return open_library(folder)
 
 
-def measurement_digest(maps, settings: MeasureSettings, directions) -> str:
-    """A hash of all that a measurement depends on: the maps to the last bit, settings, directions, versions."""
-    versions = {package: metadata.version(package) for package in ("mitsuba", "drjit", "numpy")}
-    facts = [VERSION, __version__, versions, maps.name, maps.size_mm, maps.f0]
-    facts += [settings.texels, settings.samples, settings.components, settings.seed]
-    sha = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
-    for values in (maps.base_colour, maps.height_mm, maps.roughness, *maps.metal(), np.asarray(directions, np.float64)):
-        sha.update(repr(values.shape).encode() + np.ascontiguousarray(values).tobytes())
+def build_digest(maps: procedural.Maps, settings: MeasureSettings) -> str:
+    """The same for procedural maps, rounded: not for the last bit of a sine, nor for a version."""
+    numbers = {key: getattr(settings, key) for key in DEFAULT_SETTINGS}
+    sha = hashlib.sha256(json.dumps([VERSION, numbers, maps.size_mm, maps.f0], sort_keys=True).encode())
+    sha.update(np.round(ubo2014_directions(), 6).tobytes())
+    for values in (maps.base_colour, maps.height_mm, maps.roughness, *maps.metal()):
+        sha.update(np.round(values, 3).tobytes())
     return sha.hexdigest()
-
-
-def _holds(path: Path, sha256: str) -> bool:
-    return path.is_file() and file_sha256(path) == sha256

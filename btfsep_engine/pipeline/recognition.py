@@ -4,11 +4,12 @@
 import numpy as np
 
 from btfsep_engine.btf.surfaces import SURFACES
+from btfsep_engine.cache import digest
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.verification import Verification
-from btfsep_engine.recognise.model_file import cached, digest
+from btfsep_engine.recognise.model_file import cached
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import METHODS, render_samples, train
 

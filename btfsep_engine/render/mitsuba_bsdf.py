@@ -27,7 +27,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from btfsep_engine.btf import fmf
+from btfsep_engine.btf import linear
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.errors import InputError
 from btfsep_engine.render.arrays import DirectionTaps, dr, floats, mi
@@ -69,7 +69,7 @@ def material_of(properties) -> Tabulated:
     if named == filed:
         raise InputError("plugin 'btf'", f"{'both' if named else 'none'} of filename and material", "give one of them")
     if filed:
-        material = fmf.read(properties["filename"])
+        material = linear.read(properties["filename"])
     else:
         material = _held.get(properties["material"])
         if material is None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where a material lies on a surface: UV charts in millimetres and tangent frames."""
 
-import hashlib
 from contextlib import suppress
 
 import numpy as np
@@ -183,9 +182,7 @@ def _xatlas_uv(mesh):
     """Charts of xatlas, kept by content: they depend on nothing but the triangles."""
     import xatlas
 
-    key = hashlib.sha256(
-        b"xatlas2" + np.ascontiguousarray(mesh.vertices).tobytes() + np.ascontiguousarray(mesh.faces).tobytes()
-    ).hexdigest()
+    key = cache.digest("xatlas2", mesh.vertices, mesh.faces)
     stored = cache.cache_folder() / "charts" / f"{key[:32]}.entry"
     kept = cache.read(stored)
     if kept is not None:

@@ -12,11 +12,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from btfsep_engine.btf import building, fmf, importing, library, storing
+from btfsep_engine.btf import importing, library, linear, storing
+from btfsep_engine.btf.formats import writing
 from btfsep_engine.btf.formats.archive import Members
 from btfsep_engine.btf.formats.image_set import import_images
 from btfsep_engine.cli import main
 from btfsep_engine.errors import InputError
+from btfsep_engine.pipeline import measuring
 from tests.engine.test_btf_store import flat, write_log_file
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, signals and limits of POSIX")
@@ -88,7 +90,7 @@ def test_a_build_into_a_file_is_refused_before_the_work(tmp_path, capsys, monkey
     def measured(*_, **__):
         raise AssertionError("measured first")
 
-    monkeypatch.setattr(building, "build", measured)
+    monkeypatch.setattr(measuring, "build", measured)
     for folder in (tmp_path / "file", tmp_path / "file" / "deeper"):
         assert "cannot write to" in said(capsys, "build", folder, "--only", "felt/grey-melange")
 
@@ -166,7 +168,7 @@ def test_a_damaged_index_is_told_or_valid(tmp_path_factory, data):
 def test_a_file_that_is_exchanged_while_it_is_read(tmp_path, monkeypatch):
     """What was hashed is what is used, though another file has its name by then."""
     storing.add(tmp_path, flat("felt/one", 0.4))
-    fmf.write(tmp_path / "other", flat("felt/one", 0.1))
+    writing.write(tmp_path / "other", flat("felt/one", 0.1))
     real = library.sha256
 
     def slow_hash(data):
@@ -220,7 +222,7 @@ KILLED = """
 import os, signal, sys
 import numpy as np
 from tests.engine.test_btf_store import flat
-from btfsep_engine.btf import fmf, storing
+from btfsep_engine.btf import linear, storing
 where, number, when, path = sys.argv[1:]
 
 def dies(real):
@@ -241,7 +243,7 @@ if where == "replace":
     storing.add(path, flat("felt/same", 0.8), overwrite=True)
 else:
     np.save = dies(np.save)
-    fmf.read(path, components=3)
+    linear.read(path, components=3)
 """
 
 
@@ -289,11 +291,11 @@ def test_a_conversion_that_is_killed_leaves_no_half_written_factors(tmp_path, rn
         assert list(cache.iterdir()) and not list(cache.glob("[!.]*"))  # a scratch file, no more
     for left in cache.iterdir():
         os.utime(left, (1, 1))
-    mean = fmf.read(tmp_path / "a.btf", components=3).mean_abrdf
+    mean = linear.read(tmp_path / "a.btf", components=3).mean_abrdf
     assert not list(cache.glob(".*"))  # taken away, a day later
     (kept,) = cache.glob("[!.]*")
     whole = kept.read_bytes()
     for length in range(0, len(whole), 997):  # as another program might leave it
         kept.write_bytes(whole[:length])
-        assert (fmf.read(tmp_path / "a.btf", components=3).mean_abrdf == mean).all()
+        assert (linear.read(tmp_path / "a.btf", components=3).mean_abrdf == mean).all()
         assert kept.read_bytes() == whole

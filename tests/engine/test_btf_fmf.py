@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from btfsep_engine.btf import fmf
+from btfsep_engine.btf import linear
 from btfsep_engine.btf.directions import ubo2014_angles, ubo2014_directions
+from btfsep_engine.btf.formats import writing
+from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.conventions import local_direction
 from btfsep_engine.errors import InputError
@@ -71,14 +73,14 @@ def plain_reader(data):
 @pytest.mark.parametrize("cosine", [True, False])
 def test_written_files_hold_the_values_and_the_cosine_once(tmp_path, cosine):
     m = material()
-    fmf.write(tmp_path / "a.btf", m, cosine=cosine, height_mm=np.ones((6, 2)))
+    writing.write(tmp_path / "a.btf", m, cosine=cosine, height_mm=np.ones((6, 2)))
     stored, flag = plain_reader((tmp_path / "a.btf").read_bytes())
     factor = LIGHTS[:, 2, None] if cosine else 1.0
     assert flag == cosine
     np.testing.assert_allclose(stored, values(m) * factor, atol=6e-3)
-    again = fmf.read(tmp_path / "a.btf")
+    again = linear.read(tmp_path / "a.btf")
     np.testing.assert_allclose(values(again), values(m), atol=2e-2)
-    overridden = fmf.read(tmp_path / "a.btf", cosine="excluded" if cosine else "included")
+    overridden = linear.read(tmp_path / "a.btf", cosine="excluded" if cosine else "included")
     back = LIGHTS[:, 2, None] if cosine else 1 / LIGHTS[:, 2, None]
     np.testing.assert_allclose(values(overridden), values(again) * back, rtol=1e-4, atol=1e-5)
 
@@ -86,16 +88,16 @@ def test_written_files_hold_the_values_and_the_cosine_once(tmp_path, cosine):
 def test_reading_keeps_geometry_names_and_height(tmp_path):
     m = material()
     height = np.arange(12.0).reshape(3, 4) / 8
-    fmf.write(tmp_path / "leather07_resampled.btf", m, height_mm=height, setup="a test")
-    again = fmf.read(tmp_path / "leather07_resampled.btf")
+    writing.write(tmp_path / "leather07_resampled.btf", m, height_mm=height, setup="a test")
+    again = linear.read(tmp_path / "leather07_resampled.btf")
     assert (again.name, again.material_class) == ("leather07_resampled", "leather")
     assert again.texel_mm == pytest.approx(0.3)
     np.testing.assert_allclose(again.views, VIEWS, atol=1e-6)
     np.testing.assert_allclose(again.lights, LIGHTS, atol=1e-6)
-    header = fmf.read_header(tmp_path / "leather07_resampled.btf")
+    header = open_btf(tmp_path / "leather07_resampled.btf").header
     assert header.setup == "a test"
     np.testing.assert_array_equal(header.height_mm, height)
-    flipped = fmf.read(tmp_path / "leather07_resampled.btf", flip_v=True)
+    flipped = linear.read(tmp_path / "leather07_resampled.btf", flip_v=True)
     np.testing.assert_array_equal(flipped.texels, again.texels[::-1])
 
 
@@ -104,7 +106,7 @@ def test_pysmtb_reads_our_dfmf_files_and_we_read_them_alike(tmp_path):
     directions = ubo2014_directions()
     m = material(k=3, views=directions, lights=directions, shape=(4, 6))
     path = tmp_path / "felt.btf"
-    fmf.write(path, m, layout="dfmf")
+    writing.write(path, m, layout="dfmf")
     meta, data = btf.read_ubo_btf_dfmf(str(path))
     assert (meta.width, meta.height, meta.num_views, meta.num_lights) == (6, 4, 151, 151)
     assert bool(meta.cosine_in_data) and meta.ppmm == pytest.approx(1 / 0.3)
@@ -113,7 +115,7 @@ def test_pysmtb_reads_our_dfmf_files_and_we_read_them_alike(tmp_path):
         [sxv.astype(np.float32) @ u.astype(np.float32).T for u, sxv in zip(data.U, data.SxV, strict=True)], -1
     )
     theirs = theirs.reshape(4, 6, 151, 151, 3) / directions[:, 2, None]
-    np.testing.assert_allclose(values(fmf.read(path)), theirs, atol=1e-4)
+    np.testing.assert_allclose(values(linear.read(path)), theirs, atol=1e-4)
     np.testing.assert_allclose(theirs, values(m), atol=2e-2)
     angles = np.frombuffer(path.read_bytes()[301 + 4 + 12 :], "<f4", 302).reshape(151, 2)
     np.testing.assert_allclose(angles, ubo2014_angles(), atol=1e-6)
@@ -159,7 +161,7 @@ def offsets():
 )
 def test_bad_files_are_told_in_words(tmp_path, place, skip, layout, value, words):
     path = tmp_path / "a.btf"
-    fmf.write(path, material())
+    writing.write(path, material())
     data = path.read_bytes()
     if words == "cut short" and (place, skip) == ("extra", 5):
         data = data[:-1]
@@ -167,16 +169,16 @@ def test_bad_files_are_told_in_words(tmp_path, place, skip, layout, value, words
         data = damaged(data, offsets()[place] + skip, layout, value)
     path.write_bytes(data)
     with pytest.raises(InputError, match=words):
-        fmf.read(path)
+        linear.read(path)
 
 
 def test_missing_file_and_values_beyond_half_floats(tmp_path):
     with pytest.raises(InputError, match="cannot read"):
-        fmf.read(tmp_path / "none.btf")
+        linear.read(tmp_path / "none.btf")
     m = material()
     m.angular[0, 0, 0, 0] = 1e6
     with pytest.raises(InputError, match="half floats"):
-        fmf.write(tmp_path / "a.btf", m)
+        writing.write(tmp_path / "a.btf", m)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -185,13 +187,13 @@ def test_missing_file_and_values_beyond_half_floats(tmp_path):
 def test_no_file_however_damaged_raises_anything_else(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("fuzz")
     path = folder / "a.btf"
-    fmf.write(path, material(k=1, shape=(2, 2)), layout=data.draw(st.sampled_from(["fmf", "dfmf"])))
+    writing.write(path, material(k=1, shape=(2, 2)), layout=data.draw(st.sampled_from(["fmf", "dfmf"])))
     content = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
     path.write_bytes(content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content)
     try:
-        read = fmf.read(path)
+        read = linear.read(path)
     except InputError:
         return
     assert np.isfinite(read.angular).all() and np.isfinite(read.texels).all()

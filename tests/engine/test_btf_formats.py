@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine.btf import fmf, linear
+from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.errors import InputError
 from tests.engine import btf_files
@@ -90,7 +90,7 @@ def test_linear_models_keep_their_factors_and_become_rgb(tmp_path, rng, model, r
     sxv = [sxv[0]] * 3 if repeated else sxv
     data = btf_files.dfmf(u, sxv, model=model, mean=MEAN, matrix=MATRIX, dtype="<f4", cosine=1, **COMMON)
     (tmp_path / "felt03_x.btf").write_bytes(data)
-    material = fmf.read(tmp_path / "felt03_x.btf")
+    material = linear.read(tmp_path / "felt03_x.btf")
     assert (material.name, material.material_class, material.texel_mm) == ("felt03_x", "felt", 0.25)
     truth = expected(u, sxv, "<f4", lambda s: btf_files.rgb(model, s, MEAN, MATRIX))
     truth = truth.reshape(HEIGHT, WIDTH, len(VIEWS), len(LIGHTS), 3) / np.cos(LIGHTS[:, 0])[:, None]
@@ -110,7 +110,7 @@ def test_log_domain_factors_become_linear_ones_and_are_cached(tmp_path, rng, mon
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
     u, sxv = factors(rng, (3, 2, 2), 0.4)
     (tmp_path / "a.btf").write_bytes(btf_files.dfmf(u, sxv, model=model, cosine=0, **COMMON))
-    material = fmf.read(tmp_path / "a.btf", components=15)
+    material = linear.read(tmp_path / "a.btf", components=15)
     truth = expected(u, sxv, "<f2", lambda s: btf_files.rgb(model, s)).reshape(
         HEIGHT, WIDTH, len(VIEWS), len(LIGHTS), 3
     )
@@ -123,14 +123,14 @@ def test_log_domain_factors_become_linear_ones_and_are_cached(tmp_path, rng, mon
         raise AssertionError("decoded again")
 
     monkeypatch.setattr(linear, "recompress", forbidden)
-    again = fmf.read(tmp_path / "a.btf", components=15)
+    again = linear.read(tmp_path / "a.btf", components=15)
     np.testing.assert_array_equal(again.angular, material.angular)
     with pytest.raises(AssertionError, match="decoded again"):
-        fmf.read(tmp_path / "a.btf", components=14)
+        linear.read(tmp_path / "a.btf", components=14)
     monkeypatch.undo()
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
     kept.write_bytes(kept.read_bytes()[:200])  # damaged: made again
-    np.testing.assert_array_equal(fmf.read(tmp_path / "a.btf", components=15).angular, material.angular)
+    np.testing.assert_array_equal(linear.read(tmp_path / "a.btf", components=15).angular, material.angular)
     assert len(kept.read_bytes()) > 200 and len(list(kept.parent.iterdir())) == 1
 
 

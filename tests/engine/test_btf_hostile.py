@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from btfsep_engine.btf import fmf
+from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.archive import Members
 from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.errors import InputError
@@ -84,7 +84,7 @@ def read_within_bounds(path):
         try:
             file = open_btf(path)
             limit += 2 * declared(file)
-            return fmf.read(path, cosine="included")
+            return linear.read(path, cosine="included")
         except InputError as error:
             assert error.what and error.got and error.do
             return None
@@ -143,7 +143,7 @@ def test_large_but_honest_files_stay_within_twice_their_size(tmp_path, monkeypat
     limit = fixed + 2 * 4 * (4 if reduced else 1) * (file.texels + 3 * file.pairs)
     del file
     tracemalloc.start()
-    material = fmf.read(tmp_path / "a.btf", components=4)
+    material = linear.read(tmp_path / "a.btf", components=4)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert material.texels.shape[:2] == (height, width) and peak < limit, (peak, limit)

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from btfsep_engine.btf import building, library, procedural, storing
+from btfsep_engine.btf import library, procedural, storing
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.model import Lambertian, Mirror, Tabulated
 from btfsep_engine.errors import InputError
+from btfsep_engine.pipeline import measuring
 
 DIRECTIONS = ubo2014_directions()[::5]
 
@@ -51,7 +52,7 @@ def test_unknown_names_suggest_the_nearest(folder):
     with pytest.raises(InputError, match="did you mean 'leather/brown-grain'"):
         procedural.maps("leather/brown")
     with pytest.raises(InputError, match="did you mean 'wood/oak-boards'"):
-        building.build(folder, names=["wood/oak"])
+        measuring.build(folder, names=["wood/oak"])
 
 
 def test_digest_follows_content(folder):
@@ -106,7 +107,7 @@ def test_no_library_no_json_and_another_version(tmp_path):
 def test_exported_maps_have_v_upward(tmp_path):
     from btfsep_engine.images import read_linear
 
-    maps = building.export_maps("wood/oak-boards", tmp_path, 64, 1)
+    maps = procedural.export_maps("wood/oak-boards", tmp_path, 64, 1)
     stored = read_linear(tmp_path / "basecolor.exr").pixels
     np.testing.assert_allclose(stored, maps.base_colour[::-1], atol=1e-6)
     assert {p.name for p in tmp_path.iterdir()} == {"basecolor.exr", "height.exr", "roughness.exr"}

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from btfsep_engine.btf import fmf, linear, reciprocity
+from btfsep_engine.btf import linear, reciprocity
 from btfsep_engine.btf.directions import (
     hemisphere_quadrature,
     interpolator,
@@ -82,7 +82,7 @@ def test_a_log_domain_file_read_as_a_material(tmp_path, rng):
     told = []
     reporter = Reporter()
     reporter.progress = lambda stage, fraction, message="": told.append((stage, fraction))
-    material = fmf.read(tmp_path / "leather05_a.btf", components=14, reporter=reporter)
+    material = linear.read(tmp_path / "leather05_a.btf", components=14, reporter=reporter)
     assert told[-1] == ("decode", 1.0) and material.texels.shape == (24, 24, 14)
     found = np.einsum("tk,vlck->tvlc", material.texels.reshape(-1, 14)[::50], material.angular)
     truth = np.exp(np.einsum("tk,nck->tnc", spatial[::50], angular)) - 1e-5

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine.btf import fmf, importing, library, storing
+from btfsep_engine.btf import importing, library, linear, storing
 from btfsep_engine.btf.checks import check
 from btfsep_engine.btf.directions import ubo2014_directions
+from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.btf.lock import locked
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.cli import main
@@ -65,7 +66,7 @@ def test_import_check_show_thumbnails_and_remove_by_commands(tmp_path, rng, caps
     entry = library.open_library(folder).entries["felt/mine"]
     assert entry.source == "felt01.btf (DFMF08FCR file)" and entry.relative_error < 0.01
     assert sorted(p.name for p in folder.iterdir()) == [".lock", "felt_mine.btf", "index.json"]
-    assert fmf.read_header(folder / "felt_mine.btf").cosine_in_data
+    assert open_btf(folder / "felt_mine.btf").header.cosine_in_data
 
     status, lines = run(capsys, "library", "check", "--library", folder)
     assert status == 0 and lines[-1]["result"]["materials"][0]["ok"]
@@ -228,7 +229,7 @@ def test_two_conversions_at_once_leave_one_whole_file(tmp_path, rng):
 
     def read():
         try:
-            found.append(fmf.read(tmp_path / "a.btf", components=5))
+            found.append(linear.read(tmp_path / "a.btf", components=5))
         except Exception as error:
             errors.append(error)
 

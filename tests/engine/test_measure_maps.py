@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from btfsep_engine.btf import normal_maps, procedural
-from btfsep_engine.btf.building import export_maps
 from btfsep_engine.btf.map_files import find_maps, kind_of
+from btfsep_engine.btf.procedural import export_maps
 from btfsep_engine.btf.texture_maps import read_maps, resample, seam, smooth_steps
 from btfsep_engine.errors import InputError
 from btfsep_engine.images import linear_to_srgb, write_exr

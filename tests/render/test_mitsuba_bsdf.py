@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from btfsep_engine.btf import fmf
 from btfsep_engine.btf.directions import hemisphere_quadrature, interpolator
+from btfsep_engine.btf.formats import writing
 from btfsep_engine.render.backend import import_mitsuba
 from btfsep_engine.render.mitsuba_bsdf import held
 from tests.render.btf_materials import diffuse, glossy, matte, textured
@@ -212,7 +212,7 @@ def test_a_ball_in_even_light_shows_the_albedo(mi, integrator):
 
 def test_a_file_and_a_held_material_are_the_same(mi, rng, tmp_path):
     material = textured()
-    fmf.write(tmp_path / "test.btf", material)
+    writing.write(tmp_path / "test.btf", material)
     wi, wo, uv = hemisphere(rng, 300), hemisphere(rng, 300), rng.uniform(-50, 50, (300, 2))
     si = interaction(mi, wi, uv)
     filed = mi.load_dict({"type": "btf", "filename": str(tmp_path / "test.btf")})

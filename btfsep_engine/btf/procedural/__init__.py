@@ -13,12 +13,14 @@ walnut) are that wide in a table, their energy kept (:mod:`btfsep_engine.render.
 import difflib
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from btfsep_engine.btf.procedural import cloth, hard, hides, papers, piles, stones, timber, woven
 from btfsep_engine.btf.procedural.noise import grid
 from btfsep_engine.errors import InputError
+from btfsep_engine.images import write_exr
 
 WORK_PIXELS = 512  # patterns are made with at least so many pixels an edge, then averaged down
 MAX_ALBEDO = 0.85
@@ -162,3 +164,23 @@ def maps(name: str, resolution: int = 256, *, variation: int = 0) -> Maps:
         size_mm=size,
         f0=f0,
     )
+
+
+def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -> Maps:
+    """Writes ``basecolor.exr`` (linear RGB), ``height.exr`` (mm, mean 0), ``roughness.exr`` of a procedural material.
+
+    The top row of a file is the largest v, as image textures are read (the maps in memory begin with the smallest).
+
+    Returns
+    -------
+    Maps : what was written, with size_mm and f0
+
+    Raises
+    ------
+    InputError
+        An unknown name; a folder that cannot be written.
+    """
+    made = maps(name, resolution, variation=variation)
+    for file, values in (("basecolor", made.base_colour), ("height", made.height_mm), ("roughness", made.roughness)):
+        write_exr(Path(folder) / f"{file}.exr", np.ascontiguousarray(values[::-1]))
+    return made
