@@ -68,7 +68,7 @@ def doctor(*, library_folder, reporter):
 @click.option("--key-light", help="auto (lamps of a fifth of the light or more are told apart from the sky) or never.")
 @click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
 @click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
-@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: as the error asks for.")
+@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: 256.")
 @click.option(
     "--bounces",
     type=NumberOrAuto(),

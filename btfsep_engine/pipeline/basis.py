@@ -2,20 +2,15 @@
 """The basis images A of the fit, by the kernel or by the reference.
 
 How many light directions: on photographs by Cycles estimates with the usual count err as little as with any larger
-number (docs/sampling.md), because what the model misses of a photo is several times as large as what they miss. Only a
-photo that the light explains to a few per cent asks for more.
+number (docs/sampling.md), because what the model misses of a photo is several times as large as what they miss.
 """
-
-from dataclasses import replace
 
 import numpy as np
 
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.quadrature import USUAL, enough_directions
 from btfsep_engine.render.reference import Reference
 
-CLEAN = 0.1  # misfit, relative: below, the error by the usual count could show
-TOLERATED = 0.3  # of the misfit, then
+USUAL = 256  # directions; with fewer estimates err more, with more as much (docs/speed-accuracy.md)
 
 
 def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[list, dict]:
@@ -35,53 +30,13 @@ def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[
     """
     if settings.transport == "reference":
         return _by_reference(scene, materials, chosen, lights, settings)
-    directions, error = shared_directions(scene, materials, chosen, settings)
+    directions = USUAL if settings.directions == "auto" else settings.directions
     indirect = scene.indirect(materials, lights, settings, bounces=settings.reflections)
     basis = []
     for i, (points, material) in enumerate(zip(chosen, materials, strict=True)):
         basis.append(scene.radiance(points, material, lights, directions=directions, indirect=indirect))
         scene.reporter.progress("transport", (i + 1) / len(chosen), material.name)
-    record = {"by": "kernel", "directions": directions, "bounces": settings.reflections}
-    return basis, record if error is None else {**record, "direction_error": error}
-
-
-def shared_directions(scene, materials, chosen, settings: Settings) -> tuple[int, float | None]:
-    """How many light directions, and their estimated error (None where that was not looked at)."""
-    if settings.directions != "auto":
-        return settings.directions, None
-    if settings.tolerance is None:
-        return USUAL, None
-    found = [
-        enough_directions(
-            lambda p, n: scene.transport(p, directions=n),
-            points,
-            material,
-            order=settings.fit_order,
-            tolerance=settings.tolerance,
-        )
-        for points, material in zip(chosen, materials, strict=True)
-    ]
-    return max(n for n, _ in found), max(e for _, e in found)
-
-
-def finer(problems, materials, settings: Settings, residual: float) -> Settings | None:
-    """Settings with more light directions, where a photo is so clean that those which were taken could show; or None.
-
-    Parameters
-    ----------
-    problems : list of pipeline.problem.Problem, as they were fitted
-    materials : for each of them the Material of each object, as in the fit
-    residual : of the fit, relative
-    """
-    if settings.transport == "reference" or settings.directions != "auto":
-        return None
-    if settings.tolerance is not None or residual > CLEAN:
-        return None
-    strict = replace(settings, tolerance=TOLERATED * residual)
-    wanted = max(
-        shared_directions(p.scene, used, p.points, strict)[0] for p, used in zip(problems, materials, strict=True)
-    )
-    return replace(settings, directions=wanted) if wanted > max(p.transport["directions"] for p in problems) else None
+    return basis, {"by": "kernel", "directions": directions, "bounces": settings.reflections}
 
 
 def _by_reference(scene, materials, chosen, lights, settings):

@@ -16,7 +16,6 @@ from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.light.natural import natural_amplitude
-from btfsep_engine.pipeline.basis import finer
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
@@ -132,14 +131,6 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     asked = settings
     with reporter.stage("fit"):
         settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
-    with reporter.stage("transport"):
-        used = [[appearance(m.material, settings) for m in found] for found in materials]
-        more = finer(problems, used, asked, fit.residual)
-        if more is not None:
-            problems, rich = posed(scenes, materials, chosen, more, both=tried)
-    if more is not None:
-        with reporter.stage("fit"):
-            settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
     if decides:
         with reporter.stage("transport"):
             straight = rich if rich is not None and settings.appearance == "textured" else problems

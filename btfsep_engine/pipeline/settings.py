@@ -30,9 +30,7 @@ class Settings:
     appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
         (mean, unless the texture lines up and explains more of the photo)
     pixels : pixels used for the fit, 0: all
-    directions : light directions per pixel, or "auto": as many as ``tolerance`` asks for
-    tolerance : relative error that the number of directions may make in the basis images; None: as many as cost little,
-        and more for a photo that the light explains so well that it could show (pipeline/basis.py)
+    directions : light directions per pixel, or "auto": as many as no photo has shown to be too few (pipeline/basis.py)
     bounces : reflections followed; 1 is light that comes straight from outside; "auto": more than that only where it
         changes the estimate by more than its stated uncertainty (pipeline/interreflection.py)
     surface_samples : points on the scene's surfaces between which reflected light is followed
@@ -57,7 +55,6 @@ class Settings:
     appearance: str = "auto"
     pixels: int = 3000
     directions: int | str = "auto"
-    tolerance: float | None = None
     bounces: int | str = "auto"
     surface_samples: int = 6000
     transport: str = "kernel"

@@ -76,7 +76,7 @@ def test_presets_and_options_reach_the_run(sphere_job_folder, capsys, tmp_path):
     ]
     assert main(["estimate", str(folder), *WHITE, *options, "--json"]) == 0
     settings = json_lines(capsys.readouterr().out)[-1]["result"]["settings"]
-    assert (settings["preset"], settings["order"], settings["bounces"], settings["tolerance"]) == ("draft", 1, 1, None)
+    assert (settings["preset"], settings["order"], settings["bounces"]) == ("draft", 1, 1)
     assert not (out / "report.png").exists() and (out / "lighting.json").exists()
     assert not (folder / "result").exists()
 
