@@ -193,21 +193,20 @@ def write_exr(path, array, *, half: bool = False) -> None:
             raise OSError(str(error)) from error
 
 
-def write_png(path, array, *, coded: bool = False) -> None:
+def write_png(path, array) -> None:
     """Writes an 8-bit PNG, whole or not at all.
 
     Parameters
     ----------
     path : file
     array : (h, w), (h, w, 3) float linear Rec.709 (encoded to sRGB and clipped), or uint8 or bool as it is
-    coded : floats are sRGB values in [0, 1] already
     """
     a = np.asarray(array)
     if a.dtype == bool:
         a = a.astype(np.uint8) * 255
     elif a.dtype != np.uint8:
         a = np.nan_to_num(a.astype(np.float64), nan=0.0, posinf=1.0, neginf=0.0)
-        a = np.round(np.clip(a if coded else linear_to_srgb(a), 0, 1) * 255).astype(np.uint8)
+        a = np.round(np.clip(linear_to_srgb(a), 0, 1) * 255).astype(np.uint8)
     done, data = cv2.imencode(".png", a[..., ::-1] if a.ndim == 3 else a)
     if not done:
         raise ValueError(f"cannot encode an array of shape {a.shape}")

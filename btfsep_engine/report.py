@@ -29,7 +29,7 @@ def display(image, factor: float = 1.0) -> np.ndarray:
     return (np.clip(linear_to_srgb(np.clip(values, 0, 1)), 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def write_row(path, panels, *, title: str = "") -> None:
+def write_row(path, panels) -> None:
     """Writes labelled pictures side by side.
 
     Parameters
@@ -60,8 +60,6 @@ def write_row(path, panels, *, title: str = "") -> None:
         axes.imshow(image, interpolation="antialiased")
         axes.set_axis_off()
         axes.set_title(label, fontsize=11, pad=5)
-    if title:
-        figure.suptitle(title, fontsize=11)
     with replacing(path) as scratch:
         figure.savefig(scratch, format="png")
 

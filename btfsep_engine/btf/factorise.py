@@ -21,6 +21,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 CLIP = 2.0
+KEPT_ROWS = 1024  # of Y
 FLOOR = 0.5  # of the mean of the first block: below this a column's mean is not made 1
 
 
@@ -49,13 +50,13 @@ class StreamingFactoriser:
     texels : number of rows
     components : k, the constant one included
     seed : of the random signs; the same blocks and seed give the same factors
-    kept_columns : columns of W for each block; kept_rows : rows of Y
+    kept_columns : columns of W for each block
     """
 
-    def __init__(self, texels: int, components: int, *, seed: int = 0, kept_columns: int = 8, kept_rows: int = 1024):
+    def __init__(self, texels: int, components: int, *, seed: int = 0, kept_columns: int = 8):
         self.rng = np.random.default_rng([seed, 0xB7F])
         self.texels, self.components, self.kept_columns = texels, components, kept_columns
-        kept_rows = min(kept_rows, texels)
+        kept_rows = min(KEPT_ROWS, texels)
         # one sign a column: row sums over random groups of texels, E ||Omega x||^2 = ||x||^2
         group = self.rng.permutation(np.arange(texels) % kept_rows)
         signs = self.rng.choice(np.array([-1.0, 1.0], np.float32), texels)
@@ -79,8 +80,8 @@ class StreamingFactoriser:
         self.w.append(np.clip((block - mean) * scale, -CLIP, CLIP) @ psi)
         self.y.append(self.omega @ block - np.outer(self.omega_sum, mean))
 
-    def taken(self, start: int = 0) -> dict:
-        """All that is kept of the blocks from number ``start`` on, as arrays by name; for :meth:`take_back`."""
+    def state(self, start: int = 0) -> dict:
+        """All that is kept of the blocks from number ``start`` on, as arrays by name; for :meth:`restore`."""
         floor = np.nan if self.floor is None else self.floor
         return {
             "start": np.array(start),
@@ -93,8 +94,8 @@ class StreamingFactoriser:
             "random": np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8),
         }
 
-    def take_back(self, kept: dict) -> None:
-        """Goes on after the blocks that :meth:`taken` gave, in a factoriser made alike; bit by bit the same factors.
+    def restore(self, kept: dict) -> None:
+        """Goes on after the blocks that :meth:`state` gave, in a factoriser made alike; bit by bit the same factors.
 
         Raises
         ------

@@ -21,14 +21,13 @@ CROSSOVER = 16  # pixels; longer waves are the height map's, shorter ones the no
 AGREES = 0.3  # least correlation of the two maps' slopes
 
 
-def slopes(pixels, name: str, *, directx: bool = False) -> np.ndarray:
-    """Slopes that a normal map shows.
+def slopes(pixels, name: str) -> np.ndarray:
+    """Slopes that a normal map shows whose green points up (OpenGL).
 
     Parameters
     ----------
     pixels : (h, w, 3) float, 0 to 1 as coded in pictures, or -1 to 1 (floating-point files); row 0 is the smallest v
     name : of the file, for errors
-    directx : green points down
 
     Returns
     -------
@@ -50,8 +49,7 @@ def slopes(pixels, name: str, *, directx: bool = False) -> np.ndarray:
             "give a tangent-space normal map, or a height map",
         )
     z = np.maximum(n[..., 2], STEEPEST * np.maximum(length, 1e-6))
-    up = -1.0 if directx else 1.0
-    return np.stack([-n[..., 0] / z, -up * n[..., 1] / z], -1)
+    return np.stack([-n[..., 0] / z, -n[..., 1] / z], -1)
 
 
 def _frequencies(shape):

@@ -95,7 +95,7 @@ def library_build(*, folder, names, reporter):
         raise InputError(f"cannot write to {folder}", f"{nearest} is no such folder", "choose one that can be written")
     with reporter.stage("library"):
         measured = []
-        built = build(folder, names=list(names) or None, reporter=reporter, told=measured.append)
+        built = build(folder, names=list(names) or None, reporter=reporter, on_measured=measured.append)
     result = {"library": str(folder), "materials": list(built.entries), "measured": measured}
     lines = [f"{m['name']}: {m['seconds']:.1f} s, {m['rays'] / 1e6:.0f} M rays" for m in measured]
     return result, "\n".join([*lines, f"{len(result['materials'])} materials in {folder}"])

@@ -120,11 +120,7 @@ def _surface(depth, camera: Camera):
 
 def _rays(camera: Camera):
     """(h, w, 3) camera-space directions through the pixels' centres, of length 1 along the view axis."""
-    x, y = np.meshgrid(
-        (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx,
-        -(np.arange(camera.height) + 0.5 - camera.cy) / camera.fy,
-    )
-    return np.stack([x, y, -np.ones_like(x)], -1)
+    return camera.local_rays(np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5)
 
 
 def _squares(across, down):

@@ -62,11 +62,10 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
         objects = tuple(_object(reader, o, camera, notes) for o in schema.objects)
     else:
         objects = (_depth_object(reader, schema, camera),)
-    occluders, occluder_surfaces = [], []
+    occluders = []
     for i, o in enumerate(schema.occluders):
         occluders.append(_mesh(reader, o, f"occluders[{i}]", notes))
-        occluder_surfaces.append(_surface(reader, o.surface, occluders[-1], f"occluders[{i}]"))
-        if o.surface is not None:
+        if _surface(reader, o.surface, occluders[-1], f"occluders[{i}]") is not None:  # checked all the same
             shines = ", and its emission is left out" if any(o.surface.emission) else ""
             notes.append(f"occluders[{i}]: its surface is not used yet: what casts shadows is black{shines}")
     return Job(
@@ -80,7 +79,6 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
         digest=reader.digest(),
         warnings=tuple(notes),
         image_colorspace=schema.image_colorspace,
-        occluder_surfaces=tuple(occluder_surfaces),
     )
 
 

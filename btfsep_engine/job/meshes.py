@@ -125,8 +125,8 @@ def _corner_values(values: np.ndarray, index: np.ndarray, triangles: np.ndarray)
     return out
 
 
-def smooth_normals(vertices, faces, normals, *, degrees: float = SMOOTH_DEGREES) -> np.ndarray:
-    """Corner normals, averaged by corner angle over the faces that edges under ``degrees`` connect.
+def smooth_normals(vertices, faces, normals) -> np.ndarray:
+    """Corner normals, averaged by corner angle over the faces that edges under SMOOTH_DEGREES connect.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def smooth_normals(vertices, faces, normals, *, degrees: float = SMOOTH_DEGREES)
     alone = np.concatenate([[True], ~same, [True]])
     pair = np.flatnonzero(same & alone[:-2] & alone[2:])
     one, two = order[pair], order[pair + 1]
-    smooth = _dot(normals[one // 3], normals[two // 3]) > np.cos(np.radians(degrees))
+    smooth = _dot(normals[one // 3], normals[two // 3]) > np.cos(np.radians(SMOOTH_DEGREES))
     one, two = one[smooth], two[smooth]
     s1, s2 = one, two  # corners where the two half-edges start, and where they end
     e1, e2 = (s // 3 * 3 + (s % 3 + 1) % 3 for s in (one, two))

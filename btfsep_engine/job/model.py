@@ -28,6 +28,11 @@ class Camera:
     cy: float
     to_world: np.ndarray
 
+    def local_rays(self, x, y) -> np.ndarray:
+        """Camera-space directions (..., 3) through image positions (pixels), of length 1 along the view axis."""
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        return np.stack([(x - self.cx) / self.fx, -(y - self.cy) / self.fy, -np.ones_like(x)], -1)
+
     def rays(self, x, y):
         """World-space rays through image positions.
 
@@ -40,9 +45,7 @@ class Camera:
         origins : (n, 3) float64
         directions : (n, 3) float64, unit
         """
-        x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
-        local = np.stack([(x - self.cx) / self.fx, -(y - self.cy) / self.fy, -np.ones_like(x)], -1)
-        directions = local @ self.to_world[:3, :3].T
+        directions = self.local_rays(x, y) @ self.to_world[:3, :3].T
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return np.broadcast_to(self.to_world[:3, 3], directions.shape).copy(), directions
 
@@ -113,8 +116,7 @@ class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
     ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb", "linear" or
-    "unknown" (the photo is then read as by "auto"); ``occluder_surfaces`` has a Surface or None for each occluder
-    (nothing uses them yet).
+    "unknown" (the photo is then read as by "auto").
     """
 
     folder: Path
@@ -127,4 +129,3 @@ class Job:
     digest: str
     warnings: tuple[str, ...] = ()
     image_colorspace: str = "auto"
-    occluder_surfaces: tuple[Surface | None, ...] = ()

@@ -78,10 +78,10 @@ class Lighting:
         return self.coefficients - sum(sun.coefficients(self.order) for sun in suns)
 
 
-def exactly(coefficients, *, exposure_ev: float = 0.0) -> Lighting:
+def exactly(coefficients) -> Lighting:
     """A Lighting of known ``coefficients : ((L + 1)^2, 3)``: no uncertainty, all determined."""
     x = np.asarray(coefficients, np.float64)
-    return Lighting(sh.order_of(len(x)), x, np.zeros_like(x), np.ones(len(x), bool), exposure_ev)
+    return Lighting(sh.order_of(len(x)), x, np.zeros_like(x), np.ones(len(x), bool))
 
 
 NotNegative = Annotated[float, Field(ge=0)]

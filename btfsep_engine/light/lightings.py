@@ -292,17 +292,3 @@ def turned(radiance, degrees: float) -> np.ndarray:
     """
     a = np.asarray(radiance)
     return np.roll(a, -round(degrees / 360 * a.shape[1]), axis=1)
-
-
-def resampled(radiance, rotation) -> np.ndarray:
-    """An environment map turned by any rotation, bilinear, of the same size: (h, w, 3) float64.
-
-    Parameters
-    ----------
-    radiance : (h, w, 3) float
-    rotation : (3, 3); light that came from d then comes from ``rotation @ d``
-    """
-    a = np.asarray(radiance, np.float64)
-    h, w = a.shape[:2]
-    d = pixel_directions(h, w).reshape(-1, 3)
-    return (_bilinear(d @ np.asarray(rotation, np.float64), h, w) @ a.reshape(h * w, -1)).reshape(a.shape)

@@ -189,7 +189,7 @@ def measurement_digest(maps: procedural.Maps, settings: MeasureSettings, directi
     return digest(VERSION, __version__, versions, maps, numbers, np.asarray(directions, np.float64))
 
 
-def build(folder, *, names=None, reporter: Reporter | None = None, told=None, **settings) -> Library:
+def build(folder, *, names=None, reporter: Reporter | None = None, on_measured=None, **settings) -> Library:
     """Measures the procedural materials into ``folder``. What was built with the same settings is kept.
 
     Parameters
@@ -197,7 +197,7 @@ def build(folder, *, names=None, reporter: Reporter | None = None, told=None, **
     folder : made if it is not there
     names : some of :data:`btfsep_engine.btf.procedural.NAMES`; None: all 42. Other entries of the folder stay
     reporter : told the progress of each material
-    told : called with a dict of each material that was measured: name, seconds, rays, rays_per_second
+    on_measured : called with a dict of each material that was measured: name, seconds, rays, rays_per_second
     settings : mesh, texels, samples, components, seed in place of :data:`DEFAULT_SETTINGS`
 
     Raises
@@ -219,8 +219,8 @@ def build(folder, *, names=None, reporter: Reporter | None = None, told=None, **
         if name in entries and entries[name].made_by == made_by and is_whole(folder, entries[name]):
             continue
         found = _measured(maps, settings, reporter=reporter)
-        if told:
-            told({"name": name, **found.speed()})
+        if on_measured:
+            on_measured({"name": name, **found.speed()})
         step = max(1, len(maps.height_mm) // settings.texels)  # the file keeps the height at the texels' resolution
         entries[name] = add(
             folder,

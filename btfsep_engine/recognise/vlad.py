@@ -149,11 +149,6 @@ class Encoder:
     half_contrast: float
     encoding: Encoding
 
-    @property
-    def length(self) -> int:
-        """Entries of a VLAD vector."""
-        return self.colour.size + self.sift.size
-
     def project_sift(self, sift, contrast) -> np.ndarray:
         """(n, c) float32: SIFT, damped where there is little contrast, projected."""
         points = weighted_sift(sift, contrast, self.half_contrast, root=self.encoding.root_sift)

@@ -126,7 +126,7 @@ class LightTables:
         padded[..., :3] = np.moveaxis(material.angular, 3, 1)
         self._angular = padded.reshape(views, -1, lights * 4)
 
-    def at(self, points: SurfacePoints, *, millimetres_per_unit: float):
+    def tables_at(self, points: SurfacePoints, *, millimetres_per_unit: float):
         """The tables of points.
 
         Returns
@@ -161,7 +161,7 @@ class LightTables:
         return spatial_factors(self.material, points.uv, pixel_edges(points) * millimetres_per_unit)
 
     def value(self, tables, point, omega, active):
-        """Look-up of ``tables`` (of :meth:`at`) for points' light directions.
+        """Look-up of ``tables`` (of :meth:`tables_at`) for points' light directions.
 
         Parameters
         ----------

@@ -23,6 +23,7 @@ import numpy as np
 from btfsep_engine.btf.directions import hemisphere_quadrature, interpolator
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.arrays import DirectionTaps, dr, floats, mi
+from btfsep_engine.render.sampling import morton
 
 DRAWN = 256  # directions in the table of a hat; a power of two
 FINE = 800_000  # directions over the sphere that they are taken from, 0.2 degrees apart
@@ -73,7 +74,7 @@ class Hats:
     def _density(self, light, z):
         return (z + dr.gather(mi.Float, self.cosine, light)) * dr.gather(mi.Float, self.norm, light)
 
-    def at(self, direction):
+    def hats_at(self, direction):
         """The hats that reach a direction (above the horizon): three of (number, h_j, density over h_j, scale)."""
         taps = self.taps(direction)
         total = taps[0][1] + taps[1][1] + taps[2][1]
@@ -120,10 +121,7 @@ def _along_curve(nodes, centre) -> np.ndarray:
     aside = np.linalg.svd(np.asarray(centre)[None])[2][1:]
     xy = nodes @ aside.T
     cells = ((xy - xy.min(0)) / np.maximum(np.ptp(xy, axis=0), 1e-9) * 1023).astype(np.int64)
-    code = np.zeros(len(nodes), np.int64)
-    for bit in range(10):
-        code |= ((cells[:, 0] >> bit) & 1) << (2 * bit) | ((cells[:, 1] >> bit) & 1) << (2 * bit + 1)
-    return code
+    return morton(cells[:, ::-1], bits=10)
 
 
 @lru_cache(maxsize=4)

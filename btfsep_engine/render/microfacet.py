@@ -77,7 +77,7 @@ class Facet:
     metallic: object = None
     metal_colour: object = None
 
-    def taken(self, index) -> "Facet":
+    def gathered(self, index) -> "Facet":
         """The facets of the numbers ``index : UInt32``."""
         return Facet(**{k: None if v is None else dr.gather(type(v), v, index) for k, v in vars(self).items()})
 

@@ -3,7 +3,7 @@
 
     register(mi)
     mi.load_dict({"type": "btf", "filename": "leather.btf"})
-    mi.load_dict({"type": "btf", "material": held(material), "mean": True})
+    mi.load_dict({"type": "btf", "material": material_key(material), "mean": True})
 
 The look-up is that of the kernel (`render.transport`, `render.appearance`): texels bilinear and periodic, views and
 lights barycentric on the parabolic map, the outermost ring held to the horizon, the cosine of the light once. Only
@@ -12,7 +12,7 @@ the texels' mip pyramid is missing: a path tracer averages over the pixel by tra
 Parameters of the plugin
 ------------------------
 filename : path of a ``.btf`` file
-material : a name given by `held`, instead of ``filename``
+material : a name given by `material_key`, instead of ``filename``
 mean : the mean ABRDF instead of the texels (default false)
 millimetres_per_uv : millimetres of material in a unit of the shape's texture coordinates (default 1)
 texel_mm : edge of a texel in millimetres (default: the material's)
@@ -39,7 +39,7 @@ SMALLEST_COSINE = 1e-3  # of the eye, as in appearance.LightTables
 _held = weakref.WeakValueDictionary()
 
 
-def held(material: Tabulated) -> str:
+def material_key(material: Tabulated) -> str:
     """A name under which the plugin finds ``material`` as long as somebody keeps it."""
     key = f"material-{id(material)}"
     _held[key] = material
@@ -74,7 +74,9 @@ def material_of(properties) -> Tabulated:
         material = _held.get(properties["material"])
         if material is None:
             raise InputError(
-                "plugin 'btf'", f"no material is held as '{properties['material']}'", "keep what held() was given"
+                "plugin 'btf'",
+                f"no material is held as '{properties['material']}'",
+                "keep what material_key() was given",
             )
     return material.mean_material() if properties.get("mean", False) else material
 

@@ -97,7 +97,7 @@ def measure(
     factoriser = StreamingFactoriser(texels * texels, components, seed=seed)
     patch = Patch(maps, lights, seed=seed, averaged=True)
     for kept in checkpoints.load() if checkpoints else ():
-        factoriser.take_back(kept)
+        factoriser.restore(kept)
     saved = len(factoriser.means)
     first = saved // 3  # three blocks a view, one a channel
 
@@ -114,7 +114,7 @@ def measure(
             last = number == len(views) - 1
             if checkpoints and checkpoints.due(last=last):
                 pending.result()
-                checkpoints.save(factoriser.taken(saved))
+                checkpoints.save(factoriser.state(saved))
                 saved = len(factoriser.means)
             reporter.progress("measure", (number + 1) / len(views), maps.name)
         if pending:
@@ -311,7 +311,7 @@ class Patch:
         dr.eval(weight, row)
         which, light, ray, facing, (density, reach, scale) = self._aimed(vertex, bounce, count, of_path, of_light)
         shadow = self.scene.ray_test(ray, facing > 0)
-        value, of_lobe = self.material.value_and_density(vertex.facet.taken(which), ray.d)
+        value, of_lobe = self.material.value_and_density(vertex.facet.gathered(which), ray.d)
         scale = scale * facing / (density + lobes * of_lobe * reach) if self.hats.averaged else facing
         value = dr.select((facing > 0) & ~shadow, value * dr.gather(mi.Color3f, weight, which) * scale, 0)
         target = dr.gather(mi.UInt32, row, which) + light
@@ -333,7 +333,7 @@ class Patch:
             shadow = self.scene.ray_test(mi.Ray3f(vertex.start, direction), lit)
             value, of_lobe = self.material.value_and_density(vertex.facet, direction)
             value = dr.select(lit & ~shadow, value * weight * facing, 0)
-            for light, reach, density, scale in self.hats.at(direction):
+            for light, reach, density, scale in self.hats.hats_at(direction):
                 part = dr.select(lit, reach * scale / (reach * density + self.lobes * of_lobe), 0)
                 for channel in range(3):
                     target = row + light + channel * (count * len(self.lights))

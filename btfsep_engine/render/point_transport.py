@@ -45,7 +45,7 @@ def point_radiance(
     look_up = LightTables(material.table) if material.matte_albedo is None else None
     for start in range(0, len(points), PIXELS):
         part = points.take(slice(start, start + PIXELS))
-        tables = look_up and look_up.at(part, millimetres_per_unit=millimetres_per_unit)
+        tables = look_up and look_up.tables_at(part, millimetres_per_unit=millimetres_per_unit)
         for number in range(lights.count):
             direction, distance, irradiance = lights.arriving(number, part.position)
             local = to_local(part, direction)

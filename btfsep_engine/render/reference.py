@@ -17,7 +17,7 @@ from btfsep_engine.job.model import Job
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.arrays import dr, mi, vector
-from btfsep_engine.render.mitsuba_bsdf import held
+from btfsep_engine.render.mitsuba_bsdf import material_key
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.tracer import Tracer
@@ -87,7 +87,7 @@ class Reference:
             colour = {"type": "rgb", "value": material.mirror_reflectance.tolist()}
             conductor = {"type": "conductor", "material": "none", "specular_reflectance": colour}
             return {"type": "twosided", "bsdf": conductor}
-        return {"type": "btf", "material": held(material.table), "tangents": "uv" if textured else "vertical"}
+        return {"type": "btf", "material": material_key(material.table), "tangents": "uv" if textured else "vertical"}
 
     def _shape(self, number, mesh, bsdf, uv):
         """A mesh whose corners are vertices of their own: normals and charts may break at every edge."""
@@ -206,10 +206,7 @@ class Reference:
         """Mean of the paths through each pixel and the variance of that mean: 2 x (p, 3) float32."""
         camera = self.job.camera
         rotation = camera.to_world[:3, :3]
-        corner = np.stack(
-            [(pixels[:, 1] - camera.cx) / camera.fx, -(pixels[:, 0] - camera.cy) / camera.fy, -np.ones(len(pixels))], -1
-        )
-        corner = corner @ rotation.T
+        corner = camera.local_rays(pixels[:, 1], pixels[:, 0]) @ rotation.T
         # arrays of one lane, not constants: the compiled kernel serves every camera
         right, down, eye = (
             mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in v))
@@ -248,9 +245,3 @@ def _finer(lightings) -> bool:
     """Whether the lights are maps with more pixels than the emitter has: then they are averaged."""
     maps = getattr(lightings, "maps", None)
     return maps is not None and maps.shape[1] > SKY_ROWS
-
-
-def all_pixels(job: Job) -> np.ndarray:
-    """Every pixel of the photo: (height * width, 2) int, row and column, row by row."""
-    rows, columns = np.mgrid[: job.camera.height, : job.camera.width]
-    return np.stack([rows.ravel(), columns.ravel()], -1)

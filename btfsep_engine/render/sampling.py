@@ -167,7 +167,7 @@ def cheap_basis(normal, to_eye) -> np.ndarray:
     """Unshadowed basis images of a diffuse surface with a lobe: (n, terms) float64, first column 1."""
     order = LEVERAGE_ORDER
     l = np.arange(order + 1)
-    diffuse = np.array([1, 2 / 3, 1 / 4, 0, -1 / 24, 0, 1 / 64, 0, -1 / 128, 0])[: order + 1]
+    diffuse = sh.cosine_lobe(order) / np.pi
     lobe = np.exp(-0.5 * l * (l + 1) * LOBE_WIDTH**2)
     mirrored = 2 * (normal * to_eye).sum(1, keepdims=True) * normal - to_eye
     terms = np.repeat(l, 2 * l + 1)

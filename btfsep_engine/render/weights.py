@@ -64,7 +64,7 @@ class Weights:
             cosine = normal.x * omega.x + normal.y * omega.y + normal.z * omega.z
             values = [dr.select(active & (cosine > 0), cosine * omega.w, 0)]
         else:
-            tables = self.tables.at(points, millimetres_per_unit=self.millimetres_per_unit)
+            tables = self.tables.tables_at(points, millimetres_per_unit=self.millimetres_per_unit)
             frames = floats(np.stack([points.tangent, points.bitangent, points.normal, np.zeros((len(points), 3))], 1))
             a, b, c = (dr.gather(mi.Vector4f, frames, point * 3 + i) for i in range(3))
             local = mi.Vector3f(

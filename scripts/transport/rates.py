@@ -28,7 +28,7 @@ TRUE = 8192  # directions of the truth
 STEPS = (  # of the transport, and where each is called; the innermost counts
     ("rays", Tracer, "visible_lanes"),
     ("light", Transport, "_light"),
-    ("pixels' tables", LightTables, "at"),
+    ("pixels' tables", LightTables, "tables_at"),
     ("look-ups and weights", Weights, "of_all"),
 )
 

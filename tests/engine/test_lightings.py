@@ -160,13 +160,6 @@ def test_turned_moves_light_counter_clockwise_seen_from_above(degrees):
     np.testing.assert_allclose(pixel_directions(16, 64)[row, column], expected, atol=1e-9)
 
 
-def test_resampled_equals_rotating_the_coefficients(rng):
-    x = rng.normal(size=(16, 3))
-    spin = Rotation.from_euler("xyz", [30, -70, 110], degrees=True).as_matrix()
-    turned = sh.project_map(li.resampled(sh.to_map(x, 128, 256), spin), 3)
-    np.testing.assert_allclose(turned, sh.rotation_matrix(3, spin) @ x, atol=5e-3)
-
-
 def test_maps_need_a_shape_and_names():
     for maps, names in (
         (np.zeros((2, 4, 8, 3)), ("a",)),

@@ -46,7 +46,6 @@ def test_dictionaries_have_the_papers_sizes(rng):
     encoder = vlad.learn_encoder(*descriptors(rng, 1500), half_contrast=0.05)
     assert encoder.colour.shape == (150, 27)
     assert encoder.sift.shape[0] == 250
-    assert encoder.length == 150 * 27 + 250 * encoder.sift_axes.shape[1]
     assert len(np.unique(encoder.sift, axis=0)) == 250
 
 

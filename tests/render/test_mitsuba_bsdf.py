@@ -10,7 +10,7 @@ import pytest
 from btfsep_engine.btf.directions import hemisphere_quadrature, interpolator
 from btfsep_engine.btf.formats import writing
 from btfsep_engine.render.backend import import_mitsuba
-from btfsep_engine.render.mitsuba_bsdf import held
+from btfsep_engine.render.mitsuba_bsdf import material_key
 from tests.render.btf_materials import diffuse, glossy, matte, textured
 
 SIGNIFICANCE = 0.01
@@ -53,7 +53,7 @@ def interaction(mi, wi, uv=None):
 
 
 def plugin(mi, material, **options):
-    return mi.load_dict({"type": "btf", "material": held(material), **options})
+    return mi.load_dict({"type": "btf", "material": material_key(material), **options})
 
 
 @pytest.mark.parametrize("make", [matte, glossy, textured])
@@ -102,7 +102,7 @@ def test_samples_follow_their_density(mi, make, degrees):
     t = np.radians(degrees)
     wi = mi.Vector3f(*(float(x) for x in (0.8 * np.sin(t), 0.6 * np.sin(t), np.cos(t))))
     material = make()  # it has to live as long as the adapter makes plugins of it
-    sample, pdf = BSDFAdapter("btf", {"type": "btf", "material": held(material)}, wi=wi)
+    sample, pdf = BSDFAdapter("btf", {"type": "btf", "material": material_key(material)}, wi=wi)
     # the density has steps: many nodes a cell
     found = ChiSquareTest(
         SphericalDomain(), sample, pdf, sample_dim=3, sample_count=400_000, res=41, ires=24, seed=degrees
@@ -192,7 +192,9 @@ def sphere_scene(mi, bsdf, integrator, *, fov, **depth):
 
 def test_a_white_furnace_stays_white(mi):
     """Albedo 1 in even light: the ball cannot be seen."""
-    scene = sphere_scene(mi, {"type": "btf", "material": held(white := diffuse(1.0))}, "path", fov=24.0, max_depth=2)
+    scene = sphere_scene(
+        mi, {"type": "btf", "material": material_key(white := diffuse(1.0))}, "path", fov=24.0, max_depth=2
+    )
     image = np.array(mi.render(scene, spp=1024))
     assert white is not None and image == pytest.approx(np.ones_like(image), abs=0.03)
     assert image.mean() == pytest.approx(1, abs=0.003)
@@ -203,7 +205,7 @@ def test_a_ball_in_even_light_shows_the_albedo(mi, integrator):
     """The centre of a glossy ball sends the albedo towards the normal, with any integrator."""
     material = glossy()
     depth = {} if integrator == "direct" else {"max_depth": 2, "rr_depth": 10}
-    scene = sphere_scene(mi, {"type": "btf", "material": held(material)}, integrator, fov=1.0, **depth)
+    scene = sphere_scene(mi, {"type": "btf", "material": material_key(material)}, integrator, fov=1.0, **depth)
     image = np.array(mi.render(scene, spp=256, seed=3)).reshape(-1, 3)
     taps, weights = interpolator(material.views).weights(np.array([[0.0, 0.0, 1.0]]))
     expected = (material.directional_albedo()[taps[0]] * weights[0][:, None]).sum(0)
@@ -234,7 +236,7 @@ def test_a_file_and_a_held_material_are_the_same(mi, rng, tmp_path):
 def test_wrong_parameters_are_refused(mi, properties):
     material = matte()
     if properties.get("material") == "held":
-        properties = {**properties, "material": held(material)}
+        properties = {**properties, "material": material_key(material)}
     with pytest.raises(Exception, match=r"btf|a\.btf"):
         mi.load_dict({"type": "btf", **properties})
 

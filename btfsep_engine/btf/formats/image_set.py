@@ -115,7 +115,6 @@ def import_images(
     gamma: float | None = None,
     scale: float = 1.0,
     flip_v: bool = False,
-    seed: int = 0,
     reporter: Reporter | None = None,
 ) -> Imported:
     """Reads a folder or zip of 81 x 81 images, view by view, and factorises it.
@@ -127,7 +126,6 @@ def import_images(
     gamma : of integer pixels, value = code^gamma; None: sRGB
     scale : multiplies all values
     flip_v : the images have the smallest v at the top
-    seed : of the factorisation
     reporter : told the progress as stage "import"
 
     Raises
@@ -145,7 +143,7 @@ def import_images(
         at_once = max(1, min(COUNT, BLOCK // (3 * height * width)))
         blocks = COUNT * -(-COUNT // at_once)
         kept = int(np.clip(np.ceil(6 * components / blocks), 1, 8))
-        factoriser = StreamingFactoriser(height * width, components, seed=seed, kept_columns=kept)
+        factoriser = StreamingFactoriser(height * width, components, kept_columns=kept)
         for view in range(COUNT):
             for start in range(0, COUNT, at_once):
                 lights = range(start, min(start + at_once, COUNT))

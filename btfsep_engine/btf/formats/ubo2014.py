@@ -109,16 +109,6 @@ class BtfFile:
             raise InputError(str(self.path), f"it holds NaN or infinite values, or some beyond {LARGEST:.0e}", EXPORT)
         return values
 
-    def texture(self, view: int, light: int) -> np.ndarray:
-        """(h, w, 3) float32: one image of the measurement, row 0 first."""
-        pair = view * len(self.header.lights) + light
-        return self.decode(slice(None), [pair]).reshape(self.header.height, self.header.width, 3)
-
-    def abrdf(self, column: int, row: int) -> np.ndarray:
-        """(views, lights, 3) float32 of one texel."""
-        values = self.decode([row * self.header.width + column], slice(None))
-        return values.reshape(len(self.header.views), len(self.header.lights), 3)
-
 
 def _alike(a, b) -> bool:
     """Whether two factors are the same; of different ones, which is the rule, little is read."""
