@@ -1,76 +1,159 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a run can be told; stored with every result."""
+"""What a run can be told, stage by stage; stored with every result.
 
-from dataclasses import dataclass, replace
+A setting is one field: its default, and in its metadata what it means and takes. The checks, the options of the command
+line and their help (`cli/options.py`) are made from that. A function takes the settings of its stage; :class:`Settings`
+is all of them, so that it can be handed to any.
+"""
+
+from dataclasses import dataclass, field, fields, replace
 
 from btfsep_engine.errors import InputError
 
 LARGEST_ORDER = 9
-COLORSPACES = ("auto", "srgb", "linear", "unknown")
-ESTIMATORS = ("map", "least-squares")
-TRANSPORTS = ("kernel", "reference")
 IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 8  # where interreflections are modelled and no number was asked for
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings of an estimate.
+class Meaning:
+    """What a setting means and takes.
 
     Attributes
     ----------
-    preset : the name of the preset that these settings started from
-    order : order of the spherical harmonics, 0 to 9, or "auto": with "map" the highest of which the photo determines
-        something, with "least-squares" the lowest that cross-validation cannot tell from the best
-    estimator : "map" (the most probable light of a field and lamps, all orders up to 9, ``order`` of them reported) or
-        "least-squares" (the paper's: the orders up to ``order`` and no others)
-    colorspace : of the photo, one of `COLORSPACES`, instead of the job's ``image_colorspace``; None: the job's
-    robust : whether pixels that the light does not explain are left out (with "map"; `fit.robust.outliers`)
-    key_light : "auto" (lamps of a fifth of the light or more are told apart from the sky, pipeline/lamps.py) or "never"
-    appearance : "mean" (mean ABRDF, the paper's regulariser), "textured" (the BTF with the mesh's charts) or "auto"
-        (mean, unless the texture lines up and explains more of the photo)
-    pixels : pixels used for the fit, 0: all
-    directions : light directions per pixel, or "auto": as many as no photo has shown to be too few (pipeline/basis.py)
-    bounces : reflections followed; 1 is light that comes straight from outside; "auto": more than that only where it
-        changes the estimate by more than its stated uncertainty (pipeline/interreflection.py)
-    surface_samples : points on the scene's surfaces between which reflected light is followed
-    transport : what makes the basis images: "kernel", or "reference" (the paper's path-traced image for each light)
-    samples : paths per pixel and basis light (and sign) of the reference
-    classifier : "svm" or "nearest"
-    recogniser : "tuned" or "paper", how images are described and trained on (recognise/training.py, `METHODS`)
-    verify : whether the likeliest materials are compared with the photo under the light each implies (see
-        pipeline/verification.py)
-    training_directions : light directions per pixel of the training images
-    training_pixels : largest number of pixels of a training image
-    training_turns : turns about the vertical in which each training map is used
-    seed : of every random choice, 0 to 2^32 - 1
+    help : one sentence for people
+    kind : type of its values
+    choices : the only values, where there are few
+    low, high : ends of its range; None: open
+    auto : whether it may be "auto"
+    unit : what is counted
     """
 
-    preset: str = "balanced"
-    order: int | str = 4
-    estimator: str = "map"
-    colorspace: str | None = None
-    robust: bool = False
-    key_light: str = "auto"
-    appearance: str = "auto"
-    pixels: int = 3000
-    directions: int | str = "auto"
-    bounces: int | str = "auto"
-    surface_samples: int = 6000
-    transport: str = "kernel"
-    samples: int = 256
-    classifier: str = "svm"
-    recogniser: str = "tuned"
-    verify: bool = True
-    training_directions: int = 256
-    training_pixels: int = 16000
-    training_turns: int = 2
-    seed: int = 0
+    help: str
+    kind: type
+    choices: tuple[str, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    auto: bool = False
+    unit: str = "n"
 
     @property
-    def fit_order(self) -> int:
-        """The order up to which basis images are made and fitted."""
-        return LARGEST_ORDER if self.estimator == "map" or self.order == "auto" else self.order
+    def range(self) -> str:
+        """What it takes, in words."""
+        if self.kind is bool:
+            return "true or false"
+        ends = f"{self.low} or more" if self.high is None else f"{self.low} to {self.high}"
+        return (f"one of {', '.join(self.choices)}" if self.choices else ends) + ", or auto" * self.auto
+
+    def checked(self, name: str, value):
+        """``value``, or what its text on a command line says; ``name`` is the field's. Raises InputError."""
+        if self.auto and isinstance(value, str) and value == "auto":
+            return value
+        try:
+            number = self.kind(value)
+            same = isinstance(value, bool) == (self.kind is bool) and (isinstance(value, str) or number == value)
+        except (TypeError, ValueError, OverflowError):
+            same = False
+        if not same or (self.choices and number not in self.choices) or not self._within(number):
+            raise InputError(f"--{name.replace('_', '-')}", f"'{value}'", f"choose {self.range}")
+        return number
+
+    def _within(self, number) -> bool:
+        return (self.low is None or number >= self.low) and (self.high is None or number <= self.high)
+
+
+def setting(default, help: str, *, kind: type | None = None, **meaning):
+    """A field of a dataclass of settings; ``meaning`` as of :class:`Meaning`, ``kind`` by default the default's."""
+    kind = kind or (str if meaning.get("choices") else type(default))
+    return field(default=default, metadata={"meaning": Meaning(help, kind, **meaning)})
+
+
+def meanings(settings) -> dict[str, Meaning]:
+    """Name of the field -> what it means, of a dataclass of settings or one of its class."""
+    return {f.name: f.metadata["meaning"] for f in fields(settings) if "meaning" in f.metadata}
+
+
+def changed(settings, **changes):
+    """``settings`` with ``changes``, as numbers or as a command line's texts; None leaves a value as it is.
+
+    Raises
+    ------
+    InputError
+        On a value out of its range, with the option's name.
+    """
+    known = meanings(settings)
+    return replace(settings, **{k: known[k].checked(k, v) for k, v in changes.items() if v is not None})
+
+
+@dataclass(frozen=True)
+class Seeded:
+    """What every stage with random choices is told."""
+
+    seed: int = setting(0, "Seed of every random choice.", low=0, high=(1 << 32) - 1)
+
+
+@dataclass(frozen=True)
+class RecognitionSettings(Seeded):
+    """How materials are recognised (recognise/training.py, pipeline/recognition.py)."""
+
+    classifier: str = setting("svm", "What tells the materials apart.", choices=("svm", "nearest"))
+    recogniser: str = setting(
+        "tuned", "How images are described and trained on, a key of `METHODS`.", choices=("tuned", "paper")
+    )
+    verify: bool = setting(True, "Compare the likeliest materials with the photo under the light each implies.")
+    training_directions: int = setting(256, "Light directions per pixel of the training images.", low=16, high=65536)
+    training_pixels: int = setting(16000, "Largest number of pixels of a training image.", low=1)
+    training_turns: int = setting(2, "Turns about the vertical in which each training map is used.", low=1)
+
+
+@dataclass(frozen=True)
+class PhotoSettings(Seeded):
+    """What is taken of the photo."""
+
+    colorspace: str | None = setting(
+        None, "The photo's curve instead of the job's; unknown: found.", choices=("auto", "srgb", "linear", "unknown")
+    )
+    pixels: int = setting(3000, "Pixels used for the fit, 0: all.", low=0, unit="pixels")
+
+
+@dataclass(frozen=True)
+class TransportSettings(Seeded):
+    """How light's way from outside to the camera is followed (render/transport.py, pipeline/basis.py)."""
+
+    appearance: str = setting(
+        "auto",
+        "mean (mean ABRDF, the paper's), textured (the BTF), or auto: mean, unless the texture lines up and explains "
+        "more of the photo.",
+        choices=("auto", "mean", "textured"),
+    )
+    directions: int | str = setting(
+        "auto",
+        "Light directions per pixel; auto: as many as no photo has shown to be too few (pipeline/basis.py).",
+        kind=int,
+        low=16,
+        high=65536,
+        auto=True,
+        unit="directions",
+    )
+    bounces: int | str = setting(
+        "auto",
+        "Reflections followed, 1: no light between surfaces; auto: more than that where it changes an estimate by more "
+        "than its stated uncertainty; without an estimate 8.",
+        kind=int,
+        low=1,
+        high=64,
+        auto=True,
+        unit="bounces",
+    )
+    surface_samples: int = setting(6000, "Points on surfaces between which reflected light is followed.", low=1)
+    transport: str = setting(
+        "kernel",
+        "What makes the basis images; reference: the paper's path-traced image for each basis light.",
+        choices=("kernel", "reference"),
+    )
+    samples: int = setting(
+        256, "Paths per pixel, basis light and sign of the reference.", low=2, high=1 << 16, unit="paths"
+    )
 
     @property
     def many_directions(self) -> int:
@@ -83,11 +166,50 @@ class Settings:
         return MODELLED_BOUNCES if self.bounces == "auto" else self.bounces
 
 
+@dataclass(frozen=True)
+class FitSettings(Seeded):
+    """How the light is fitted and what of it is reported (fit/, pipeline/together.py)."""
+
+    order: int | str = setting(
+        4,
+        "Order of the spherical harmonics; auto: with map the highest of which the photo determines something, else "
+        "the lowest that cross-validation cannot tell from the best.",
+        kind=int,
+        low=0,
+        high=LARGEST_ORDER,
+        auto=True,
+    )
+    estimator: str = setting(
+        "map",
+        "map (the most probable light of a field and lamps, all orders) or least-squares (the paper's, orders up to "
+        "--order).",
+        choices=("map", "least-squares"),
+    )
+    robust: bool = setting(False, "Leave out pixels that the light does not explain: things in front.")
+    key_light: str = setting(
+        "auto",
+        "Whether lamps of a fifth of the light or more are told apart from the sky.",
+        choices=("auto", "never"),
+    )
+
+    @property
+    def fit_order(self) -> int:
+        """The order up to which basis images are made and fitted."""
+        return LARGEST_ORDER if self.estimator == "map" or self.order == "auto" else self.order
+
+
+@dataclass(frozen=True)
+class Settings(FitSettings, TransportSettings, PhotoSettings, RecognitionSettings):
+    """All of an estimate's. ``preset`` is the name of the preset that they started from."""
+
+    preset: str = "balanced"
+
+
 PRESETS = {
-    "draft": Settings("draft", pixels=2000, training_pixels=8000, training_directions=128),
+    "draft": Settings(preset="draft", pixels=2000, training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
-        "accurate",
+        preset="accurate",
         bounces=8,
         surface_samples=20000,
         training_directions=512,
@@ -95,7 +217,7 @@ PRESETS = {
         training_turns=4,
     ),
     "paper": Settings(
-        "paper",
+        preset="paper",
         estimator="least-squares",
         appearance="mean",
         pixels=0,
@@ -108,42 +230,16 @@ PRESETS = {
 
 
 def choose(preset: str = "balanced", **changes) -> Settings:
-    """The settings of a preset with ``changes``; None leaves a value as it is.
+    """The settings of a preset with ``changes``, as of :func:`changed`.
 
     Raises
     ------
     InputError
-        On an unknown preset or a value out of range.
+        On an unknown preset, a value out of its range, or values that do not go together.
     """
     if preset not in PRESETS:
         raise InputError("--preset", f"'{preset}'", f"choose one of {', '.join(PRESETS)}")
-    settings = replace(PRESETS[preset], **{k: v for k, v in changes.items() if v is not None})
-    if settings.order != "auto" and not (isinstance(settings.order, int) and 0 <= settings.order <= LARGEST_ORDER):
-        raise InputError("--order", str(settings.order), f"choose 0 to {LARGEST_ORDER}, or auto")
-    if settings.estimator not in ESTIMATORS:
-        raise InputError("--estimator", f"'{settings.estimator}'", f"choose one of {', '.join(ESTIMATORS)}")
-    if settings.colorspace not in (None, *COLORSPACES):
-        raise InputError("--colorspace", f"'{settings.colorspace}'", f"choose one of {', '.join(COLORSPACES)}")
+    settings = changed(PRESETS[preset], **changes)
     if settings.robust and settings.estimator != "map":
         raise InputError("--robust", f"with --estimator {settings.estimator}", "it goes with --estimator map only")
-    if settings.key_light not in ("auto", "never"):
-        raise InputError("--key-light", f"'{settings.key_light}'", "choose 'auto' or 'never'")
-    if settings.transport not in TRANSPORTS:
-        raise InputError("--transport", f"'{settings.transport}'", f"choose one of {', '.join(TRANSPORTS)}")
-    if not 2 <= settings.samples <= 1 << 16:
-        raise InputError("--samples", str(settings.samples), "choose 2 to 65536")
-    if settings.appearance not in ("auto", "mean", "textured"):
-        raise InputError("--appearance", f"'{settings.appearance}'", "choose 'auto', 'mean' or 'textured'")
-    if settings.classifier not in ("svm", "nearest"):
-        raise InputError("--classifier", f"'{settings.classifier}'", "choose 'svm' or 'nearest'")
-    if not (settings.bounces == "auto" or (isinstance(settings.bounces, int) and 1 <= settings.bounces <= 64)):
-        raise InputError("--bounces", str(settings.bounces), "choose 1 to 64, or auto")
-    if not (
-        settings.directions == "auto" or (isinstance(settings.directions, int) and 16 <= settings.directions <= 65536)
-    ):
-        raise InputError("--directions", str(settings.directions), "choose 16 to 65536, or auto")
-    if not 0 <= settings.seed < 1 << 32:
-        raise InputError("--seed", str(settings.seed), f"choose 0 to {(1 << 32) - 1}")
-    if settings.pixels < 0:
-        raise InputError("--pixels", str(settings.pixels), "choose a number of pixels, or 0 for all")
     return settings

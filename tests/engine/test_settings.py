@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The presets: each takes more than the one before, and the paper's is the paper's."""
 
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 from itertools import combinations, pairwise
 
 import pytest
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.pipeline.settings import PRESETS, choose
+from btfsep_engine.pipeline.settings import PRESETS, Settings, changed, choose, meanings
 from btfsep_engine.recognise import METHODS
 
 COSTS = ("pixels", "reflections", "surface_samples", "training_directions", "training_pixels", "training_turns")
@@ -46,3 +46,39 @@ def test_what_is_not_said_stays_the_presets():
     assert choose("accurate", order=None, seed=3) == choose("accurate", seed=3) != choose("accurate")
     with pytest.raises(InputError, match="draft, balanced, accurate, paper"):
         choose("finest")
+
+
+def test_every_setting_says_what_it_means_and_every_preset_is_within_the_ranges():
+    assert {f.name for f in fields(Settings)} == {*meanings(Settings), "preset"}
+    for name, settings in PRESETS.items():
+        assert changed(settings, **{n: getattr(settings, n) for n in meanings(Settings)}) == settings, name
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("order", 10, "--order; '10'; choose 0 to 9, or auto"),
+        ("order", "first", "--order; 'first'; choose"),
+        ("order", 2.5, "--order; '2.5'"),
+        ("pixels", "-1", "--pixels; '-1'; choose 0 or more"),
+        ("pixels", "auto", "--pixels; 'auto'"),
+        ("bounces", True, "--bounces; 'True'; choose 1 to 64, or auto"),
+        ("verify", "no", "--verify; 'no'; choose true or false"),
+        ("key_light", "always", "--key-light; 'always'; choose one of auto, never"),
+    ],
+)
+def test_what_is_out_of_range_is_named_as_the_option(name, value, words):
+    with pytest.raises(InputError) as caught:
+        choose(**{name: value})
+    assert words in str(caught.value)
+
+
+def test_texts_of_a_command_line_are_taken_for_what_they_say():
+    found = choose("draft", order="0", bounces="auto", pixels="70", colorspace="linear", verify=False)
+    assert found == replace(PRESETS["draft"], order=0, bounces="auto", pixels=70, colorspace="linear", verify=False)
+    assert isinstance(found.order, int)
+
+
+def test_values_that_do_not_go_together():
+    with pytest.raises(InputError, match="--robust; with --estimator least-squares"):
+        choose("paper", robust=True)
