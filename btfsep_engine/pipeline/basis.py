@@ -7,13 +7,13 @@ number (docs/sampling.md), because what the model misses of a photo is several t
 
 import numpy as np
 
-from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.reference import Reference
 
 USUAL = 256  # directions; with fewer estimates err more, with more as much (docs/speed-accuracy.md)
 
 
-def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[list, dict]:
+def basis_images(scene, materials, chosen, lights, settings: TransportSettings) -> tuple[list, dict]:
     """Radiance of the chosen points of every object under every basis light.
 
     Parameters
@@ -22,7 +22,7 @@ def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[
     materials : the Material that stands for each object in the fit
     chosen : SurfacePoints of each object
     lights : light.lightings.SHBasis, M lights
-    settings : Settings
+    settings : TransportSettings
 
     Returns
     -------
@@ -39,7 +39,7 @@ def basis_images(scene, materials, chosen, lights, settings: Settings) -> tuple[
     return basis, {"by": "kernel", "directions": directions, "bounces": settings.reflections}
 
 
-def _by_reference(scene, materials, chosen, lights, settings):
+def _by_reference(scene, materials, chosen, lights, settings: TransportSettings):
     reference = Reference(
         scene.job,
         scene.tracer,

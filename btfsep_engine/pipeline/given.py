@@ -4,11 +4,11 @@
 from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.job.model import Job, JobObject
-from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.homogeneous import homogeneous, pictured
 
 
-def given_materials(job: Job, library, settings: Settings, *, names) -> list[Material | None]:
+def given_materials(job: Job, library, settings: TransportSettings, *, names) -> list[Material | None]:
     """For every object the material named; where ``names`` has None the one of its surface, or None without one.
 
     Raises
@@ -22,7 +22,7 @@ def given_materials(job: Job, library, settings: Settings, *, names) -> list[Mat
     ]
 
 
-def of_surface(obj: JobObject, job: Job, settings: Settings) -> Material:
+def of_surface(obj: JobObject, job: Job, settings: TransportSettings) -> Material:
     """What the numbers of an object's surface make; of an image its mean where ``settings`` ask for mean ABRDFs."""
     if not obj.pictured:
         return homogeneous(obj.surface, GIVEN)

@@ -17,6 +17,7 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import Fit, solve
 from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS, PreparedScene
+from btfsep_engine.pipeline.settings import Settings, TransportSettings
 from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
@@ -87,7 +88,9 @@ def even_sky_bound(scene: PreparedScene, materials, points) -> float:
     return float(received.sum() / max(opened.sum(), 1e-12))
 
 
-def own_light(problems, materials, fit: Fit, solver, exposures, settings, *, bounces: int) -> OwnLight:
+def own_light(
+    problems, materials, fit: Fit, solver, exposures, settings: TransportSettings, *, bounces: int
+) -> OwnLight:
     """Whether the scenes' own light is worth modelling.
 
     Parameters
@@ -95,7 +98,7 @@ def own_light(problems, materials, fit: Fit, solver, exposures, settings, *, bou
     problems : list of pipeline.problem.Problem, of each photograph, their basis images without the scene's own light
     materials : for each photograph the Material of each object, as in the fit
     fit, solver, exposures : of `together.fit_together`
-    settings : Settings, of the samples between which the light goes
+    settings : of the samples between which the light goes
     bounces : that would be followed, >= 2
     """
     few = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
@@ -127,14 +130,14 @@ def own_light(problems, materials, fit: Fit, solver, exposures, settings, *, bou
     return OwnLight(change > WORTH, bound, share, change, words(change > WORTH, bound, share, change))
 
 
-def with_own_light(problem, materials, settings):
+def with_own_light(problem, materials, settings: Settings):
     """The same problem with what the scene's surfaces send each other added to its basis images.
 
     Parameters
     ----------
     problem : pipeline.problem.Problem, its basis images of light that comes straight from outside
     materials : the Material of each object, as in the fit
-    settings : Settings, its bounces a number >= 2
+    settings : its bounces a number >= 2
     """
     scene = problem.scene
     indirect = scene.indirect(materials, SHBasis(settings.fit_order), settings, bounces=settings.bounces)

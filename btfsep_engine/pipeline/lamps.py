@@ -5,12 +5,13 @@ import numpy as np
 
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.light.sun import Sun
+from btfsep_engine.pipeline.settings import FitSettings
 
 LEAST = 0.2  # of the light's mean radiance: what is less stays in the sky
 NARROW = 15.0  # degrees, of a lamp's direction: what is known worse is no lamp that anybody wants to see a shadow of
 
 
-def key_lights(fit: Fit, settings) -> tuple[tuple, str]:
+def key_lights(fit: Fit, settings: FitSettings) -> tuple[tuple, str]:
     """The lamps of a fit that become suns, the brightest first; and why, in words.
 
     A lamp has no size here: the fit's harmonics, 20 degrees wide, cannot tell one.

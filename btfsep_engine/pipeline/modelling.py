@@ -18,7 +18,7 @@ from btfsep_engine.pipeline.model_choice import (
 from btfsep_engine.pipeline.problem import left_out_words, pose, shares
 from btfsep_engine.pipeline.real_photo import as_real_photos, scale_words, warn_of_clipping
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
+from btfsep_engine.pipeline.settings import LARGEST_ORDER, Seeded, Settings, TransportSettings
 from btfsep_engine.pipeline.together import fit_together, stacked
 from btfsep_engine.pipeline.tone import with_curves
 from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
@@ -27,7 +27,7 @@ from btfsep_engine.render.surface import SurfacePoints
 LEAKS = 1e-3  # of the pixels: a ray in a million slips through a closed mesh, between two triangles
 
 
-def appearance(material: Material, settings: Settings) -> Material:
+def appearance(material: Material, settings: TransportSettings) -> Material:
     """What stands for the material in the fit: the BTF itself (always where it lines up), or its mean ABRDF."""
     return material if settings.appearance == "textured" or material.lines_up else material.mean_material()
 
@@ -50,7 +50,7 @@ def chosen_points(scene: PreparedScene, index: int, share: int, settings: Settin
     return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points
 
 
-def part_of(region, share: int, settings: Settings):
+def part_of(region, share: int, settings: Seeded):
     """What of a region (h, w) bool is worth computing at, to choose ``share`` pixels of it; 0: all."""
     return thinned(region, max(REGION, 4 * share), seed=settings.seed) if share else region
 
@@ -75,7 +75,7 @@ def names_of(scene: PreparedScene) -> str:
     return f"object{'s' if len(scene.job.objects) > 1 else ''} {names}"
 
 
-def textures_to_try(scenes, materials, settings: Settings) -> tuple[bool, str]:
+def textures_to_try(scenes, materials, settings: TransportSettings) -> tuple[bool, str]:
     """Whether the textured BTFs are tried beside their mean ABRDFs, and why, in words."""
     if settings.appearance != "auto":
         return False, "as asked for"

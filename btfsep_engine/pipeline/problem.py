@@ -8,6 +8,7 @@ import numpy as np
 from btfsep_engine.fit.least_squares import block_labels
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
+from btfsep_engine.pipeline.settings import Settings
 
 STARTED = 1 << 20  # blocks' numbers of one object
 
@@ -114,7 +115,7 @@ def left_out_words(problems) -> str:
     return f"{lost} pixels ({share:.1f} %) that the light does not explain were left out"
 
 
-def pose(scene, used, points, settings) -> Problem:
+def pose(scene, used, points, settings: Settings) -> Problem:
     """The basis images of ``points`` (a SurfacePoints for each object) with the materials ``used``."""
     basis, transport = basis_images(scene, used, points, SHBasis(settings.fit_order), settings)
     return Problem(scene, points, basis, transport)

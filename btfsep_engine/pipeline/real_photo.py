@@ -15,6 +15,7 @@ from btfsep_engine.fit.robust import outliers
 from btfsep_engine.fit.white_balance import free_scales
 from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.settings import FitSettings
 from btfsep_engine.pipeline.together import light_solver
 
 STIFF = 4.0  # times the coarsening of an estimate, where pixels are looked for that stand apart
@@ -29,7 +30,7 @@ def clipped_channels(scene, points) -> np.ndarray:
     return clipped[points.pixels[:, 0], points.pixels[:, 1]]
 
 
-def warn_of_clipping(scene, index: int, settings) -> None:
+def warn_of_clipping(scene, index: int, settings: FitSettings) -> None:
     """Says where much of an object is saturated or transparent, and what becomes of it."""
     region = scene.regions[index]
     unusable = region & ~scene.job.photo.usable
@@ -49,14 +50,14 @@ def warn_of_clipping(scene, index: int, settings) -> None:
     )
 
 
-def as_real_photos(problems, rich, materials, settings):
+def as_real_photos(problems, rich, materials, settings: FitSettings):
     """The problems with clipped channels and free scales settled.
 
     Parameters
     ----------
     problems : list of Problem, one for each photograph; rich : the same points with textures, or None
     materials : for each photograph the estimation.ObjectMaterial of each object
-    settings : Settings, with a prior
+    settings : with a prior
 
     Returns
     -------

@@ -7,7 +7,7 @@ from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.cache import digest
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.settings import RecognitionSettings
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.model_file import cached
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
@@ -63,7 +63,7 @@ def bounding_window(region) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def training_key(scene: PreparedScene, index: int, region, library, lights, settings: Settings) -> str:
+def training_key(scene: PreparedScene, index: int, region, library, lights, settings: RecognitionSettings) -> str:
     """All that a training depends on beside the engine's own code: geometry, camera, library, lights, method."""
     job = scene.job
     seen, camera = job.objects[index], job.camera
@@ -80,7 +80,7 @@ def training_key(scene: PreparedScene, index: int, region, library, lights, sett
     )
 
 
-def trained_recogniser(scene: PreparedScene, index: int, library, settings: Settings) -> Recogniser:
+def trained_recogniser(scene: PreparedScene, index: int, library, settings: RecognitionSettings) -> Recogniser:
     """The recogniser for one object of the job: from the cache, or trained now.
 
     Its training images are the job's own geometry, seen by the job's camera, in every material of the library
@@ -116,7 +116,7 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Sett
         return cached(key, make)
 
 
-def recognise_object(scene: PreparedScene, index: int, library, settings: Settings) -> Recognition:
+def recognise_object(scene: PreparedScene, index: int, library, settings: RecognitionSettings) -> Recognition:
     """What an object of the job is made of."""
     recogniser = trained_recogniser(scene, index, library, settings)
     name = scene.job.objects[index].name

@@ -18,6 +18,7 @@ from btfsep_engine.btf.departures import departures
 from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
 
 SPEAKS = 12.0  # chi^2 of the misfit's likeness to shading: half of what is warned of
@@ -57,7 +58,7 @@ def simpler(departed: Fit, fit: Fit) -> bool:
     return bool(departed.lamps) and (plain or fewer)
 
 
-def nearer_materials(problems, used, fit: Fit, solver, exposures, settings) -> Nearer:
+def nearer_materials(problems, used, fit: Fit, solver, exposures, settings: Settings) -> Nearer:
     """Tries the materials near each object's.
 
     Parameters
@@ -65,7 +66,7 @@ def nearer_materials(problems, used, fit: Fit, solver, exposures, settings) -> N
     problems : list of pipeline.problem.Problem, as they were fitted
     used : for each of them the Material of each object, as in the fit
     fit, solver, exposures : of `together.fit_together`
-    settings : Settings, of the fit; its bounces those that the basis images have
+    settings : of the fit; its bounces those that the basis images have
     """
     chi2 = shading_left(problems, fit, solver, exposures)
     doubted = [chi2 > SPEAKS or m.matte_albedo is not None for m in used[0]]

@@ -10,7 +10,7 @@ from btfsep_engine.job.model import Job
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.beams import beam_radiance
 from btfsep_engine.render.point_transport import point_radiance
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
@@ -118,7 +118,7 @@ class PreparedScene:
         """The kernel for these points."""
         return Transport(self.tracer, points, directions=directions, millimetres_per_unit=self.millimetres_per_unit)
 
-    def indirect(self, materials, lightings, settings: Settings, *, bounces: int) -> Indirect | None:
+    def indirect(self, materials, lightings, settings: TransportSettings, *, bounces: int) -> Indirect | None:
         """Light between surfaces, or None where one bounce is all that is asked for.
 
         The samples and their seed are the settings', so that one network serves all of an estimate. ``materials`` has

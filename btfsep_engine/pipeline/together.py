@@ -11,13 +11,14 @@ import numpy as np
 from btfsep_engine.fit.least_squares import Fit, solve
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.settings import FitSettings
 
 TURNS = 30
 SETTLED = 1e-4  # relative change of an exposure
 APART = 1 << 30  # blocks' numbers of one photo
 
 
-def light_solver(problems: list[Problem], settings, *, coarsening: float = 1.0) -> LightSolver:
+def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: float = 1.0) -> LightSolver:
     """The basis images of all photos together made ready, for the estimator with a prior."""
     return LightSolver(
         stacked(problems)[0],
@@ -43,12 +44,12 @@ def stacked(problems: list[Problem]):
     return np.concatenate([p.all_basis for p in problems]), blocks
 
 
-def fit_together(problems: list[Problem], settings) -> tuple[Fit, LightSolver | None, list[float]]:
+def fit_together(problems: list[Problem], settings: FitSettings) -> tuple[Fit, LightSolver | None, list[float]]:
     """The light of all photographs.
 
     Parameters
     ----------
-    problems : of each photograph; settings : Settings with a number as ``order``
+    problems : of each photograph; settings : with a number as ``order``
 
     Returns
     -------

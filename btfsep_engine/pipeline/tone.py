@@ -24,6 +24,7 @@ from btfsep_engine.fit.tone_curve import (
     probabilities,
 )
 from btfsep_engine.images import linear_to_srgb
+from btfsep_engine.pipeline.settings import FitSettings
 from btfsep_engine.pipeline.together import all_weights, fit_together
 
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
@@ -45,7 +46,7 @@ class Curves:
     shares: np.ndarray
 
 
-def refuse_unknown(scenes, settings) -> None:
+def refuse_unknown(scenes, settings: FitSettings) -> None:
     """InputError where a curve is to be found and the estimator has no evidence to find it by."""
     if settings.estimator != "map" and any(each.job.image_colorspace == "unknown" for each in scenes):
         raise InputError(
@@ -67,13 +68,13 @@ def codes_of(job) -> np.ndarray:
     return linear_to_srgb(radiance).astype(np.float32) if is_coded(job) else radiance
 
 
-def with_curves(problems, rich, settings):
+def with_curves(problems, rich, settings: FitSettings):
     """The problems with photos read by the most probable curve, where a job says that it is unknown; and ``rich``.
 
     Parameters
     ----------
     problems : list of Problem, one for each photograph, with the photos' own values; rich : with textures, or None
-    settings : Settings, with a prior
+    settings : with a prior
     """
     codes = [codes_of(p.scene.job) if _is_sought(p.scene) else None for p in problems]
     if all(c is None for c in codes):
@@ -120,7 +121,7 @@ def _at(problem, image):
     return image[problem.pixels[:, 0], problem.pixels[:, 1]]
 
 
-def _log_of(curve: ToneCurve, problems, codes, settings) -> float:
+def _log_of(curve: ToneCurve, problems, codes, settings: FitSettings) -> float:
     """The logarithm of a curve's probability, of all photos whose ``codes`` are given."""
     posed, slopes = [], []
     for p, image in zip(problems, codes, strict=True):

@@ -34,7 +34,7 @@ class Verification:
     index : of the object
     region : (h, w) bool, pixels that recognition looks at
     window : two slices, the part of the photograph that holds ``region``
-    settings : Settings
+    settings : RecognitionSettings
     """
 
     def __init__(self, scene, index: int, region, window, settings):

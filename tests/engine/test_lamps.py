@@ -8,9 +8,10 @@ import pytest
 
 from btfsep_engine.fit.log_normal import Lamp
 from btfsep_engine.pipeline.lamps import key_lights
+from btfsep_engine.pipeline.settings import FitSettings
 from tests.engine.half_sphere import FILL, SUN
 
-MAP = SimpleNamespace(key_light="auto", estimator="map")
+MAP = FitSettings()
 
 
 def of(share, degrees, direction=SUN) -> Lamp:
@@ -42,8 +43,8 @@ def test_none_where_there_is_none_or_nobody_asked():
     assert key_lights(SimpleNamespace(lamps=()), MAP)[0] == ()
     lamp = SimpleNamespace(lamps=(of(0.9, 1),))
     for settings, word in (
-        (SimpleNamespace(key_light="never", estimator="map"), "--key-light never"),
-        (SimpleNamespace(key_light="auto", estimator="least-squares"), "--estimator map"),
+        (FitSettings(key_light="never"), "--key-light never"),
+        (FitSettings(estimator="least-squares"), "--estimator map"),
     ):
         suns, why = key_lights(lamp, settings)
         assert suns == () and word in why

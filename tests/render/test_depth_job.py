@@ -19,12 +19,11 @@ from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.doubts import alignment_doubt
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.progress import Reporter
 from tests.render.scenes import as_mesh, job_of, looking_down
 
 WHITE = Lambertian("white", np.full(3, 0.8))
-SETTINGS = choose("draft", bounces=6, directions=512)
 
 
 def cup(degrees):
@@ -49,7 +48,7 @@ def z_depth(scene):
 def received(scene, region, *, bounces):
     """Basis images (p, 9, 3) of the white scene at the pixels of ``region``."""
     points = scene.points(0, region=region, textured=False)
-    return basis_images(scene, [WHITE], [points], SHBasis(2), replace(SETTINGS, bounces=bounces))[0][0]
+    return basis_images(scene, [WHITE], [points], SHBasis(2), TransportSettings(bounces=bounces, directions=512))[0][0]
 
 
 @pytest.mark.parametrize("degrees", [45, 55])

@@ -13,7 +13,7 @@ from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.recognition import recognise_object, trained_recogniser
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.settings import RecognitionSettings, choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
@@ -109,7 +109,7 @@ def cache(tmp_path_factory):
 @pytest.fixture
 def settings(cache, monkeypatch):
     monkeypatch.setenv("BTFSEP_CACHE", cache)
-    return choose("draft", training_turns=1)
+    return RecognitionSettings(training_pixels=8000, training_directions=128, training_turns=1)
 
 
 def test_saturated_pixels_have_no_say(scene, library, settings):
