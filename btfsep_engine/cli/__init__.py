@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line: ``btfsep`` and ``python -m btfsep_engine``."""
 
-from btfsep_engine.cli.main import main
+from btfsep_engine.cli.commands import main
 
 __all__ = ["main"]

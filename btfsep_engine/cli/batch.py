@@ -9,6 +9,7 @@ import hashlib
 import io
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -16,13 +17,42 @@ import click
 from btfsep_engine import __version__
 from btfsep_engine.atomic import write_text
 from btfsep_engine.cli.command import command, opened_library
-from btfsep_engine.cli.lanes import run_all
+from btfsep_engine.cli.lanes import Outcome, run_all
+from btfsep_engine.cli.options import ESTIMATE, LIBRARY, MATERIAL, PATH, REPORT, out_option, takes_settings
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.record import write_json
+from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.progress import Reporter
 
 RESULT = "result"  # of a job folder, where --out is not given
 COLUMNS = ("job", "status", "materials", "residual", "effective_degrees_of_freedom", "seconds", "warnings", "message")
-OWN = ("job", "out", "as_json", "others")  # parameters of `estimate` that batch has in its own way, or not at all
+
+
+@dataclass(frozen=True)
+class EstimateTask:
+    """One job of many: where its results go, and what ``estimate`` was told."""
+
+    job: Path
+    out: Path
+    settings: Settings
+    library_folder: Path | None = None
+    material: str | None = None
+    with_report: bool = True
+
+
+def estimate_job(task: EstimateTask) -> dict:
+    """The result of a job's estimate, in words of ``result.json``. Raises InputError."""
+    from btfsep_engine.pipeline.estimation import run_estimate
+
+    return run_estimate(
+        task.job,
+        opened_library(task.library_folder),
+        task.settings,
+        material=task.material,
+        out=task.out,
+        with_report=task.with_report,
+        reporter=Reporter(command="estimate"),
+    )
 
 
 def find_jobs(places, list_file=None) -> list[Path]:
@@ -97,11 +127,11 @@ def earlier(summary_file: Path) -> dict:
         return {}
 
 
-def entry_of(job: Path, folder: Path, key: str, answer: dict) -> dict:
+def entry_of(task: EstimateTask, key: str, ended: Outcome) -> dict:
     """What the summary says of one job."""
-    result = answer["result"]
-    status = {0: "done", 2: "failed"}.get(answer["exit_code"], "crashed")
-    entry = {"job": str(job), "out": str(folder), "status": status, "message": answer["message"], "key": key}
+    result = ended.result
+    status = {0: "done", 2: "failed"}.get(ended.exit_code, "crashed")
+    entry = {"job": str(task.job), "out": str(task.out), "status": status, "message": ended.message, "key": key}
     if status == "done":
         entry |= {
             "materials": [o["material"] for o in result["objects"]],
@@ -126,96 +156,65 @@ def write_summary(path: Path, entries) -> None:
     write_text(path.with_suffix(".csv"), text.getvalue())
 
 
-def run_batch(jobs, folders, arguments, *, library: str, lanes: int, again: bool, summary: Path, reporter) -> dict:
-    """Estimates all jobs; the summary is written anew after each of them. ``library`` is the digest of the library."""
+def run_batch(tasks: list[EstimateTask], *, lanes: int, again: bool, summary: Path, reporter) -> dict:
+    """Estimates all jobs; the summary is written anew after each of them."""
     before = {} if again else earlier(summary)
-    keys = [job_key(job, library, folder.resolve(), *arguments) for job, folder in zip(jobs, folders, strict=True)]
-    entries = [None] * len(jobs)
-    for i, (job, folder, key) in enumerate(zip(jobs, folders, keys, strict=True)):
-        old = before.get(str(job), {})
-        if old.get("status") == "done" and old.get("key") == key and (folder / "result.json").is_file():
+    digest = opened_library(tasks[0].library_folder).digest
+    keys = [job_key(t.job, digest, t.out.resolve(), t.settings, t.material, t.with_report) for t in tasks]
+    entries = [None] * len(tasks)
+    for i, (task, key) in enumerate(zip(tasks, keys, strict=True)):
+        old = before.get(str(task.job), {})
+        if old.get("status") == "done" and old.get("key") == key and (task.out / "result.json").is_file():
             entries[i] = old
     todo = [i for i, entry in enumerate(entries) if entry is None]
-    kept = len(jobs) - len(todo)
-    # after "--": a folder may have a name like an option's
-    commands = [["estimate", "--out", str(folders[i]), *arguments, "--", str(jobs[i])] for i in todo]
-    reporter.progress("batch", kept / len(jobs), f"{kept} of {len(jobs)} done before")
-    for number, answer in run_all(commands, min(lanes, max(1, len(todo)))):
+    kept = len(tasks) - len(todo)
+    reporter.progress("batch", kept / len(tasks), f"{kept} of {len(tasks)} done before")
+    for number, ended in run_all(estimate_job, [tasks[i] for i in todo], min(lanes, max(1, len(todo)))):
         i = todo[number]
-        entries[i] = entry_of(jobs[i], folders[i], keys[i], answer)
-        if answer["exit_code"]:
-            reporter.warn(f"{jobs[i]}: {answer['message']}")
+        entries[i] = entry_of(tasks[i], keys[i], ended)
+        if ended.exit_code:
+            reporter.warn(f"{tasks[i].job}: {ended.message}")
         write_summary(summary, [e for e in entries if e is not None])
-        ended = sum(e is not None for e in entries)
-        reporter.progress("batch", ended / len(jobs), f"{ended} of {len(jobs)} {jobs[i].name}")
+        over = sum(e is not None for e in entries)
+        reporter.progress("batch", over / len(tasks), f"{over} of {len(tasks)} {tasks[i].job.name}")
     write_summary(summary, entries)
     count = {status: sum(e["status"] == status for e in entries) for status in ("done", "failed", "crashed")}
     return {"jobs": entries, **count, "kept": kept, "summary": str(summary)}
 
 
-def batch_command(estimate: click.Command) -> click.Command:
-    """The command; it takes every option of ``estimate``, so that a shot can be tried alone and then with all."""
+@click.command()
+@click.argument("places", nargs=-1, metavar="[JOB]...", type=PATH)
+@click.option("--list", "list_file", type=click.Path(), help="Text file, a job folder a line; - for input.")
+@out_option("JOB/result")
+@click.option("--summary", type=PATH, help="The summary.  [default: OUT/batch.json]")
+@click.option("--lanes", type=click.IntRange(1, 256), default=1, show_default=True, help="Jobs at once.")
+@click.option("--shard", metavar="K/N", help="Only every N-th job, from the K-th: a task of a farm's array.")
+@click.option("--again", is_flag=True, help="Estimate also what is done already.")
+@MATERIAL
+@REPORT
+@LIBRARY
+@command
+@takes_settings(*ESTIMATE)
+def batch(*, places, list_file, out, summary, lanes, shard, again, reporter, **estimate_options):
+    """Estimates the light of many jobs: job folders, or folders that hold job folders.
 
-    @command
-    def batch(*, places, list_file, out, summary, lanes, shard, again, reporter, **given):
-        """Estimates the light of many jobs: job folders, or folders that hold job folders.
-
-        JOB/result (or OUT/NAME) gets each job's results; batch.json and batch.csv sum them up. One that fails does not
-        stop the others. What is there already for the same job and options is not made again.
-        """
-        every = find_jobs(places, list_file)
-        jobs = shard_of(every, shard)
-        if not jobs:  # a farm may give more tasks than there are jobs
-            words = f"shard {shard}: of {len(every)} jobs this one gets none; nothing was done"
-            return {"jobs": [], "done": 0, "failed": 0, "crashed": 0, "kept": 0, "summary": None}, words
-        folders = result_folders(jobs, out)
-        arguments = estimate_arguments(estimate, given)
-        if summary is None:
-            place = "batch.json" if shard is None else f"batch-{shard.replace('/', '-of-')}.json"
-            summary = (out or Path(".")) / place
-        library = opened_library(given["library_folder"]).digest
-        result = run_batch(
-            jobs, folders, arguments, library=library, lanes=lanes, again=again, summary=summary, reporter=reporter
+    JOB/result (or OUT/NAME) gets each job's results; batch.json and batch.csv sum them up. One that fails does not
+    stop the others. What is there already for the same job and options is not made again.
+    """
+    every = find_jobs(places, list_file)
+    jobs = shard_of(every, shard)
+    if not jobs:  # a farm may give more tasks than there are jobs
+        words = f"shard {shard}: of {len(every)} jobs this one gets none; nothing was done"
+        return {"jobs": [], "done": 0, "failed": 0, "crashed": 0, "kept": 0, "summary": None}, words
+    if summary is None:
+        place = "batch.json" if shard is None else f"batch-{shard.replace('/', '-of-')}.json"
+        summary = (out or Path(".")) / place
+    folders = result_folders(jobs, out)
+    tasks = [EstimateTask(job, folder, **estimate_options) for job, folder in zip(jobs, folders, strict=True)]
+    result = run_batch(tasks, lanes=lanes, again=again, summary=summary, reporter=reporter)
+    bad = result["failed"] + result["crashed"]
+    if bad:
+        raise InputError(
+            "batch", f"{bad} of {len(jobs)} jobs failed", f"see their messages in {summary}; run it again for these"
         )
-        bad = result["failed"] + result["crashed"]
-        if bad:
-            raise InputError(
-                "batch", f"{bad} of {len(jobs)} jobs failed", f"see their messages in {summary}; run it again for these"
-            )
-        return result, f"{result['done']} jobs done ({result['kept']} of them before); summary in {summary}"
-
-    own = [
-        click.Argument(["places"], nargs=-1, metavar="[JOB]...", type=click.Path(path_type=Path)),
-        click.Option(["--list", "list_file"], type=click.Path(), help="Text file, a job folder a line; - for input."),
-        click.Option(["--out"], type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]"),
-        click.Option(["--summary"], type=click.Path(path_type=Path), help="The summary.  [default: OUT/batch.json]"),
-        click.Option(["--lanes"], type=click.IntRange(1, 256), default=1, show_default=True, help="Jobs at once."),
-        click.Option(["--shard"], metavar="K/N", help="Only every N-th job, from the K-th: a task of a farm's array."),
-        click.Option(["--again"], is_flag=True, help="Estimate also what is done already."),
-    ]
-    batch.name = "batch"
-    described = click.Command("batch", callback=batch, params=own + shared_options(estimate), help=batch.__doc__)
-    described.params += getattr(batch, "__click_params__", [])
-    return described
-
-
-def shared_options(estimate: click.Command) -> list[click.Parameter]:
-    """The options of ``estimate`` that batch passes on."""
-    return [p for p in estimate.params if p.name not in OWN and isinstance(p, click.Option)]
-
-
-def estimate_arguments(estimate: click.Command, given: dict) -> list[str]:
-    """The command line of ``estimate`` that says what ``given`` says; what was not given stays with its default."""
-    context = click.get_current_context()
-    arguments = []
-    for option in shared_options(estimate):
-        if context.get_parameter_source(option.name) is click.core.ParameterSource.DEFAULT:
-            continue
-        value = given[option.name]
-        if option.is_flag:
-            arguments.append(option.opts[0] if value else option.secondary_opts[0])
-        elif option.multiple:
-            arguments += [text for each in value for text in (option.opts[0], str(each))]
-        elif value is not None:
-            arguments += [option.opts[0], str(value)]
-    return arguments
+    return result, f"{result['done']} jobs done ({result['kept']} of them before); summary in {summary}"

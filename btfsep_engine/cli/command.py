@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the commands share: ``--json``, ``--library``, errors and exit status."""
+"""What the commands share: ``--json``, errors and exit status, the library."""
 
 import functools
 import sys
 import traceback
-from pathlib import Path
 
 import click
 
@@ -12,13 +11,6 @@ from btfsep_engine.cli.output import JsonReporter, TextReporter
 from btfsep_engine.errors import InputError
 
 INPUT_FAULT, BUG = 2, 1
-LIBRARY = click.option(
-    "--library",
-    "library_folder",
-    type=click.Path(path_type=Path),
-    envvar="BTFSEP_LIBRARY",
-    help="Material library.  [default: $BTFSEP_LIBRARY, else the one that comes with BTFsep]",
-)
 
 
 def command(function):
@@ -30,23 +22,27 @@ def command(function):
         reporter = (JsonReporter if as_json else TextReporter)(command=function.__name__)
         try:
             result, text = function(reporter=reporter, **options)
-        except InputError as error:
-            reporter.failed(str(error), INPUT_FAULT, error.result)
-            sys.exit(INPUT_FAULT)
-        except MemoryError:
-            reporter.failed("not enough memory; the scene or the picture is too large; use --preset draft", INPUT_FAULT)
-            sys.exit(INPUT_FAULT)
-        except (click.ClickException, click.Abort, KeyboardInterrupt):
+        except (click.ClickException, click.Abort):
             raise
         except Exception as error:
-            traceback.print_exc()
-            reporter.failed(f"a bug in BTFsep: {type(error).__name__}: {error}; please report it", BUG)
-            sys.exit(BUG)
+            message, exit_code = failure_of(error)
+            reporter.failed(message, exit_code, getattr(error, "result", None))
+            sys.exit(exit_code)
         reporter.done(result)
         if not as_json and text:
             click.echo(text.encode(errors="backslashreplace").decode())  # names of files need not be UTF-8
 
     return run
+
+
+def failure_of(error: Exception) -> tuple[str, int]:
+    """The sentence for people and the exit status; of a bug the traceback goes to standard error."""
+    if isinstance(error, InputError):
+        return str(error), INPUT_FAULT
+    if isinstance(error, MemoryError):
+        return "not enough memory; the scene or the picture is too large; use --preset draft", INPUT_FAULT
+    traceback.print_exception(error)
+    return f"a bug in BTFsep: {type(error).__name__}: {error}; please report it", BUG
 
 
 def opened_library(folder):

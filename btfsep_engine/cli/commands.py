@@ -1,39 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The commands but `batch`, which runs them. Exit status 0: done; 2: the input is at fault; 1: a bug."""
+"""The commands. Exit status 0: done; 2: the input is at fault; 1: a bug."""
 
 import os
-from pathlib import Path
 
 import click
 
 from btfsep_engine import __version__
 from btfsep_engine.cli import words
-from btfsep_engine.cli.chart import chart
-from btfsep_engine.cli.command import INPUT_FAULT, LIBRARY, command, opened_library
+from btfsep_engine.cli.batch import batch
+from btfsep_engine.cli.command import INPUT_FAULT, command, opened_library
 from btfsep_engine.cli.library import library
-from btfsep_engine.cli.parameters import NumberOrAuto
-from btfsep_engine.cli.plan import plan
-from btfsep_engine.cli.sequence import sequence
+from btfsep_engine.cli.options import (
+    ESTIMATE,
+    JOB,
+    LIBRARY,
+    MATERIAL,
+    ONE_SOLVER,
+    PATH,
+    RECOGNITION,
+    REPORT,
+    out_option,
+    takes_settings,
+)
 from btfsep_engine.errors import InputError
-
-
-def estimate_options(function):
-    """Options that every command with a job and a library shares."""
-    for option in reversed(
-        (
-            LIBRARY,
-            click.option("--preset", default="balanced", show_default=True, help="draft, balanced, accurate or paper."),
-            click.option("--classifier", help="svm or nearest."),
-            click.option(
-                "--verify/--no-verify",
-                default=None,
-                help="Compare the likeliest materials with the photo under the light each implies.  [default: verify]",
-            ),
-            click.option("--seed", type=int, help="Seed of every random choice."),
-        )
-    ):
-        function = option(function)
-    return function
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -56,42 +45,24 @@ def doctor(*, library_folder, reporter):
 
 
 @cli.command()
-@click.argument("job", type=click.Path(path_type=Path))
-@click.option("--material", help="The material of all objects, instead of recognition.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: JOB/result]")
-@click.option("--order", type=NumberOrAuto(), help="Order of the spherical harmonics, 0 to 9, or auto.")
-@click.option("--estimator", help="map (natural light and lamps, by evidence) or least-squares (the paper's).")
-@click.option("--colorspace", help="The photo's curve: auto, srgb, linear, or unknown (found).  [default: the job's]")
-@click.option(
-    "--robust/--no-robust", default=None, help="Leave out pixels that the light does not explain: things in front."
-)
-@click.option("--key-light", help="auto (lamps of a fifth of the light or more are told apart from the sky) or never.")
-@click.option("--appearance", help="auto, mean (mean ABRDF) or textured (the BTF).")
-@click.option("--pixels", type=int, help="Pixels used for the fit, 0: all.")
-@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: 256.")
-@click.option(
-    "--bounces",
-    type=NumberOrAuto(),
-    help="Reflections followed; 1 leaves out light between surfaces; auto: as the estimate needs.",
-)
-@click.option("--transport", help="kernel, or reference (the paper's: one path-traced image for each basis light).")
-@click.option("--samples", type=int, help="Paths per pixel and basis light of the reference.")
+@JOB
+@MATERIAL
+@out_option("JOB/result")
 @click.option(
     "--with",
     "others",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="A further job under the same light, solved together; may be given again.",
 )
-@click.option("--report/--no-report", "with_report", default=True, help="Whether report.png is made.")
-@estimate_options
+@REPORT
+@LIBRARY
 @command
-def estimate(*, job, library_folder, preset, material, out, with_report, others, reporter, **changes):
+@takes_settings(*ESTIMATE)
+def estimate(*, job, library_folder, settings, material, out, with_report, others, reporter):
     """Recognises the material and estimates the light of JOB."""
     from btfsep_engine.pipeline.estimation import run_estimate
-    from btfsep_engine.pipeline.settings import choose
 
-    settings = choose(preset, **changes)
     result = run_estimate(
         job,
         opened_library(library_folder),
@@ -106,61 +77,110 @@ def estimate(*, job, library_folder, preset, material, out, with_report, others,
 
 
 @cli.command()
-@click.argument("job", type=click.Path(path_type=Path))
-@estimate_options
+@JOB
+@LIBRARY
 @command
-def recognise(*, job, library_folder, preset, reporter, **changes):
+@takes_settings(*RECOGNITION)
+def recognise(*, job, library_folder, settings, reporter):
     """The material of each object of JOB, with scores."""
     from btfsep_engine.pipeline.commands import run_recognise
-    from btfsep_engine.pipeline.settings import choose
 
-    result = run_recognise(job, opened_library(library_folder), choose(preset, **changes), reporter=reporter)
+    result = run_recognise(job, opened_library(library_folder), settings, reporter=reporter)
     return result, words.recognise(result)
 
 
 @cli.command()
-@click.argument("job", type=click.Path(path_type=Path))
-@estimate_options
+@JOB
+@LIBRARY
 @command
-def train(*, job, library_folder, preset, reporter, **changes):
+@takes_settings(*RECOGNITION)
+def train(*, job, library_folder, settings, reporter):
     """Renders the training data of JOB's objects and trains the recogniser, kept in the cache."""
     from btfsep_engine.pipeline.commands import run_train
-    from btfsep_engine.pipeline.settings import choose
 
-    result = run_train(job, opened_library(library_folder), choose(preset, **changes), reporter=reporter)
+    result = run_train(job, opened_library(library_folder), settings, reporter=reporter)
     return result, words.train(result)
 
 
 @cli.command()
-@click.argument("job", type=click.Path(path_type=Path))
-@click.option("--lighting", required=True, type=click.Path(path_type=Path), help="lighting.json or an environment map.")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Image to write, .exr or .png.")
-@click.option("--material", help="The material of all objects.")
-@click.option("--directions", type=NumberOrAuto(), help="Light directions per pixel; auto: 512.")
-@click.option("--bounces", type=NumberOrAuto(), help="Reflections followed; auto: 8.")
-@estimate_options
+@JOB
+@click.option("--lighting", required=True, type=PATH, help="lighting.json or an environment map.")
+@click.option("--out", required=True, type=PATH, help="Image to write, .exr or .png.")
+@MATERIAL
+@LIBRARY
 @command
-def relight(*, job, library_folder, preset, lighting, out, material, reporter, **changes):
+@takes_settings("directions", "bounces", *RECOGNITION)
+def relight(*, job, library_folder, settings, lighting, out, material, reporter):
     """Renders JOB's objects under a lighting."""
     from btfsep_engine.pipeline.relighting import run_relight
-    from btfsep_engine.pipeline.settings import choose
 
-    result = run_relight(
-        job,
-        opened_library(library_folder),
-        choose(preset, **changes),
-        lighting=lighting,
-        out=out,
-        material=material,
-        reporter=reporter,
-    )
+    library = opened_library(library_folder)
+    result = run_relight(job, library, settings, lighting=lighting, out=out, material=material, reporter=reporter)
     return result, f"wrote {result['out']}"
 
 
 @cli.command()
-@click.argument("a", type=click.Path(path_type=Path))
-@click.argument("b", type=click.Path(path_type=Path))
-@click.option("--job", type=click.Path(path_type=Path), help="Also compare renderings of this job's objects.")
+@JOB
+@MATERIAL
+@click.option("--noise", type=click.FloatRange(1e-4, 1.0), help="Expected misfit over the photo's root mean square.")
+@out_option("JOB/plan")
+@LIBRARY
+@command
+@takes_settings(*ONE_SOLVER, only_numbers=("order",), estimator="map")
+def plan(*, job, material, noise, out, settings, library_folder, reporter):
+    """What the geometry, view and material of JOB could determine; its photo is not read."""
+    from btfsep_engine.pipeline.plan import run_plan
+
+    library = opened_library(library_folder)
+    result = run_plan(job, library, settings, material=material, noise=noise, out=out, reporter=reporter)
+    return result, words.plan(result)
+
+
+@cli.command()
+@JOB
+@click.option("--images", "frames", required=True, help="Pattern of the frames, in quotes: 'frames/*.exr'.")
+@MATERIAL
+@out_option("JOB/sequence")
+@click.option("--exr/--no-exr", "with_exr", default=False, help="Whether each light is written as a map, too.")
+@LIBRARY
+@command
+@takes_settings(*ONE_SOLVER, only_numbers=("order",), estimator="map")
+def sequence(*, job, library_folder, settings, reporter, **options):
+    """The light of every frame: JOB's camera, objects and materials stand still, only the light changes."""
+    from btfsep_engine.pipeline.sequence import run_sequence
+
+    result = run_sequence(job, opened_library(library_folder), settings, reporter=reporter, **options)
+    return result, words.sequence(result)
+
+
+@cli.command()
+@JOB
+@LIBRARY
+@MATERIAL
+@click.option("--truth", type=PATH, help="The true light: lighting.json or an environment map.")
+@out_option("JOB/result")
+@click.option("--repeats", type=click.IntRange(1, 50), default=3, show_default=True, help="Timed runs of each setting.")
+@click.option(
+    "--paper-samples",
+    type=click.IntRange(0, 65536),
+    default=64,
+    show_default=True,
+    help="Paths per pixel of the paper's path-traced basis images; 0 leaves them out.",
+)
+@click.option("--quick", is_flag=True, help="Fewer settings.")
+@command
+def chart(*, job, library_folder, reporter, **options):
+    """Charts speed against accuracy of JOB: every setting that trades one for the other, with the Pareto front."""
+    from btfsep_engine.pipeline.charting import run_chart
+
+    result = run_chart(job, opened_library(library_folder), reporter=reporter, **options)
+    return result, words.chart(result)
+
+
+@cli.command()
+@click.argument("a", type=PATH)
+@click.argument("b", type=PATH)
+@click.option("--job", type=PATH, help="Also compare renderings of this job's objects.")
 @click.option("--order", type=int, default=4, show_default=True, help="Order to which environment maps are projected.")
 @LIBRARY
 @click.option("--material", help="The material of all objects of --job.")
@@ -184,10 +204,8 @@ def compare(*, a, b, job, order, library_folder, material, protocol, reporter):
     return result, words.compare(result)
 
 
-cli.add_command(chart)
+cli.add_command(batch)
 cli.add_command(library)
-cli.add_command(plan)
-cli.add_command(sequence)
 
 
 def main(arguments=None) -> int:

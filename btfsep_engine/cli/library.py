@@ -2,12 +2,12 @@
 """The commands of ``btfsep library``."""
 
 import os
-from pathlib import Path
 
 import click
 
 from btfsep_engine.cli import words
-from btfsep_engine.cli.command import LIBRARY, command, opened_library
+from btfsep_engine.cli.command import command, opened_library
+from btfsep_engine.cli.options import LIBRARY, PATH
 from btfsep_engine.errors import InputError
 
 
@@ -32,7 +32,7 @@ def library():
 
 @library.command("list")
 @LIBRARY
-@click.option("--thumbnails", type=click.Path(path_type=Path), help="Also write a PNG of each material here.")
+@click.option("--thumbnails", type=PATH, help="Also write a PNG of each material here.")
 @click.option("--side", type=click.IntRange(16, 2048), default=160, show_default=True, help="Pixels of a thumbnail.")
 @command
 def library_list(*, library_folder, thumbnails, side, reporter):
@@ -63,7 +63,7 @@ def _listed(opened, name: str) -> dict:
 @library.command("show")
 @click.argument("name")
 @LIBRARY
-@click.option("--maps", type=click.Path(path_type=Path), help="Also write the maps it was made from into this folder.")
+@click.option("--maps", type=PATH, help="Also write the maps it was made from into this folder.")
 @click.option(
     "--resolution", type=click.IntRange(16, 4096), default=512, show_default=True, help="Edge of the maps in pixels."
 )
@@ -83,7 +83,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
 
 
 @library.command("build")
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=PATH)
 @click.option("--only", "names", multiple=True, help="A material to build; may be given several times.  [default: all]")
 @command
 def library_build(*, folder, names, reporter):
@@ -102,10 +102,10 @@ def library_build(*, folder, names, reporter):
 
 
 @library.command("import")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=PATH)
 @click.option("--name", required=True, help="Its name in the library.")
 @click.option("--class", "material_class", required=True, help="Its class: carpet, fabric, felt, leather, stone, …")
-@click.option("--library", "folder", required=True, type=click.Path(path_type=Path), help="Folder to add it to.")
+@click.option("--library", "folder", required=True, type=PATH, help="Folder to add it to.")
 @click.option("--size-mm", type=float, help="Width of the patch.  [default: as the file says]")
 @click.option("--texel-mm", type=float, help="Edge of a texel, instead of --size-mm.")
 @click.option(
@@ -161,7 +161,7 @@ def library_check(*, name, library_folder, reporter):
 
 @library.command("remove")
 @click.argument("name")
-@click.option("--library", "folder", required=True, type=click.Path(path_type=Path), help="Folder to take it out of.")
+@click.option("--library", "folder", required=True, type=PATH, help="Folder to take it out of.")
 @command
 def library_remove(*, name, folder, reporter):
     """Takes the material NAME out of a library folder, and its file."""

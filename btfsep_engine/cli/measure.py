@@ -5,39 +5,26 @@ from pathlib import Path
 
 import click
 
-from btfsep_engine.btf.map_files import CONVENTIONS
+from btfsep_engine.btf.linear import CLASSES
 from btfsep_engine.cli.command import command
-from btfsep_engine.pipeline.measuring import DEFAULT_SETTINGS, MeasureSettings, measure_maps
+from btfsep_engine.cli.options import PATH, field_options
+from btfsep_engine.pipeline.measuring import MeasureSettings, measure_maps
+from btfsep_engine.pipeline.settings import changed, meanings
 
-
-def _number(name: str, words: str):
-    return click.option(f"--{name}", type=int, default=DEFAULT_SETTINGS[name], show_default=True, help=words)
+ASKED = {name: meaning for name, meaning in meanings(MeasureSettings).items() if name != "mesh"}
 
 
 @click.command("measure")
-@click.option("--maps", required=True, type=click.Path(path_type=Path), help="Folder with the texture maps.")
+@click.option("--maps", required=True, type=PATH, help="Folder with the texture maps.")
 @click.option("--name", required=True, help="Its name in the library.")
-@click.option("--class", "material_class", required=True, help="Its class: carpet, fabric, felt, leather, stone, …")
+@click.option("--class", "material_class", required=True, help=f"Its class: {', '.join(CLASSES)}.")
 @click.option("--size-mm", required=True, type=float, help="What the (longer) edge of the maps spans on the material.")
 @click.option("--height-mm", type=float, help="From black to white of the height map; not needed with normals alone.")
-@click.option("--library", "folder", required=True, type=click.Path(path_type=Path), help="Folder to add it to.")
-@click.option("--texels", type=int, help="Along an edge; time grows with their square.  [default: 2 a mm, 80 to 160]")
-@_number("components", "Components of the factorisation.")
-@_number("samples", "Paths a texel and view; the time grows with them.")
-@_number("seed", "Of all random numbers; the same one gives the same file.")
-@click.option("--f0", type=float, default=0.04, show_default=True, help="Specular reflectance at normal incidence.")
-@click.option(
-    "--normal-convention",
-    type=click.Choice(CONVENTIONS),
-    default="auto",
-    show_default=True,
-    help="Whether green of the normal map points up (OpenGL) or down (DirectX).",
-)
+@click.option("--library", "folder", required=True, type=PATH, help="Folder to add it to.")
+@field_options(ASKED, {"": MeasureSettings()})
 @click.option("--replace", "replace_old", is_flag=True, help="Replaces a material of the same name.")
 @command
-def measure(
-    *, maps, name, material_class, size_mm, height_mm, folder, replace_old, f0, normal_convention, reporter, **numbers
-):
+def measure(*, maps, name, material_class, size_mm, height_mm, folder, replace_old, reporter, **numbers):
     """Measures a material from texture maps with a virtual gonioreflectometer; goes on where it was stopped."""
     result = measure_maps(
         maps,
@@ -46,7 +33,7 @@ def measure(
         size_mm=size_mm,
         height_mm=height_mm,
         library=folder,
-        settings=MeasureSettings(f0=f0, normal_convention=normal_convention, **numbers),
+        settings=changed(MeasureSettings(), **numbers),
         replace_old=replace_old,
         reporter=reporter,
     )

@@ -100,3 +100,47 @@ def checked(results: list) -> str:
             facts += f", reciprocity error {r['reciprocity_error']:.3f}"
         lines.append(f"{'good' if r['ok'] else 'BAD ':<5} {r['name']:<32} {facts}")
     return "\n".join(lines)
+
+
+def plan(result: dict) -> str:
+    """What a plan found."""
+    lines = [f"{o['name']}: {o['material']}, {o['pixels']} pixels" for o in result["objects"]]
+    text = result["determined"].replace("the photo", "a photo")
+    lines.append(f"{text} ({result['effective_degrees_of_freedom']:.0f} effective degrees of freedom)")
+    for key, error in result["expected_error"].items():
+        lines.append(
+            f"expected error up to {key.replace('_', ' ')}: {error['median']:.2f} "
+            f"({error['low']:.2f} to {error['high']:.2f}), one free scale"
+        )
+    lines.append(
+        f"condition number {result['condition_number']:.0f} at order {result['order']}, assumed misfit "
+        f"{100 * result['assumed_noise']:.0f} %"
+    )
+    lines += [f"advice: {a}" for a in result["advice"]]
+    lines.append(f"results in {result['out']}")
+    return "\n".join(lines)
+
+
+def sequence(result: dict) -> str:
+    """What a sequence gave."""
+    lines = [f"{o['name']}: {o['material']}" for o in result["objects"]]
+    lines += [f"{f['image']}: residual {f['residual']:.3f}, {f['determined']}" for f in result["frames"]]
+    lines.append(
+        f"{len(result['frames'])} lights of order {result['order']}, "
+        f"{result['median_milliseconds_per_further_frame']:.1f} ms for a further one, "
+        f"{result['seconds']['total']:.1f} s in all"
+    )
+    lines.append(f"results in {result['out']}")
+    return "\n".join(lines)
+
+
+def chart(result: dict) -> str:
+    """A line for each point, the fastest first; * marks the front."""
+    lines = [f"error of order 2 against the {result['reference']}; seconds of transport and fit"]
+    for p in sorted(result["points"], key=lambda p: p["seconds"]):
+        ratio = f"  {p['paper_ratio']:8.0f} x" if p["paper_ratio"] else ""
+        lines.append(f"{'*' if p['front'] else ' '} {p['seconds']:9.3f} s  {p['error']:7.3f}{ratio}  {p['name']}")
+    if any(p["paper_ratio"] for p in result["points"]):
+        lines.append("x: how many times the paper's path tracing takes as long, in this run")
+    lines.append(f"wrote {result['chart']}")
+    return "\n".join(lines)

@@ -15,11 +15,13 @@ from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.importing import full_name
 from btfsep_engine.btf.library import Library, entries_of, is_whole, open_library, unknown_material
 from btfsep_engine.btf.linear import CLASSES
+from btfsep_engine.btf.map_files import CONVENTIONS
 from btfsep_engine.btf.storing import add
 from btfsep_engine.btf.texture_maps import read_maps
 from btfsep_engine.cache import digest
 from btfsep_engine.checkpoints import EVERY, Checkpoints
 from btfsep_engine.errors import InputError
+from btfsep_engine.pipeline.settings import changed, setting
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.patch import measure
 
@@ -27,40 +29,33 @@ VERSION = 2  # of the measurement; another one when the same maps would give ano
 # what the default library is measured with; the time and size that follow are in docs/library.md
 DEFAULT_SETTINGS = {"mesh": 512, "texels": 80, "samples": 1, "components": 8, "seed": 0}
 SETUP = "virtual gonioreflectometer, displaced patch"
-LIMITS = {"texels": (8, 1024), "samples": (1, 256), "components": (2, 64), "seed": (0, 2**31 - 1), "mesh": (4, 2048)}
 TEXEL_MM, FEWEST_AND_MOST = 0.5, (80, 160)  # the grain of leather, 80 mm of it, is lost with 1 mm and seen with 0.5
 
 
 @dataclass(frozen=True)
 class MeasureSettings:
-    """How a material is measured; see :func:`btfsep_engine.render.patch.measure`.
+    """How a material is measured; see :func:`btfsep_engine.render.patch.measure`."""
 
-    Attributes
-    ----------
-    texels : along an edge; None: see :func:`default_texels`
-    samples : paths a texel and view
-    components : of the factorisation
-    seed : of all random numbers
-    mesh : vertices along an edge of a tile
-    f0 : specular reflectance at normal incidence
-    normal_convention : "auto", "opengl" or "directx"
-    """
-
-    texels: int | None = None
-    samples: int = DEFAULT_SETTINGS["samples"]
-    components: int = DEFAULT_SETTINGS["components"]
-    seed: int = DEFAULT_SETTINGS["seed"]
-    mesh: int = DEFAULT_SETTINGS["mesh"]
-    f0: float = 0.04
-    normal_convention: str = "auto"
+    texels: int | None = setting(
+        None, "Along an edge; time grows with their square; by default 2 a mm, 80 to 160", kind=int, low=8, high=1024
+    )
+    components: int = setting(DEFAULT_SETTINGS["components"], "Components of the factorisation", low=2, high=64)
+    samples: int = setting(
+        DEFAULT_SETTINGS["samples"], "Paths a texel and view; the time grows with them", low=1, high=256
+    )
+    seed: int = setting(
+        DEFAULT_SETTINGS["seed"], "Of all random numbers; the same one gives the same file", low=0, high=2**31 - 1
+    )
+    mesh: int = setting(DEFAULT_SETTINGS["mesh"], "Vertices along an edge of a tile", low=4, high=2048)
+    f0: float = setting(0.04, "Specular reflectance at normal incidence", low=0, high=0.2)
+    normal_convention: str = setting(
+        "auto", "Whether green of the normal map points up (OpenGL) or down (DirectX)", choices=CONVENTIONS
+    )
 
     def checked(self, size_mm: float) -> "MeasureSettings":
         """Itself, the texels filled in. Raises InputError where a number is out of its range."""
-        for key, (low, high) in LIMITS.items():
-            value = getattr(self, key)
-            if value is not None and not low <= value <= high:
-                raise InputError(f"--{key} {value}", "it is out of range", f"give {low} to {high}")
-        return self if self.texels else replace(self, texels=default_texels(size_mm))
+        within = changed(self, **vars(self))
+        return within if within.texels else replace(within, texels=default_texels(size_mm))
 
 
 def default_texels(size_mm: float) -> int:

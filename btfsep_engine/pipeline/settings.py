@@ -21,11 +21,11 @@ class Meaning:
 
     Attributes
     ----------
-    help : one sentence for people
+    help : for people, a sentence without its end
     kind : type of its values
     choices : the only values, where there are few
     low, high : ends of its range; None: open
-    auto : whether it may be "auto"
+    auto : what "auto" means, where it may be that
     unit : what is counted
     """
 
@@ -34,7 +34,7 @@ class Meaning:
     choices: tuple[str, ...] = ()
     low: float | None = None
     high: float | None = None
-    auto: bool = False
+    auto: str = ""
     unit: str = "n"
 
     @property
@@ -43,7 +43,7 @@ class Meaning:
         if self.kind is bool:
             return "true or false"
         ends = f"{self.low} or more" if self.high is None else f"{self.low} to {self.high}"
-        return (f"one of {', '.join(self.choices)}" if self.choices else ends) + ", or auto" * self.auto
+        return (f"one of {', '.join(self.choices)}" if self.choices else ends) + ", or auto" * bool(self.auto)
 
     def checked(self, name: str, value):
         """``value``, or what its text on a command line says; ``name`` is the field's. Raises InputError."""
@@ -89,21 +89,21 @@ def changed(settings, **changes):
 class Seeded:
     """What every stage with random choices is told."""
 
-    seed: int = setting(0, "Seed of every random choice.", low=0, high=(1 << 32) - 1)
+    seed: int = setting(0, "Seed of every random choice", low=0, high=(1 << 32) - 1)
 
 
 @dataclass(frozen=True)
 class RecognitionSettings(Seeded):
     """How materials are recognised (recognise/training.py, pipeline/recognition.py)."""
 
-    classifier: str = setting("svm", "What tells the materials apart.", choices=("svm", "nearest"))
+    classifier: str = setting("svm", "What tells the materials apart", choices=("svm", "nearest"))
     recogniser: str = setting(
-        "tuned", "How images are described and trained on, a key of `METHODS`.", choices=("tuned", "paper")
+        "tuned", "How images are described and trained on, a key of `METHODS`", choices=("tuned", "paper")
     )
-    verify: bool = setting(True, "Compare the likeliest materials with the photo under the light each implies.")
-    training_directions: int = setting(256, "Light directions per pixel of the training images.", low=16, high=65536)
-    training_pixels: int = setting(16000, "Largest number of pixels of a training image.", low=1)
-    training_turns: int = setting(2, "Turns about the vertical in which each training map is used.", low=1)
+    verify: bool = setting(True, "Compare the likeliest materials with the photo under the light each implies")
+    training_directions: int = setting(256, "Light directions per pixel of the training images", low=16, high=65536)
+    training_pixels: int = setting(16000, "Largest number of pixels of a training image", low=1)
+    training_turns: int = setting(2, "Turns about the vertical in which each training map is used", low=1)
 
 
 @dataclass(frozen=True)
@@ -111,9 +111,9 @@ class PhotoSettings(Seeded):
     """What is taken of the photo."""
 
     colorspace: str | None = setting(
-        None, "The photo's curve instead of the job's; unknown: found.", choices=("auto", "srgb", "linear", "unknown")
+        None, "The photo's curve instead of the job's; unknown: found", choices=("auto", "srgb", "linear", "unknown")
     )
-    pixels: int = setting(3000, "Pixels used for the fit, 0: all.", low=0, unit="pixels")
+    pixels: int = setting(3000, "Pixels used for the fit, 0: all", low=0, unit="pixels")
 
 
 @dataclass(frozen=True)
@@ -122,37 +122,35 @@ class TransportSettings(Seeded):
 
     appearance: str = setting(
         "auto",
-        "mean (mean ABRDF, the paper's), textured (the BTF), or auto: mean, unless the texture lines up and explains "
-        "more of the photo.",
+        "The mean ABRDF, as in the paper, or the textured BTF; auto: the texture where it lines up and explains more",
         choices=("auto", "mean", "textured"),
     )
     directions: int | str = setting(
         "auto",
-        "Light directions per pixel; auto: as many as no photo has shown to be too few (pipeline/basis.py).",
+        "Light directions per pixel",
+        auto="as many as no photo has shown to be too few",
         kind=int,
         low=16,
         high=65536,
-        auto=True,
         unit="directions",
     )
     bounces: int | str = setting(
         "auto",
-        "Reflections followed, 1: no light between surfaces; auto: more than that where it changes an estimate by more "
-        "than its stated uncertainty; without an estimate 8.",
+        "Reflections followed, 1: no light between surfaces",
+        auto="more than that where it changes an estimate by more than its stated uncertainty; without an estimate 8",
         kind=int,
         low=1,
         high=64,
-        auto=True,
         unit="bounces",
     )
-    surface_samples: int = setting(6000, "Points on surfaces between which reflected light is followed.", low=1)
+    surface_samples: int = setting(6000, "Points on surfaces between which reflected light is followed", low=1)
     transport: str = setting(
         "kernel",
-        "What makes the basis images; reference: the paper's path-traced image for each basis light.",
+        "What makes the basis images; reference: the paper's path-traced image for each basis light",
         choices=("kernel", "reference"),
     )
     samples: int = setting(
-        256, "Paths per pixel, basis light and sign of the reference.", low=2, high=1 << 16, unit="paths"
+        256, "Paths per pixel, basis light and sign of the reference", low=2, high=1 << 16, unit="paths"
     )
 
     @property
@@ -172,23 +170,23 @@ class FitSettings(Seeded):
 
     order: int | str = setting(
         4,
-        "Order of the spherical harmonics; auto: with map the highest of which the photo determines something, else "
-        "the lowest that cross-validation cannot tell from the best.",
+        "Order of the spherical harmonics",
+        auto="with map the highest of which the photo determines something, else the lowest that cross-validation "
+        "cannot tell from the best",
         kind=int,
         low=0,
         high=LARGEST_ORDER,
-        auto=True,
     )
     estimator: str = setting(
         "map",
         "map (the most probable light of a field and lamps, all orders) or least-squares (the paper's, orders up to "
-        "--order).",
+        "--order)",
         choices=("map", "least-squares"),
     )
-    robust: bool = setting(False, "Leave out pixels that the light does not explain: things in front.")
+    robust: bool = setting(False, "Leave out pixels that the light does not explain: things in front")
     key_light: str = setting(
         "auto",
-        "Whether lamps of a fifth of the light or more are told apart from the sky.",
+        "Whether lamps of a fifth of the light or more are told apart from the sky",
         choices=("auto", "never"),
     )
 

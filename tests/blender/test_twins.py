@@ -50,7 +50,7 @@ def test_material_classes_and_the_limits_of_a_measurement(addon):
     assert measure.CLASSES_OF_MATERIAL == linear.CLASSES
     asked = bpy.ops.btfsep.measure_material.get_rna_type().properties
     for name in ("texels", "samples"):
-        assert asked[name].hard_max == measuring.LIMITS[name][1]
+        assert asked[name].hard_max == settings.meanings(measuring.MeasureSettings)[name].high
 
 
 def test_the_files_of_photos(scene, tmp_path):

@@ -5,14 +5,16 @@ import csv
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from btfsep_engine.cli import lanes, main
-from btfsep_engine.cli.batch import find_jobs, job_key, shard_of
+from btfsep_engine.cli.batch import EstimateTask, estimate_job, find_jobs, job_key, shard_of
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import read_lighting
+from btfsep_engine.pipeline.settings import choose
 
 OPTIONS = ["--material", "reference/white-diffuse", "--order", "2", "--preset", "draft", "--no-report"]
 
@@ -66,18 +68,36 @@ def test_results_are_gathered_in_one_folder_where_that_is_asked_for(shots, tmp_p
     assert all((out / name / "lighting.json").is_file() for name in "ac") and not (shots / "a" / "result").exists()
 
 
-def test_a_process_that_dies_costs_its_command_only(monkeypatch):
-    """A command that kills its own process, then one that is wrong in the usual way: both have an answer."""
+def test_a_process_that_dies_costs_its_task_only(monkeypatch):
+    """One that kills its own process, then one that is wrong in the usual way: both have an answer."""
     monkeypatch.setenv("BTFSEP_VARIANT", "llvm_ad_rgb")
     lane = lanes.Lane()
-    lane.run(["--version"], 1)
-    process = next(iter(lane.pool._processes.values()))
-    process.kill()
-    process.join()
-    died = lane.run(["estimate", "nowhere"], 1)
-    after = lane.run(["estimate", "nowhere"], 1)
-    assert died["exit_code"] == lanes.DIED and "process died" in died["message"]
-    assert after["exit_code"] == 2 and "nowhere" in after["message"]
+    died = lane.run(os._exit, 9, 1)
+    nowhere = EstimateTask(Path("nowhere"), Path("out"), choose("draft"))
+    after = lane.run(estimate_job, nowhere, 1)
+    assert died.exit_code == lanes.DIED and "process died" in died.message
+    assert after.exit_code == 2 and "nowhere" in after.message
+
+
+def interrupted(task):
+    raise KeyboardInterrupt
+
+
+def short_of_memory(task):
+    raise MemoryError
+
+
+def wrong(task):
+    print("not for the program that reads standard output")
+    raise ValueError(f"{task} is odd")
+
+
+def test_every_end_of_a_task_has_words(capsys):
+    ends = [lanes.outcome(work, 3) for work in (interrupted, short_of_memory, wrong)]
+    assert [e.exit_code for e in ends] == [130, 2, 1] and not any(e.result for e in ends)
+    assert "use --preset draft" in ends[1].message and "ValueError: 3 is odd; please report it" in ends[2].message
+    said = capsys.readouterr()
+    assert said.out == "" and "not for the program" in said.err and "Traceback" in said.err
 
 
 def test_places_shards_and_what_is_wrong_with_them(shots, tmp_path):
@@ -125,6 +145,12 @@ def test_jobs_of_any_name_are_estimated(shots, monkeypatch, capsys):
     assert b"caf\\udce9" in (shots / "batch.csv").read_bytes()
     code, lines = run(["--list", "list.txt", *OPTIONS], capsys)
     assert code == 0 and lines[-1]["result"]["done"] == 1
+
+
+def test_an_option_that_is_wrong_is_said_once_and_nothing_is_begun(shots, capsys):
+    code, lines = run([shots, *OPTIONS, "--order", "12"], capsys)
+    assert code == 2 and [line["message"] for line in lines] == ["--order; '12'; choose 0 to 9, or auto"]
+    assert not any((shots / name / "result").exists() for name in "abc")
 
 
 def test_its_options_are_those_of_estimate_but_for_further_photos_of_one_light(capsys):

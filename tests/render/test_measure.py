@@ -203,9 +203,9 @@ def test_what_is_there_stays_and_a_name_is_taken_once(tmp_path):
         ({"name": "../x"}, "the name 'leather/../x'"),
         ({"name": ""}, "the name"),
         ({"material_class": "reference"}, "reference"),
-        ({"settings": MeasureSettings(texels=4)}, "--texels 4; it is out of range; give 8 to 1024"),
-        ({"settings": MeasureSettings(samples=0)}, "--samples 0"),
-        ({"settings": MeasureSettings(seed=-1)}, "--seed -1"),
+        ({"settings": MeasureSettings(texels=4)}, "--texels; '4'; choose 8 to 1024"),
+        ({"settings": MeasureSettings(samples=0)}, "--samples; '0'"),
+        ({"settings": MeasureSettings(seed=-1)}, "--seed; '-1'"),
     ],
 )
 def test_bad_options_are_refused_before_the_work(tmp_path, options, words):

@@ -8,7 +8,7 @@ import pytest
 
 from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.cli.main import main
+from btfsep_engine.cli import main
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.sequence import run_sequence

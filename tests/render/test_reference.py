@@ -13,7 +13,7 @@ import pytest
 import trimesh
 
 from btfsep_engine.btf.model import Mirror
-from btfsep_engine.cli.main import main
+from btfsep_engine.cli import main
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.lightings import EnvironmentMaps, SHBasis
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
