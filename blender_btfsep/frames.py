@@ -10,6 +10,7 @@ from .errors import InputError
 
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 """What the engine reads; other files that a pattern matches are passed over, as the engine does."""
+_DIGITS = re.compile(r"([0-9]+)")
 _NUMBERED = re.compile(r"(.*?)([0-9]+)([^0-9]*)", re.DOTALL)
 
 
@@ -45,7 +46,7 @@ def family(path) -> list[Path]:
 
 
 def matching(pattern) -> list[Path]:
-    """The files of a pattern like ``frames/*.exr``, or of a folder, by number where they have one.
+    """The files of a pattern like ``frames/*.exr``, or of a folder, in the engine's order: by their names and numbers.
 
     Raises
     ------
@@ -57,7 +58,7 @@ def matching(pattern) -> list[Path]:
     found = [p for p in folder.glob(name) if p.is_file() and p.suffix.lower() in SUFFIXES] if folder.is_dir() else []
     if not found:
         raise InputError(f"--images '{pattern}'", "no image matches", "give a pattern in quotes, like 'frames/*.exr'")
-    return sorted(found, key=lambda p: ((split(p.name) or ("", 0, ""))[1], p.name))
+    return sorted(found, key=lambda p: [int(x) if i % 2 else x for i, x in enumerate(_DIGITS.split(p.name))])
 
 
 def pattern_of(files) -> str:

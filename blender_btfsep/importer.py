@@ -5,7 +5,8 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ImportHelper
 
-from . import lighting_file, sun_lamp, world
+from . import lighting_file
+from .answer import apply_light
 from .errors import InputError
 from .properties import WORLD_MODES
 
@@ -36,12 +37,11 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
     def execute(self, context):
         try:
             lighting = lighting_file.read(bpy.path.abspath(self.filepath))
-            world.apply_lighting(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
+            sentence = apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        beside = sun_lamp.beside(context.scene)
-        self.report({"INFO"}, f"The World is now the lighting of order {lighting['order']}{beside}")
+        self.report({"INFO"}, sentence)
         return {"FINISHED"}
 
 

@@ -6,7 +6,8 @@ import os
 import bpy
 from bpy.props import EnumProperty
 
-from . import lighting_file, runs, sun_lamp, world
+from . import lighting_file, runs, world
+from .answer import apply_light
 from .errors import InputError
 from .properties import WORLD_MODES
 
@@ -32,12 +33,11 @@ class BTFSEP_OT_apply(bpy.types.Operator):
         if not self.properties.is_property_set("mode") and settings.world_mode != "NONE":
             mode = settings.world_mode
         try:
-            lighting = lighting_file.read(last_lighting())
-            world.apply_lighting(context.scene, lighting, mode=mode, clamp=settings.clamp, lamp=settings.sun_lamp)
+            sentence = apply_light(context.scene, lighting_file.read(last_lighting()), mode=mode)
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"The World is now the lighting{sun_lamp.beside(context.scene)}")
+        self.report({"INFO"}, sentence)
         return {"FINISHED"}
 
 

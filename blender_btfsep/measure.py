@@ -7,12 +7,11 @@ import tempfile
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, FloatProperty, StringProperty
 
-from . import bake, preferences, runs
+from . import bake, engine_settings, headless, preferences, properties, runs
 from .errors import InputError
 
-CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
 RESOLUTION = 512  # pixels along an edge of the baked maps
 
 
@@ -67,10 +66,10 @@ def write_maps(scene, thing, material, folder, *, size_mm: float, height_mm: flo
     return bake.write_maps(maps, folder, millimetres=millimetres, height_mm=height_mm), maps.warnings
 
 
-def engine_arguments(folder, name, material_class, size_mm, options) -> list:
-    """The engine's command for baked maps, without ``--library``."""
-    named = ["--name", name, "--class", material_class, "--size-mm", size_mm]
-    return ["library", "measure", "--maps", folder, *named, *options]
+def engine_arguments(maps, name: str, library: Path, baked, properties, given=None) -> list:
+    """The engine's command for baked maps, ``baked`` the options of :func:`write_maps`; ``given`` as of `request`'s."""
+    told = engine_settings.engine_options(engine_settings.MEASURE, properties, given)
+    return ["library", "measure", "--maps", maps, "--name", name, *baked, *told, "--library", library]
 
 
 class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
@@ -84,26 +83,11 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
     name: StringProperty(
         name="Name", description="Its name in the library. Empty: the material's", options={"SKIP_SAVE"}
     )
-    material_class: EnumProperty(name="Class", items=[(c, c.capitalize(), "") for c in CLASSES_OF_MATERIAL])
-    size_mm: FloatProperty(
-        name="Size (mm)",
-        description="What is measured, in millimetres: a square, UV 0 to 1, around the object's origin",
-        default=30.0,
-        min=0.1,
-        max=10_000,
-    )
     height_mm: FloatProperty(
         name="Height",
         description="From the lowest to the highest place, in millimetres. 0: as the material says",
         min=0,
     )
-    texels: IntProperty(
-        name="Texels", description="Along an edge; the time grows with their square. 0: by the size", min=0, max=1024
-    )
-    samples: IntProperty(
-        name="Samples", description="Paths a texel and view; the time grows with them", default=1, min=1, max=256
-    )
-    replace: BoolProperty(name="Replace", description="Replace a material of this name", options={"SKIP_SAVE"})
     library: StringProperty(
         name="Library",
         description="Folder of the library, made if it is not there. Empty: the preferences' one",
@@ -115,7 +99,7 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
     def poll(cls, context):
         reason = ""
         if runs.is_running():
-            reason = "The engine is running: wait or cancel"
+            reason = runs.RUNNING
         elif context.object is None or context.object.active_material is None:
             reason = "Select an object that has a material"
         if reason:
@@ -143,7 +127,7 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
         library = library_folder(self.library)
         self._folder = Path(tempfile.mkdtemp(prefix="btfsep-maps-", dir=bpy.app.tempdir))
         try:
-            options, warnings = write_maps(
+            baked, warnings = write_maps(
                 context.scene, thing, material, self._folder, size_mm=self.size_mm, height_mm=self.height_mm
             )
         except InputError:
@@ -152,11 +136,7 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
         for warning in warnings:
             runs.run_state().warnings.add().name = warning
             self.report({"WARNING"}, warning)
-        options += ["--samples", self.samples, *(["--texels", self.texels] if self.texels else [])]
-        options += ["--replace"] if self.replace else []
-        name = self.name or default_name(material)
-        arguments = engine_arguments(self._folder, name, self.material_class, self.size_mm, options)
-        return [*arguments, "--library", library]
+        return engine_arguments(self._folder, self.name or default_name(material), library, baked, self)
 
     def _end(self, context, last):
         self._clear()
@@ -175,15 +155,19 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
         return f"{result['name']} is in {result['library']}; relief {result['relief_mm']:.2g} mm"
 
 
-def add_command(commands, *, scene_of, object_of, run_engine, say) -> None:
-    """Adds ``measure`` to the command line of :mod:`.command`; the functions are that module's."""
+_own = BTFSEP_OT_measure_material.__annotations__
+_shown = {"name": _own["name"]} | properties.engine_properties(engine_settings.MEASURE) | _own  # in the dialog's order
+BTFSEP_OT_measure_material.__annotations__ = _shown
+
+
+def add_command(commands) -> None:
+    """Adds ``measure`` to the commands that Blender runs without a window."""
     parser = commands.add_parser("measure", help="measure an object's material into a library")
     parser.add_argument("--scene", help="name of the scene (default: the active one)")
     parser.add_argument("--object", help="name of the object (default: the active one)")
     parser.add_argument("--material", help="name of its material (default: its active one)")
     parser.add_argument("--name", help="in the library (default: the material's)")
-    parser.add_argument("--class", dest="material_class", required=True, help=", ".join(CLASSES_OF_MATERIAL))
-    parser.add_argument("--size-mm", type=float, required=True, help="edge of the square that is measured")
+    engine_settings.add_options(parser, engine_settings.MEASURE, "as the engine has it")
     parser.add_argument(
         "--height-mm", type=float, default=0.0, help="lowest to highest (default: as the material says)"
     )
@@ -191,56 +175,40 @@ def add_command(commands, *, scene_of, object_of, run_engine, say) -> None:
     parser.add_argument("--maps", help="folder for the baked maps (default: one that is removed afterwards)")
     parser.add_argument("--library", help="folder to add it to (default: the preferences')")
     parser.add_argument("--engine", help="Python, virtual environment or btfsep program (default: the preferences')")
-    for option in ("texels", "samples", "components", "seed"):
-        parser.add_argument(f"--{option}", type=int, help="as the engine has it")
-    parser.add_argument("--replace", action="store_true", help="replace a material of the same name")
+    parser.set_defaults(run=_run)
 
-    def run(options):
-        scene = scene_of(options)
-        thing = object_of(scene, options.object) if options.object else scene.view_layers[0].objects.active
-        material = material_of(thing)
-        if options.material:
-            material = next((s.material for s in thing.material_slots if s.name == options.material), None)
-            if material is None:
-                names = ", ".join(f"'{s.name}'" for s in thing.material_slots)
-                raise InputError(
-                    f"object '{thing.name}'", f"it has no material '{options.material}'", f"choose from {names}"
-                )
-        if not 0.1 <= options.size_mm <= 10_000 or not 16 <= options.resolution <= 4096:
+
+def _run(options) -> None:
+    scene = headless.scene_of(options)
+    active = scene.view_layers[0].objects.active
+    thing = headless.named(scene.objects, "object", options.object) if options.object else active
+    material = material_of(thing)
+    if options.material:
+        material = next((s.material for s in thing.material_slots if s.name == options.material), None)
+        if material is None:
+            names = ", ".join(f"'{s.name}'" for s in thing.material_slots)
             raise InputError(
-                f"{options.size_mm:g} mm of {options.resolution} pixels",
-                "that cannot be measured",
-                "give 0.1 to 10000 mm and 16 to 4096 pixels",
+                f"object '{thing.name}'", f"it has no material '{options.material}'", f"choose from {names}"
             )
-        library = library_folder(options.library or "")
-        options.library = str(library)
-        folder = Path(options.maps).absolute() if options.maps else Path(tempfile.mkdtemp(prefix="btfsep-maps-"))
-        try:
-            arguments, warnings = write_maps(
-                scene,
-                thing,
-                material,
-                folder,
-                size_mm=options.size_mm,
-                height_mm=options.height_mm,
-                resolution=options.resolution,
-            )
-            for warning in warnings:
-                say(f"warning: {warning}")
-            for option in ("texels", "samples", "components", "seed"):
-                if getattr(options, option) is not None:
-                    arguments += [f"--{option}", getattr(options, option)]
-            arguments += ["--replace"] if options.replace else []
-            name = options.name or default_name(material)
-            result = run_engine(
-                options, engine_arguments(folder, name, options.material_class, options.size_mm, arguments)
-            )
-        finally:
-            if not options.maps:
-                shutil.rmtree(folder, ignore_errors=True)
-        say(f"{result['name']}: {library / result['file']}")
-
-    parser.set_defaults(run=run)
+    if not 0.1 <= options.size_mm <= 10_000 or not 16 <= options.resolution <= 4096:
+        raise InputError(
+            f"{options.size_mm:g} mm of {options.resolution} pixels",
+            "that cannot be measured",
+            "give 0.1 to 10000 mm and 16 to 4096 pixels",
+        )
+    library = library_folder(options.library or "")
+    folder = Path(options.maps).absolute() if options.maps else Path(tempfile.mkdtemp(prefix="btfsep-maps-"))
+    try:
+        size = {"size_mm": options.size_mm, "height_mm": options.height_mm, "resolution": options.resolution}
+        baked, warnings = write_maps(scene, thing, material, folder, **size)
+        for warning in warnings:
+            headless.say(f"warning: {warning}")
+        name = options.name or default_name(material)
+        result = headless.run_engine(engine_arguments(folder, name, library, baked, None, options), options.engine)
+    finally:
+        if not options.maps:
+            shutil.rmtree(folder, ignore_errors=True)
+    headless.say(f"{result['name']}: {library / result['file']}")
 
 
 def register():

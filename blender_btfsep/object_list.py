@@ -5,7 +5,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from .meshes import SURFACE_TYPES
-from .operators import active_entry
+from .request import active_entry
 
 
 class BTFSEP_OT_add_objects(bpy.types.Operator):

@@ -4,7 +4,7 @@
 import blf
 import bpy
 
-from . import operators, preferences, runs, sequence_run, world
+from . import engine_settings, preferences, request, runs, sequence_run, world
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
 MARGIN = 105  # pixels of the sidebar's width that a label with an icon in a box cannot have, at scale 1
@@ -70,7 +70,7 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         else:
             layout.label(text=f"Surface of {settings.depth.name}", icon="SURFACE_DATA")
 
-        entry = operators.active_entry(settings)
+        entry = request.active_entry(settings)
         split = layout.column()
         split.use_property_split = True
         split.use_property_decorate = False
@@ -118,12 +118,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         column.use_property_split = True
         column.use_property_decorate = False
         column.enabled = not runs.is_running()
-        column.prop(settings, "preset")
-        row = column.row(align=True)
-        number = row.row(align=True)
-        number.active = not settings.auto_order
-        number.prop(settings, "order")
-        row.prop(settings, "auto_order", text="Auto", toggle=True)
+        _engine_rows(column, settings, "light")
         column.prop(settings, "world_mode")
         if settings.world_mode != "NONE":
             column.prop(settings, "sun_lamp")
@@ -180,12 +175,24 @@ class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
         row = column.row(align=True)
         row.prop(settings, "depth")
         row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"
-        column.prop(settings, "appearance")
+        _engine_rows(column, settings, "advanced")
         column.prop(settings, "mapping")
         if settings.world_mode != "NONE":
             column.prop(settings, "clamp")
         if sequence_run.is_sequence(settings.image):
             column.prop(settings, "interpolation")
+
+
+def _engine_rows(column, settings, part: str) -> None:
+    """The engine's settings that stand in ``part`` of the panel."""
+    for s in engine_settings.PANEL:
+        if s.panel == part:
+            row = column.row(align=True)
+            value = row.row(align=True)
+            value.prop(settings, s.name)
+            if s.auto:
+                value.active = not getattr(settings, f"auto_{s.name}")
+                row.prop(settings, f"auto_{s.name}", text="Auto", toggle=True)
 
 
 def _same_shape(size, render) -> bool:

@@ -9,9 +9,9 @@ import numpy as np
 
 from .atomic import replacing, write_bytes
 from .errors import InputError
+from .frames import SUFFIXES
 from .scratch import scratch
 
-READABLE = {".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp"}
 FLOAT = {".exr", ".hdr"}
 CODED = {"sRGB"}
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
@@ -45,7 +45,7 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
         raise InputError(f"the photo {path.name}", str(error), "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
     try:
         size = _size(image)
-        if path.suffix.lower() in READABLE:
+        if path.suffix.lower() in SUFFIXES:
             return _copy(path, Path(folder)), "auto", size
         return _save(image, Path(folder)), "linear", size
     finally:
@@ -60,13 +60,13 @@ def file_of(image) -> Path | None:
 def taken_as_is(image, path: Path) -> bool:
     """Whether the engine takes the colours of the file ``path`` of ``image`` for what Blender takes them for."""
     space = image.colorspace_settings.name
-    return path.suffix.lower() in READABLE and space in (LINEAR if path.suffix.lower() in FLOAT else CODED)
+    return path.suffix.lower() in SUFFIXES and space in (LINEAR if path.suffix.lower() in FLOAT else CODED)
 
 
 def _put_image(image, folder: Path):
     space = image.colorspace_settings.name
     path = file_of(image)
-    as_is = image.source == "FILE" and not image.is_dirty and path is not None and path.suffix.lower() in READABLE
+    as_is = image.source == "FILE" and not image.is_dirty and path is not None and path.suffix.lower() in SUFFIXES
     float_file = as_is and path.suffix.lower() in FLOAT
     as_is = as_is and (space in LINEAR or (space in CODED and not float_file))
     size = _size(image)

@@ -12,15 +12,10 @@ from bpy.props import (
     StringProperty,
 )
 
+from . import engine_settings
 from .animation import INTERPOLATIONS
 from .meshes import SURFACE_TYPES
 
-PRESETS = (
-    ("draft", "Draft", "A first look"),
-    ("balanced", "Balanced", "Good for most photos"),
-    ("accurate", "Accurate", "Slow and careful"),
-    ("paper", "Paper", "The settings of the published method"),
-)
 WORLD_MODES = (
     ("NODES", "Nodes", "An editable node group that evaluates the spherical harmonics, coefficients as its inputs"),
     ("TEXTURE", "Texture", "An environment texture, packed into the .blend file"),
@@ -30,12 +25,6 @@ OCCLUDERS = (
     ("OTHERS", "All Others", "Everything else that the render shows casts shadows on the objects"),
     ("NONE", "None", "The objects stand alone"),
 )
-APPEARANCES = (
-    ("auto", "Automatic", "The texture where it lines up with the photo and explains more of it, else the mean"),
-    ("mean", "Mean", "The material without its texture: right where the texture does not line up with the photo"),
-    ("textured", "Textured", "The material with its texture"),
-)
-
 CURVES = (
     ("auto", "Automatic", "As the image's colour space says: PNG, JPEG, TIFF and WebP in sRGB, EXR and HDR linear"),
     ("srgb", "sRGB", "The file's whole numbers are coded in sRGB"),
@@ -73,8 +62,24 @@ class BTFSEP_PG_object(bpy.types.PropertyGroup):
     candidates: CollectionProperty(type=BTFSEP_PG_candidate)
 
 
+def engine_properties(settings) -> dict:
+    """Name -> property, of rows of `engine_settings`, to be added to the annotations of a class."""
+    made = {}
+    for s in settings:
+        about = {"name": s.label, "description": s.description, "default": s.default}
+        about |= {} if s.remembered else {"options": {"SKIP_SAVE"}}
+        about |= {key: end for key, end in (("min", s.low), ("max", s.high)) if end is not None}
+        if s.items:
+            made[s.name] = EnumProperty(items=s.items, **about)
+        elif s.default is not None:
+            made[s.name] = {int: IntProperty, float: FloatProperty, bool: BoolProperty}[s.kind](**about)
+        if s.auto:
+            made[f"auto_{s.name}"] = BoolProperty(name=f"Automatic {s.label}", description=s.auto)
+    return made
+
+
 class BTFSEP_PG_settings(bpy.types.PropertyGroup):
-    """Settings of one scene."""
+    """Settings of one scene; the engine's come to these below."""
 
     image: PointerProperty(name="Photo", description="The photograph", type=bpy.types.Image)
     camera: PointerProperty(
@@ -86,15 +91,6 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
     objects: CollectionProperty(type=BTFSEP_PG_object)
     active_object: IntProperty(name="Active Object")
     occluders: EnumProperty(name="Occluders", description="What else casts shadows", items=OCCLUDERS)
-    preset: EnumProperty(name="Preset", description="Speed against accuracy", items=PRESETS, default="balanced")
-    order: IntProperty(
-        name="Order", description="Order of the spherical harmonics of the light", default=4, min=0, max=9
-    )
-    auto_order: BoolProperty(
-        name="Automatic Order",
-        description="The highest order of which the photo determines something. A sequence takes the number beside",
-    )
-    appearance: EnumProperty(name="Texture", description="How a material is compared with the photo", items=APPEARANCES)
     mapping: EnumProperty(name="Material Mapping", description="How materials lie on the objects", items=MAPPINGS)
     exposure_ev: FloatProperty(
         name="Exposure",
@@ -127,6 +123,9 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         description="Suns and lamps that the photo shows become Sun lamps beside the World. Off: all of it is World",
         default=True,
     )
+
+
+BTFSEP_PG_settings.__annotations__ |= engine_properties(engine_settings.PANEL)
 
 
 class BTFSEP_PG_name(bpy.types.PropertyGroup):

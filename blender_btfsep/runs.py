@@ -7,7 +7,6 @@ stops it. ``execute`` (a script, the command line) blocks until it is over.
 
 import atexit
 import sys
-from pathlib import Path
 
 import bpy
 
@@ -15,6 +14,7 @@ from . import engine_process, preferences
 from .errors import InputError
 
 INTERVAL = 0.15  # seconds between polls
+RUNNING = "The engine is running: wait or cancel"
 
 current = None
 """The EngineProcess that runs now, if any: one at a time."""
@@ -41,13 +41,10 @@ def stop_now() -> None:
 atexit.register(stop_now)
 
 
-def job_folder(scene, kept: bool) -> Path:
-    """Where the job of ``scene`` goes: beside the .blend, or where Blender cleans up when it quits."""
-    name = bpy.path.clean_name(scene.name)
-    if kept and bpy.data.filepath:
-        blend = Path(bpy.data.filepath)
-        return blend.with_name(f"{blend.stem}_btfsep") / name
-    return Path(bpy.app.tempdir) / "btfsep" / name
+def start_engine(arguments, engine: str = "") -> engine_process.EngineProcess:
+    """Starts the engine, ``engine`` or the preferences'. Raises InputError."""
+    found = engine_process.find_engine(bpy.path.abspath(engine or preferences.get().engine))
+    return engine_process.EngineProcess(found, arguments)
 
 
 class EngineOperator:
@@ -124,9 +121,7 @@ class EngineOperator:
         state.fraction = 0.0
         state.warnings.clear()
         try:
-            arguments = self.begin(context)
-            engine = engine_process.find_engine(bpy.path.abspath(preferences.get(context).engine))
-            self._process = current = engine_process.EngineProcess(engine, arguments)
+            self._process = current = start_engine(self.begin(context))
         except InputError as error:
             self._fail(str(error))
             return False

@@ -9,8 +9,10 @@ from pathlib import Path
 import bpy
 from bpy.props import IntProperty, StringProperty
 
-from . import animation, frames, lighting_file, operators, photo, runs
+from . import animation, engine_settings, frames, headless, lighting_file, photo, request, runs
+from .answer import take_materials
 from .errors import InputError
+from .operators import NeedsScene
 
 OUT = "sequence"  # the results' folder in that of the job
 
@@ -61,9 +63,10 @@ def photos(image, camera, pattern: str, start: int | None) -> tuple[list[Path], 
     return files, start_of(image, camera, frames.split(files[0].name)[1]) if start is None else start
 
 
-def engine_arguments(folder: Path, files, out: Path, *, pattern: str, order: int) -> list:
-    """The engine's command for the job in ``folder``."""
-    return ["sequence", folder, "--images", pattern or frames.pattern_of(files), "--out", out, "--order", order]
+def engine_arguments(folder: Path, scene, files, out: Path, *, pattern: str, given=None) -> list:
+    """The engine's command for the job in ``folder``; ``given`` as of `request.engine_arguments`."""
+    images = pattern or frames.pattern_of(files)
+    return request.engine_arguments("sequence", folder, scene, "--images", images, "--out", out, given=given)
 
 
 def write_world(scene, result: dict, files, start, *, apply: bool, interpolation: str) -> str:
@@ -97,7 +100,7 @@ def write_world(scene, result: dict, files, start, *, apply: bool, interpolation
     )
 
 
-class BTFSEP_OT_estimate_sequence(runs.EngineOperator, bpy.types.Operator):
+class BTFSEP_OT_estimate_sequence(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     """Estimate the light of every photo of the image sequence and key it, as nodes of the World"""
 
     bl_idname = "btfsep.estimate_sequence"
@@ -115,64 +118,54 @@ class BTFSEP_OT_estimate_sequence(runs.EngineOperator, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    @classmethod
-    def poll(cls, context):
-        reason = operators.missing(context)
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
-
     def begin(self, context):
         settings = context.scene.btfsep
         pattern = bpy.path.abspath(self.images)
         start = self.frame_start if self.properties.is_property_set("frame_start") else None
         camera = settings.camera or context.scene.camera
         self._files, self._start = photos(settings.image, camera, pattern, start)
-        folder = operators.write_job(context, context.scene, image_path=self._files[0])
-        arguments = engine_arguments(folder, self._files, folder / OUT, pattern=pattern, order=settings.order)
-        return [*arguments, *operators.engine_options(context)]
+        folder = request.write_job(context, image=self._files[0])
+        return engine_arguments(folder, context.scene, self._files, folder / OUT, pattern=pattern)
 
     def finish(self, context, result):
         scene = self.scene()
-        words = operators.take_materials(scene, result.get("objects") or [])
+        words = take_materials(scene, result.get("objects"))
         apply, interpolation = scene.btfsep.world_mode != "NONE", scene.btfsep.interpolation
         words.append(write_world(scene, result, self._files, self._start, apply=apply, interpolation=interpolation))
         return "\n".join(words)
 
 
-def add_command(commands, parents, *, scene_of, write_job, settings_of, run_engine, say) -> None:
+def add_command(commands, parents) -> None:
     """Adds ``sequence`` to the commands that Blender runs without a window."""
     parser = commands.add_parser("sequence", parents=parents, help="the light of every photo, as keyframes")
     parser.add_argument("--images", metavar="PATTERN", help="the photos, as 'frames/*.exr' (default: the panel's)")
-    parser.add_argument("--order", type=int, help="order of the spherical harmonics (default: the panel's)")
+    engine_settings.add_options(parser, engine_settings.COMMANDS["sequence"], "the panel's")
     parser.add_argument("--frame-start", type=int, help="frame of the first photo (default: its number)")
     choices = [name.lower() for name, *_ in animation.INTERPOLATIONS]
     parser.add_argument("--interpolation", choices=choices, help="between the photos (default: the panel's)")
+    parser.set_defaults(run=_run)
 
-    def run(options):
-        scene = scene_of(options)
-        settings = scene.btfsep
-        if options.world == "texture":
-            raise InputError("--world", "a texture has no keyframes", "choose nodes or none")
-        pattern = str(Path(options.images).absolute()) if options.images else ""
-        camera = scene.objects.get(options.camera or "") or settings.camera or scene.camera
-        if options.image:
-            raise InputError("--image", "a sequence has more than one", "give --images 'frames/*.exr'")
-        files, start = photos(settings.image, camera, pattern, options.frame_start)
-        apply = (options.world or settings.world_mode).upper() != "NONE"
-        options.image = files[0]
-        folder = write_job(options, scene)
-        out = Path(options.out).absolute() if options.out else folder / OUT
-        order = settings.order if options.order is None else options.order
-        arguments = engine_arguments(folder, files, out, pattern=pattern, order=order)
-        result = run_engine(options, [*arguments, *settings_of(options, scene)])
-        for line in operators.take_materials(scene, result.get("objects") or []):
-            say(line)
-        interpolation = options.interpolation.upper() if options.interpolation else settings.interpolation
-        say(write_world(scene, result, files, start, apply=apply, interpolation=interpolation))
-        say(f"wrote {out}")
 
-    parser.set_defaults(run=run)
+def _run(options) -> None:
+    scene = headless.scene_of(options)
+    settings = scene.btfsep
+    if options.world == "texture":
+        raise InputError("--world", "a texture has no keyframes", "choose nodes or none")
+    if options.image:
+        raise InputError("--image", "a sequence has more than one", "give --images 'frames/*.exr'")
+    pattern = str(Path(options.images).absolute()) if options.images else ""
+    camera = scene.objects.get(options.camera or "") or settings.camera or scene.camera
+    files, start = photos(settings.image, camera, pattern, options.frame_start)
+    folder = headless.write_job(options, scene, image=files[0])
+    out = Path(options.out).absolute() if options.out else folder / OUT
+    arguments = engine_arguments(folder, scene, files, out, pattern=pattern, given=options)
+    result = headless.run_engine(arguments, options.engine)
+    for sentence in take_materials(scene, result.get("objects")):
+        headless.say(sentence)
+    apply = (options.world or settings.world_mode).upper() != "NONE"
+    interpolation = options.interpolation.upper() if options.interpolation else settings.interpolation
+    headless.say(write_world(scene, result, files, start, apply=apply, interpolation=interpolation))
+    headless.say(f"wrote {out}")
 
 
 def register():

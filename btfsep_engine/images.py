@@ -27,6 +27,7 @@ import cv2  # noqa: E402
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
 COLORSPACES = ("auto", "srgb", "linear")
+SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # of what is read, in small letters
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
 _KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
 
@@ -107,9 +108,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
         codes = np.arange(peak + 1) / peak
         pixels = (srgb_to_linear(codes) if coded else codes).astype(np.float32)[stored]
     else:
-        pixels = stored.astype(np.float32, copy=False)
-        if coded:
-            pixels = srgb_to_linear(pixels).astype(np.float32)
+        pixels = (srgb_to_linear(stored) if coded else stored).astype(np.float32, copy=False)
     if pixels.shape[-1] == 1:
         pixels = np.repeat(pixels, 3, -1)
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from btfsep_engine.errors import InputError
+from btfsep_engine.images import SUFFIXES
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr", ".webp")
 MAX_FILES = 10_000  # in a folder; more is no folder of maps
 WORDS = {
     "base colour": "basecolor basecolour albedo diffuse diff diffusecolor color colour col",

@@ -5,6 +5,7 @@ Basis images are made and factorised once; a further frame is read, multiplied a
 saturated has fewer equations: it costs a factorisation of its own.
 """
 
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.images import SUFFIXES
 from btfsep_engine.job.load import load_job, read_photo
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
 from btfsep_engine.pipeline.estimation import determined_words, material_record, object_materials
@@ -25,7 +27,7 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.sampling import choose_pixels
 
-SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
+_DIGITS = re.compile(r"([0-9]+)")
 
 
 def frame_files(pattern) -> list[Path]:
@@ -41,23 +43,12 @@ def frame_files(pattern) -> list[Path]:
     found = [p for p in folder.glob(name) if p.is_file() and p.suffix.lower() in SUFFIXES] if folder.is_dir() else []
     if not found:
         raise InputError(f"--images '{pattern}'", "no image matches", "give a pattern in quotes, like 'frames/*.exr'")
-    found.sort(key=lambda p: [int(part) if part.isdigit() else part for part in _parts(p.name)])
+    found.sort(key=lambda p: [int(x) if i % 2 else x for i, x in enumerate(_DIGITS.split(p.name))])
     stems = [p.stem for p in found]
     for i, stem in enumerate(stems):
         if stem in stems[:i]:
             raise InputError(f"--images '{pattern}'", f"two frames are named '{stem}'", "match one kind of file only")
     return found
-
-
-def _parts(name: str) -> list[str]:
-    """Digits and the text between them: even places are text, so that lists of them compare."""
-    out, digits = [""], False
-    for character in name:
-        if character.isdigit() != digits:
-            out.append("")
-            digits = not digits
-        out[-1] += character
-    return out
 
 
 WORSE = 1.2  # of the last frame's residual: from there on a frame's model is looked for anew

@@ -58,7 +58,7 @@ def test_the_zip_holds_the_addon_and_the_engine(extension):
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
         for name in manifest["wheels"]:
             with zipfile.ZipFile(archive.open(name.removeprefix("./"))) as wheel:
-                assert "btfsep_engine/cli/main.py" in wheel.namelist()
+                assert "btfsep_engine/cli/commands.py" in wheel.namelist()
                 assert any(n.startswith("btfsep_engine/data/lights/") for n in wheel.namelist())
     modules = {path.name for path in (ROOT / "blender_btfsep").glob("*.py")}
     assert modules <= set(names)

@@ -75,7 +75,7 @@ def test_faults_end_with_2_and_one_line(blend, fake_engine, tmp_path):
     )
     cases = {
         ("estimate", "--engine", engine): "error: photo; all black; expose longer",
-        ("estimate", "--object", "Teapot"): "error: object 'Teapot'; scene 'Scene' has none of that name; choose from",
+        ("estimate", "--object", "Teapot"): "error: object 'Teapot'; there is none of that name; choose from",
         ("estimate", "--image", tmp_path / "absent.png"): "error: the photo absent.png; there is no such file;",
         ("estimate", "--scene", "Other"): "error: scene 'Other'; there is none",
         ("apply", tmp_path / "absent.json"): "error: absent.json; No such file or directory;",

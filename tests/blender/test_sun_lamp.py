@@ -226,9 +226,13 @@ def test_several_lamps_are_one_undo(addon, scene, lamplit):
 
 def test_the_panel_says_how_many(photographed, fake_engine, sunny, lamplit):
     for path, words in ((lamplit[0], "with 3 Sun lamps beside it"), (sunny[0], "with one Sun lamp beside it")):
-        fake_engine(lighting=json.loads(path.read_text()), result={"objects": []})
+        light = json.loads(path.read_text())
+        order = light["order"]
+        fake_engine(lighting=light, result={"objects": []})
         assert bpy.ops.btfsep.estimate() == {"FINISHED"}
-        assert bpy.context.window_manager.btfsep.summary.endswith(f"The World is the rest of the light, {words}")
+        assert bpy.context.window_manager.btfsep.summary.endswith(
+            f"The World is now the lighting of order {order}, {words}"
+        )
     photographed.btfsep.sun_lamp = False
     assert bpy.ops.btfsep.estimate() == {"FINISHED"}
     assert "lamp" not in bpy.context.window_manager.btfsep.summary

@@ -5,9 +5,21 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import command, engine_process, frames, lighting_file, measure, photo, properties, sh_nodes
-from btfsep_engine.btf import linear, map_files
+from blender_btfsep import (
+    command,
+    engine_process,
+    engine_settings,
+    frames,
+    lighting_file,
+    photo,
+    properties,
+    request,
+    sh_nodes,
+)
+from btfsep_engine import images
+from btfsep_engine.btf import linear
 from btfsep_engine.cli import command as engine_command
+from btfsep_engine.cli.commands import cli
 from btfsep_engine.images import read_linear
 from btfsep_engine.job.schema import JobSchema
 from btfsep_engine.light import files
@@ -38,24 +50,72 @@ def test_orders_and_lamps():
     assert sh_nodes.MAX_NODE_ORDER >= settings.LARGEST_ORDER  # what is estimated can be nodes
 
 
-def test_the_panel_offers_what_the_engine_takes(addon):
+TABLES = {**engine_settings.COMMANDS, "measure": engine_settings.MEASURE}
+ROWS = [pytest.param(name, row, id=f"{name} {row.name}") for name, rows in TABLES.items() for row in rows]
+
+
+def engine_option(command_name, row):
+    """The engine's option that a row names."""
+    command = cli.commands.get(command_name) or cli.commands["library"].get_command(None, command_name)
+    return next(p for p in command.params if row.flag in p.opts)
+
+
+@pytest.mark.parametrize(("command_name", "row"), ROWS)
+def test_a_row_says_of_a_setting_what_the_engine_says(command_name, row):
+    kind = measuring.MeasureSettings if command_name == "measure" else settings.Settings
+    option, meaning = engine_option(command_name, row), settings.meanings(kind).get(row.name)
+    assert option.is_flag == (row.kind is bool) and option.required == row.required
+    if meaning is None:
+        assert row.name in ("preset", "material_class", "size_mm", "replace")
+        return
+    assert [value for value, *_ in row.items] == list(meaning.choices) and (row.items or row.kind is meaning.kind)
+    assert bool(row.auto) == ("auto" in option.metavar) or row.items
+    if row.default is not None:
+        assert row.default in (getattr(kind(), row.name), row.unsaid)
+        assert row.high == meaning.high and row.low in (meaning.low, row.unsaid)
+
+
+def test_presets_and_material_classes():
+    assert [value for value, *_ in engine_settings.PRESET.items] == list(settings.PRESETS)
+    assert engine_settings.CLASSES_OF_MATERIAL == linear.CLASSES
+
+
+@pytest.mark.parametrize(("command_name", "row"), ROWS)
+def test_every_row_is_a_property_and_an_option_and_reaches_the_engine(addon, command_name, row):
     panel = bpy.types.Scene.bl_rna.properties["btfsep"].fixed_type.properties
-    assert panel["order"].hard_max == settings.LARGEST_ORDER
-    assert [name for name, *_ in properties.PRESETS] == list(settings.PRESETS)
-    for name, *_ in properties.APPEARANCES:
-        assert settings.choose(appearance=name).appearance == name
+    owner = bpy.ops.btfsep.measure_material.get_rna_type().properties if command_name == "measure" else panel
+    if row.default is not None:
+        shown = owner[row.name]
+        assert (shown.name, shown.description) == (row.label, row.description)
+        assert [i.identifier for i in shown.enum_items] == [i[0] for i in row.items] if row.items else True
+        assert row.high is None or (shown.hard_min, shown.hard_max) == (pytest.approx(row.low), row.high)
+    value = row.items[-1][0] if row.items else str(row.high or 2)
+    words = {r.name: (r.flag, r.items[0][0] if r.items else "2") for r in TABLES[command_name] if r.required}
+    words[row.name] = (row.flag,) if row.kind is bool else (row.flag, value)
+    given = command._parser().parse_args([command_name, *[word for pair in words.values() for word in pair]])
+    told = [str(word) for word in engine_settings.engine_options([row], None, given)]
+    assert told[0] == row.flag and (
+        row.kind is bool or row.kind(told[1]) == row.kind(value) if not row.items else told[1] == value
+    )
 
 
-def test_material_classes_and_the_limits_of_a_measurement(addon):
-    assert measure.CLASSES_OF_MATERIAL == linear.CLASSES
-    asked = bpy.ops.btfsep.measure_material.get_rna_type().properties
-    for name in ("texels", "samples"):
-        assert asked[name].hard_max == settings.meanings(measuring.MeasureSettings)[name].high
+def test_what_the_panel_leaves_to_the_engine_is_not_said(photographed):
+    panel = photographed.btfsep
+    told = request.engine_arguments("estimate", "job", photographed)
+    assert told == ["estimate", "job", "--preset", "balanced", "--order", 4]
+    panel.preset, panel.auto_order, panel.appearance = "draft", True, "mean"
+    rest = ["--preset", "draft", "--order", "auto", "--appearance", "mean"]
+    assert request.engine_arguments("estimate", "job", photographed) == ["estimate", "job", *rest]
+    assert "auto" not in request.engine_arguments("sequence", "job", photographed)  # one order for all of its frames
+    assert request.engine_arguments("recognise", "job", photographed)[2:] == ["--preset", "draft"]
+    given = command._parser().parse_args(["estimate", "--appearance", "auto", "--order", "0"])
+    told = request.engine_arguments("estimate", "job", photographed, given=given)
+    assert told[2:] == ["--preset", "draft", "--order", 0, "--appearance", "auto"]  # said where it was typed
 
 
 def test_the_files_of_photos(scene, tmp_path):
     """One list on both sides; and what Blender saves under each of its names, the engine reads."""
-    assert frames.SUFFIXES == sequence.SUFFIXES and photo.READABLE == set(frames.SUFFIXES) == set(map_files.SUFFIXES)
+    assert frames.SUFFIXES == images.SUFFIXES
     formats = {".exr": "OPEN_EXR", ".hdr": "HDR", ".png": "PNG", ".jpg": "JPEG", ".tif": "TIFF", ".webp": "WEBP"}
     for suffix, kind in formats.items():
         image = bpy.data.images.new("Made", 8, 4, float_buffer=suffix in photo.FLOAT)
@@ -66,12 +126,30 @@ def test_the_files_of_photos(scene, tmp_path):
         assert found.shape == (4, 8, 3) and np.allclose(found, ((0.5 + 0.055) / 1.055) ** 2.4, atol=0.01), suffix
 
 
+def test_the_frames_of_a_pattern_have_one_order(tmp_path):
+    for name in (
+        "b_2.exr",
+        "a_10.exr",
+        "a_9.png",
+        "A 3.tiff",
+        "a².hdr",
+        "still.webp",
+        "t12 1.jpg",
+        "t2 5.jpeg",
+        "a_9.txt",
+    ):
+        (tmp_path / name).touch()
+    found = frames.matching(tmp_path / "*")
+    assert found == sequence.frame_files(tmp_path / "*") and len(found) == 8
+    assert [p.name for p in found if p.stem.startswith("a_")] == ["a_9.png", "a_10.exr"]
+
+
 def test_the_words_of_the_contract():
     assert (lighting_file.FORMAT, lighting_file.VERSION) == tuple(
         files.LightingSchema.model_json_schema()["properties"][key]["const"] for key in ("format", "version")
     )
-    assert engine_process.INPUT_FAULT == command.INPUT_FAULT == engine_command.INPUT_FAULT
-    assert engine_process.BUG == command.BUG == engine_command.BUG
+    assert engine_process.INPUT_FAULT == engine_command.INPUT_FAULT
+    assert engine_process.BUG == engine_command.BUG
     spaces = JobSchema.model_json_schema()["properties"]["image_colorspace"]["enum"]
     assert {"auto", "linear"} <= set(spaces)  # what photo.put gives
     assert {name for name, *_ in properties.CURVES} == set(spaces)

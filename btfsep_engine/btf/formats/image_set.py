@@ -14,16 +14,17 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from btfsep_engine import images
 from btfsep_engine.btf import reciprocity
 from btfsep_engine.btf.directions import UBO2003_RINGS, ubo2003_directions
 from btfsep_engine.btf.factorise import StreamingFactoriser
 from btfsep_engine.btf.formats.archive import Members, scratch_folder
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import read_linear
 from btfsep_engine.progress import Reporter
 
 NAME = re.compile(r"tl(\d{1,3}).*?pl(\d{1,3}).*?tv(\d{1,3}).*?pv(\d{1,3})", re.IGNORECASE)
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".hdr", ".rgbe", ".pic", ".exr")
+RADIANCE = (".hdr", ".rgbe", ".pic")
+SUFFIXES = (*images.SUFFIXES, *RADIANCE)
 RADIANCE_COLUMNS_FIRST = re.compile(rb"\n\+X (\d{1,6}) -Y (\d{1,6})\n")
 MAX_PIXELS = 1024 * 1024  # of one image
 BLOCK = 16 << 20  # values factorised at once
@@ -178,8 +179,8 @@ class _Reader:
             try:
                 path, upside_down = self._mended(path)
                 space = "auto" if self.gamma is None else "linear"
-                image = read_linear(path, colorspace=space, max_pixels=MAX_PIXELS)
-                coded = self.gamma is not None and path.suffix.lower() not in (".hdr", ".rgbe", ".pic", ".exr")
+                image = images.read_linear(path, colorspace=space, max_pixels=MAX_PIXELS)
+                coded = self.gamma is not None and path.suffix.lower() not in (*RADIANCE, ".exr")
             except InputError as error:
                 raise InputError(f"{self.members.source}: {name}", error.got, error.do) from error
         pixels = image.pixels**self.gamma if coded else image.pixels

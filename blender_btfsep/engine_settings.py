@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine's settings that Blender shows, one row each. No bpy in this file.
+
+A row makes the property, its place in the panel, the option of ``blender --command btfsep``, what the engine is told.
+tests/blender/test_twins.py holds the rows against the engine's own settings.
+"""
+
+import argparse
+from dataclasses import dataclass, replace
+
+
+@dataclass(frozen=True)
+class EngineSetting:
+    """One of the engine's settings.
+
+    Attributes
+    ----------
+    name : of the property and, with - for _, of the option
+    label, description : for people
+    default : of the property; None: there is none, only the option
+    items : (value, label, description) of each choice
+    kind : type of its values where they are no choice
+    low, high : ends of its range
+    auto : what "auto" means, where a number may be that: a property ``auto_NAME`` beside it
+    unsaid : value of the property of which the engine is not told: it has its own way then
+    option : the engine's, where ``name`` does not say it
+    panel : part of the panel where it stands, "light" or "advanced"
+    remembered : whether a button keeps its last value
+    required : whether the command line has to say it
+    """
+
+    name: str
+    label: str
+    description: str
+    default: object = None
+    items: tuple = ()
+    kind: type = int
+    low: float | None = None
+    high: float | None = None
+    auto: str = ""
+    unsaid: object = None
+    option: str = ""
+    panel: str = ""
+    remembered: bool = True
+    required: bool = False
+
+    @property
+    def flag(self) -> str:
+        """The option of the engine and of the command line."""
+        return self.option or f"--{self.name.replace('_', '-')}"
+
+    def told(self, properties):
+        """The value that the engine is told, of Blender's properties; None: nothing."""
+        if self.default is None or properties is None:
+            return None
+        if self.auto and getattr(properties, f"auto_{self.name}"):
+            return "auto"
+        value = getattr(properties, self.name)
+        return None if value == self.unsaid else value
+
+
+PRESET = EngineSetting(
+    "preset",
+    "Preset",
+    "Speed against accuracy",
+    default="balanced",
+    items=(
+        ("draft", "Draft", "A first look"),
+        ("balanced", "Balanced", "Good for most photos"),
+        ("accurate", "Accurate", "Slow and careful"),
+        ("paper", "Paper", "The settings of the published method"),
+    ),
+    panel="light",
+)
+ORDER = EngineSetting(
+    "order",
+    "Order",
+    "Order of the spherical harmonics of the light",
+    default=4,
+    low=0,
+    high=9,
+    auto="The highest order of which the photo determines something. A sequence takes the number beside",
+    panel="light",
+)
+APPEARANCE = EngineSetting(
+    "appearance",
+    "Texture",
+    "How a material is compared with the photo",
+    default="auto",
+    items=(
+        ("auto", "Automatic", "The texture where it lines up with the photo and explains more of it, else the mean"),
+        ("mean", "Mean", "The material without its texture: right where the texture does not line up with the photo"),
+        ("textured", "Textured", "The material with its texture"),
+    ),
+    unsaid="auto",
+    panel="advanced",
+)
+PANEL = (PRESET, ORDER, APPEARANCE)
+COMMANDS = {"estimate": PANEL, "sequence": (PRESET, replace(ORDER, auto=""), APPEARANCE), "recognise": (PRESET,)}
+"""Command of the engine -> the settings that it is told."""
+
+CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
+MEASURE = (
+    EngineSetting(
+        "material_class",
+        "Class",
+        "Class of the material in the library",
+        default=CLASSES_OF_MATERIAL[0],
+        items=tuple((c, c.capitalize(), "") for c in CLASSES_OF_MATERIAL),
+        option="--class",
+        required=True,
+    ),
+    EngineSetting(
+        "size_mm",
+        "Size (mm)",
+        "What is measured, in millimetres: a square, UV 0 to 1, around the object's origin",
+        kind=float,
+        default=30.0,
+        low=0.1,
+        high=10_000,
+        required=True,
+    ),
+    EngineSetting(
+        "texels",
+        "Texels",
+        "Along an edge; the time grows with their square. 0: by the size",
+        default=0,
+        low=0,
+        high=1024,
+        unsaid=0,
+    ),
+    EngineSetting(
+        "samples",
+        "Samples",
+        "Paths a texel and view; the time grows with them",
+        default=1,
+        low=1,
+        high=256,
+    ),
+    EngineSetting("components", "Components", "Components of the factorisation"),
+    EngineSetting("seed", "Seed", "Of all random numbers"),
+    EngineSetting(
+        "replace",
+        "Replace",
+        "Replace a material of this name",
+        kind=bool,
+        default=False,
+        unsaid=False,
+        remembered=False,
+    ),
+)
+
+
+def add_options(parser: argparse.ArgumentParser, settings, default: str) -> None:
+    """Options of the command line; ``default`` says in words what holds where one is not given."""
+    for s in settings:
+        help = s.description if s.required else f"{s.description} (default: {default})"
+        if s.kind is bool:
+            parser.add_argument(s.flag, dest=s.name, action="store_true", default=None, help=help)
+            continue
+        takes = {"choices": [value for value, *_ in s.items]} if s.items else {"type": s.kind, "metavar": "N"}
+        if s.auto:
+            takes = {"type": lambda text, kind=s.kind: text if text == "auto" else kind(text), "metavar": "N|auto"}
+        parser.add_argument(s.flag, dest=s.name, required=s.required, help=help, **takes)
+
+
+def engine_options(settings, properties, given=None) -> list:
+    """What the engine is told: as ``given`` (argparse.Namespace, of the command line), else as the properties say."""
+    out = []
+    for s in settings:
+        value = getattr(given, s.name, None)
+        value = s.told(properties) if value is None else value
+        if value is not None:
+            out += [s.flag] if s.kind is bool else [s.flag, value]
+    return out

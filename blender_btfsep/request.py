@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is asked of the engine: a scene's job and the command for it; for the buttons and the command line alike."""
+
+from pathlib import Path
+
+import bpy
+
+from . import engine_settings, export, preferences, runs
+from .errors import InputError
+
+
+def listed(settings) -> list:
+    """The entries of the object list that still have an object."""
+    return [entry for entry in settings.objects if entry.object is not None]
+
+
+def fitted(settings) -> dict:
+    """Name in the job -> entry of what is fitted: the objects, or the one surface of a depth."""
+    if settings.depth is not None:
+        return {export.SURFACE: settings.surface}
+    return {entry.object.name: entry for entry in listed(settings)}
+
+
+def active_entry(settings):
+    """The entry that the panel shows: the surface of the depth, or the active object; None where there is none."""
+    if settings.depth is not None:
+        return settings.surface
+    return settings.objects[settings.active_object] if settings.active_object < len(settings.objects) else None
+
+
+def missing(context) -> str:
+    """What the scene lacks for a run, as a sentence for a tooltip; empty when nothing is missing."""
+    settings = context.scene.btfsep
+    if runs.is_running():
+        return runs.RUNNING
+    if settings.image is None:
+        return "Choose the photo first"
+    if (settings.camera or context.scene.camera) is None:
+        return "The scene has no camera: add the one that took the photo"
+    if not fitted(settings):
+        return "Add the objects that the photo shows to the list first"
+    return ""
+
+
+def job_folder(scene) -> Path:
+    """Where the job of ``scene`` goes: beside the .blend, or where Blender cleans up when it quits."""
+    name = bpy.path.clean_name(scene.name)
+    if preferences.get().keep_jobs and bpy.data.filepath:
+        blend = Path(bpy.data.filepath)
+        return blend.with_name(f"{blend.stem}_btfsep") / name
+    return Path(bpy.app.tempdir) / "btfsep" / name
+
+
+def write_job(
+    context_or_scene,
+    *,
+    folder=None,
+    image=None,
+    camera=None,
+    objects=(),
+    depth=None,
+    material=None,
+    occluders=None,
+    exposure_ev=None,
+    curve=None,
+) -> Path:
+    """Exports the job that the panel describes; gives its folder.
+
+    What else is given stands in the place of the panel's: as of `export.export_job`, but ``occluders`` is "OTHERS" or
+    "NONE", and ``material`` is that of all objects.
+
+    Raises
+    ------
+    InputError
+    """
+    scene = context_or_scene if isinstance(context_or_scene, bpy.types.Scene) else context_or_scene.scene
+    settings = scene.btfsep
+    if image is None and settings.image is None:
+        raise InputError("the photo", "none is chosen", "choose it in the BTFsep panel, or give --image FILE")
+    if depth and objects:
+        raise InputError("--depth", "objects are named, too", "give the one or the other")
+    entries = {entry.object.name: entry for entry in listed(settings)}
+    depth = depth or (None if objects else settings.depth)
+    if depth:
+        entries = {export.SURFACE: settings.surface}
+    else:
+        objects = objects or [entry.object for entry in entries.values()]
+    names = list(entries) if depth else [thing.name for thing in objects]
+    path = export.export_job(
+        context_or_scene,
+        folder or job_folder(scene),
+        image_path=image or settings.image,
+        camera=camera or settings.camera,
+        objects=objects,
+        occluders=[] if (occluders or settings.occluders) == "NONE" else None,
+        materials={name: material or (entries[name].material if name in entries else None) for name in names},
+        masks={name: entry.mask for name, entry in entries.items()},
+        depth=depth,
+        exposure_ev=settings.exposure_ev if exposure_ev is None else exposure_ev,
+        mapping=settings.mapping,
+        curve=curve or settings.curve,
+    )
+    return path.parent
+
+
+def engine_arguments(command: str, folder, scene, *own, given=None) -> list:
+    """The engine's command for the job in ``folder``.
+
+    Parameters
+    ----------
+    command : key of `engine_settings.COMMANDS`
+    scene : its panel says the settings
+    own : what else this command is told
+    given : argparse.Namespace, what the command line says instead of the panel and the preferences
+    """
+    told = engine_settings.engine_options(engine_settings.COMMANDS[command], scene.btfsep, given)
+    return [command, folder, *own, *told, *library_arguments(getattr(given, "library", None))]
+
+
+def library_arguments(given=None) -> list:
+    """The option that names the library, ``given`` or the preferences', if there is one."""
+    library = given or preferences.get().library
+    return ["--library", Path(bpy.path.abspath(str(library))).absolute()] if library else []
