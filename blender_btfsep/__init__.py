@@ -15,6 +15,7 @@ from . import (
     panels,
     preferences,
     properties,
+    runs,
     sequence_run,
 )
 
@@ -44,5 +45,6 @@ def unregister():
     atexit.unregister(unregister)
     if not hasattr(bpy.types.Scene, "btfsep"):
         return  # done already: where a process ends, Blender and atexit both ask for it
+    runs.stop_now()
     for module in reversed(MODULES):
         module.unregister()

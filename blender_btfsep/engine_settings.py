@@ -25,7 +25,6 @@ class EngineSetting:
     unsaid : value of the property of which the engine is not told: it has its own way then
     option : the engine's, where ``name`` does not say it
     panel : part of the panel where it stands, "light" or "advanced"
-    remembered : whether a button keeps its last value
     required : whether the command line has to say it
     """
 
@@ -41,7 +40,6 @@ class EngineSetting:
     unsaid: object = None
     option: str = ""
     panel: str = ""
-    remembered: bool = True
     required: bool = False
 
     @property
@@ -59,109 +57,54 @@ class EngineSetting:
         return None if value == self.unsaid else value
 
 
-PRESET = EngineSetting(
-    "preset",
-    "Preset",
-    "Speed against accuracy",
-    default="balanced",
-    items=(
-        ("draft", "Draft", "A first look"),
-        ("balanced", "Balanced", "Good for most photos"),
-        ("accurate", "Accurate", "Slow and careful"),
-        ("paper", "Paper", "The settings of the published method"),
-    ),
-    panel="light",
+PRESETS = (
+    ("draft", "Draft", "A first look"),
+    ("balanced", "Balanced", "Good for most photos"),
+    ("accurate", "Accurate", "Slow and careful"),
+    ("paper", "Paper", "The settings of the published method"),
 )
-ORDER = EngineSetting(
-    "order",
-    "Order",
-    "Order of the spherical harmonics of the light",
-    default=4,
-    low=0,
-    high=9,
-    auto="The highest order of which the photo determines something. A sequence takes the number beside",
-    panel="light",
+APPEARANCES = (
+    ("auto", "Automatic", "The texture where it lines up with the photo and explains more of it, else the mean"),
+    ("mean", "Mean", "The material without its texture: right where the texture does not line up with the photo"),
+    ("textured", "Textured", "The material with its texture"),
 )
-APPEARANCE = EngineSetting(
-    "appearance",
-    "Texture",
-    "How a material is compared with the photo",
-    default="auto",
-    items=(
-        ("auto", "Automatic", "The texture where it lines up with the photo and explains more of it, else the mean"),
-        ("mean", "Mean", "The material without its texture: right where the texture does not line up with the photo"),
-        ("textured", "Textured", "The material with its texture"),
-    ),
-    unsaid="auto",
-    panel="advanced",
-)
-PANEL = (PRESET, ORDER, APPEARANCE)
-COMMANDS = {"estimate": PANEL, "sequence": (PRESET, replace(ORDER, auto=""), APPEARANCE), "recognise": (PRESET,)}
+CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
+CLASSES = tuple((name, name.capitalize(), "") for name in CLASSES_OF_MATERIAL)
+
+Row = EngineSetting
+HIGHEST = "The highest order of which the photo determines something. A sequence takes the number beside"
+ORDER = Row("order", "Order", "Order of the harmonics of the light", 4, low=0, high=9, auto=HIGHEST, panel="light")
+PRESET = Row("preset", "Preset", "Speed against accuracy", "balanced", PRESETS, panel="light")
+TEXTURE = Row("appearance", "Texture", "How a material is compared with the photo", "auto", APPEARANCES, unsaid="auto")
+PANEL = (PRESET, ORDER, replace(TEXTURE, panel="advanced"))
+COMMANDS = {"estimate": PANEL, "sequence": (PRESET, replace(ORDER, auto=""), TEXTURE), "recognise": (PRESET,)}
 """Command of the engine -> the settings that it is told."""
 
-CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
+SQUARE = "What is measured, in millimetres: a square, UV 0 to 1, around the object's origin"
+TEXELS = "Along an edge; the time grows with their square. 0: by the size"
+PATHS = "Paths a texel and view; the time grows with them"
 MEASURE = (
-    EngineSetting(
-        "material_class",
-        "Class",
-        "Class of the material in the library",
-        default=CLASSES_OF_MATERIAL[0],
-        items=tuple((c, c.capitalize(), "") for c in CLASSES_OF_MATERIAL),
-        option="--class",
-        required=True,
-    ),
-    EngineSetting(
-        "size_mm",
-        "Size (mm)",
-        "What is measured, in millimetres: a square, UV 0 to 1, around the object's origin",
-        kind=float,
-        default=30.0,
-        low=0.1,
-        high=10_000,
-        required=True,
-    ),
-    EngineSetting(
-        "texels",
-        "Texels",
-        "Along an edge; the time grows with their square. 0: by the size",
-        default=0,
-        low=0,
-        high=1024,
-        unsaid=0,
-    ),
-    EngineSetting(
-        "samples",
-        "Samples",
-        "Paths a texel and view; the time grows with them",
-        default=1,
-        low=1,
-        high=256,
-    ),
-    EngineSetting("components", "Components", "Components of the factorisation"),
-    EngineSetting("seed", "Seed", "Of all random numbers"),
-    EngineSetting(
-        "replace",
-        "Replace",
-        "Replace a material of this name",
-        kind=bool,
-        default=False,
-        unsaid=False,
-        remembered=False,
-    ),
+    Row("material_class", "Class", "Of the material", CLASSES_OF_MATERIAL[0], CLASSES, option="--class", required=True),
+    Row("size_mm", "Size (mm)", SQUARE, 30.0, kind=float, low=0.1, high=10_000, required=True),
+    Row("texels", "Texels", TEXELS, 0, low=0, high=1024, unsaid=0),
+    Row("samples", "Samples", PATHS, 1, low=1, high=256),
+    Row("components", "Components", "Of the factorisation"),
+    Row("seed", "Seed", "Of all random numbers"),
+    Row("replace", "Replace", "Replace a material of this name", False, kind=bool, unsaid=False),
 )
 
 
 def add_options(parser: argparse.ArgumentParser, settings, default: str) -> None:
     """Options of the command line; ``default`` says in words what holds where one is not given."""
     for s in settings:
-        help = s.description if s.required else f"{s.description} (default: {default})"
+        about = {"dest": s.name, "help": s.description if s.required else f"{s.description} (default: {default})"}
         if s.kind is bool:
-            parser.add_argument(s.flag, dest=s.name, action="store_true", default=None, help=help)
+            parser.add_argument(s.flag, action="store_true", default=None, **about)
             continue
         takes = {"choices": [value for value, *_ in s.items]} if s.items else {"type": s.kind, "metavar": "N"}
         if s.auto:
             takes = {"type": lambda text, kind=s.kind: text if text == "auto" else kind(text), "metavar": "N|auto"}
-        parser.add_argument(s.flag, dest=s.name, required=s.required, help=help, **takes)
+        parser.add_argument(s.flag, required=s.required, **about, **takes)
 
 
 def engine_options(settings, properties, given=None) -> list:

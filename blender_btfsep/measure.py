@@ -211,9 +211,4 @@ def _run(options) -> None:
     headless.say(f"{result['name']}: {library / result['file']}")
 
 
-def register():
-    bpy.utils.register_class(BTFSEP_OT_measure_material)
-
-
-def unregister():
-    bpy.utils.unregister_class(BTFSEP_OT_measure_material)
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_measure_material,))

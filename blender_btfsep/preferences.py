@@ -43,9 +43,4 @@ def get(context=None):
     return SimpleNamespace(engine="", library="", keep_jobs=False)
 
 
-def register():
-    bpy.utils.register_class(BTFSEP_AP_preferences)
-
-
-def unregister():
-    bpy.utils.unregister_class(BTFSEP_AP_preferences)
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_AP_preferences,))

@@ -67,7 +67,7 @@ def engine_properties(settings) -> dict:
     made = {}
     for s in settings:
         about = {"name": s.label, "description": s.description, "default": s.default}
-        about |= {} if s.remembered else {"options": {"SKIP_SAVE"}}
+        about |= {"options": {"SKIP_SAVE"}} if s.kind is bool else {}  # a button's switch is off the next time
         about |= {key: end for key, end in (("min", s.low), ("max", s.high)) if end is not None}
         if s.items:
             made[s.name] = EnumProperty(items=s.items, **about)
@@ -157,9 +157,11 @@ CLASSES = (
 )
 
 
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
+
+
 def register():
-    for cls in CLASSES:
-        bpy.utils.register_class(cls)
+    _register_classes()
     bpy.types.Scene.btfsep = PointerProperty(type=BTFSEP_PG_settings)
     bpy.types.WindowManager.btfsep = PointerProperty(type=BTFSEP_PG_run)
 
@@ -167,5 +169,4 @@ def register():
 def unregister():
     del bpy.types.WindowManager.btfsep
     del bpy.types.Scene.btfsep
-    for cls in reversed(CLASSES):
-        bpy.utils.unregister_class(cls)
+    _unregister_classes()

@@ -168,9 +168,4 @@ def _run(options) -> None:
     headless.say(f"wrote {out}")
 
 
-def register():
-    bpy.utils.register_class(BTFSEP_OT_estimate_sequence)
-
-
-def unregister():
-    bpy.utils.unregister_class(BTFSEP_OT_estimate_sequence)
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_estimate_sequence,))

@@ -13,6 +13,18 @@ from btfsep_engine.errors import InputError
 LARGEST_ORDER = 9
 IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 8  # where interreflections are modelled and no number was asked for
+CURVES = ("auto", "srgb", "linear", "unknown")
+
+APPEARANCE = (
+    "The mean ABRDF, as in the paper, or the textured BTF; auto: the texture where it lines up and explains more"
+)
+DIRECTIONS = "as many as no photo has shown to be too few"
+BOUNCES = "Reflections followed, 1: no light between surfaces"
+MORE_BOUNCES = "more where that changes an estimate by more than its stated uncertainty; without an estimate 8"
+BASIS_IMAGES = "What makes the basis images; reference: the paper's path-traced image for each basis light"
+BEST_ORDER = "the highest of which the photo determines something; with least-squares by cross-validation"
+ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
+LAMPS = "Whether lamps of a fifth of the light or more are told apart from the sky"
 
 
 @dataclass(frozen=True)
@@ -97,9 +109,7 @@ class RecognitionSettings(Seeded):
     """How materials are recognised (recognise/training.py, pipeline/recognition.py)."""
 
     classifier: str = setting("svm", "What tells the materials apart", choices=("svm", "nearest"))
-    recogniser: str = setting(
-        "tuned", "How images are described and trained on, a key of `METHODS`", choices=("tuned", "paper")
-    )
+    recogniser: str = setting("tuned", "How images are described and trained on", choices=("tuned", "paper"))
     verify: bool = setting(True, "Compare the likeliest materials with the photo under the light each implies")
     training_directions: int = setting(256, "Light directions per pixel of the training images", low=16, high=65536)
     training_pixels: int = setting(16000, "Largest number of pixels of a training image", low=1)
@@ -110,9 +120,7 @@ class RecognitionSettings(Seeded):
 class PhotoSettings(Seeded):
     """What is taken of the photo."""
 
-    colorspace: str | None = setting(
-        None, "The photo's curve instead of the job's; unknown: found", choices=("auto", "srgb", "linear", "unknown")
-    )
+    colorspace: str | None = setting(None, "The photo's curve instead of the job's; unknown: found", choices=CURVES)
     pixels: int = setting(3000, "Pixels used for the fit, 0: all", low=0, unit="pixels")
 
 
@@ -120,38 +128,14 @@ class PhotoSettings(Seeded):
 class TransportSettings(Seeded):
     """How light's way from outside to the camera is followed (render/transport.py, pipeline/basis.py)."""
 
-    appearance: str = setting(
-        "auto",
-        "The mean ABRDF, as in the paper, or the textured BTF; auto: the texture where it lines up and explains more",
-        choices=("auto", "mean", "textured"),
-    )
+    appearance: str = setting("auto", APPEARANCE, choices=("auto", "mean", "textured"))
     directions: int | str = setting(
-        "auto",
-        "Light directions per pixel",
-        auto="as many as no photo has shown to be too few",
-        kind=int,
-        low=16,
-        high=65536,
-        unit="directions",
+        "auto", "Light directions per pixel", kind=int, low=16, high=65536, auto=DIRECTIONS, unit="directions"
     )
-    bounces: int | str = setting(
-        "auto",
-        "Reflections followed, 1: no light between surfaces",
-        auto="more than that where it changes an estimate by more than its stated uncertainty; without an estimate 8",
-        kind=int,
-        low=1,
-        high=64,
-        unit="bounces",
-    )
+    bounces: int | str = setting("auto", BOUNCES, kind=int, low=1, high=64, auto=MORE_BOUNCES, unit="bounces")
     surface_samples: int = setting(6000, "Points on surfaces between which reflected light is followed", low=1)
-    transport: str = setting(
-        "kernel",
-        "What makes the basis images; reference: the paper's path-traced image for each basis light",
-        choices=("kernel", "reference"),
-    )
-    samples: int = setting(
-        256, "Paths per pixel, basis light and sign of the reference", low=2, high=1 << 16, unit="paths"
-    )
+    transport: str = setting("kernel", BASIS_IMAGES, choices=("kernel", "reference"))
+    samples: int = setting(256, "Paths per pixel and basis light of the reference", low=2, high=1 << 16, unit="paths")
 
     @property
     def many_directions(self) -> int:
@@ -168,27 +152,10 @@ class TransportSettings(Seeded):
 class FitSettings(Seeded):
     """How the light is fitted and what of it is reported (fit/, pipeline/together.py)."""
 
-    order: int | str = setting(
-        4,
-        "Order of the spherical harmonics",
-        auto="with map the highest of which the photo determines something, else the lowest that cross-validation "
-        "cannot tell from the best",
-        kind=int,
-        low=0,
-        high=LARGEST_ORDER,
-    )
-    estimator: str = setting(
-        "map",
-        "map (the most probable light of a field and lamps, all orders) or least-squares (the paper's, orders up to "
-        "--order)",
-        choices=("map", "least-squares"),
-    )
+    order: int | str = setting(4, "Order of the spherical harmonics", low=0, high=LARGEST_ORDER, auto=BEST_ORDER)
+    estimator: str = setting("map", ESTIMATOR, choices=("map", "least-squares"))
     robust: bool = setting(False, "Leave out pixels that the light does not explain: things in front")
-    key_light: str = setting(
-        "auto",
-        "Whether lamps of a fifth of the light or more are told apart from the sky",
-        choices=("auto", "never"),
-    )
+    key_light: str = setting("auto", LAMPS, choices=("auto", "never"))
 
     @property
     def fit_order(self) -> int:
@@ -208,7 +175,7 @@ PRESETS = {
     "balanced": Settings(),
     "accurate": Settings(
         preset="accurate",
-        bounces=8,
+        bounces=MODELLED_BOUNCES,
         surface_samples=20000,
         training_directions=512,
         training_pixels=24000,

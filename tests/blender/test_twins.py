@@ -76,7 +76,7 @@ def test_a_row_says_of_a_setting_what_the_engine_says(command_name, row):
 
 
 def test_presets_and_material_classes():
-    assert [value for value, *_ in engine_settings.PRESET.items] == list(settings.PRESETS)
+    assert [value for value, *_ in engine_settings.PRESETS] == list(settings.PRESETS)
     assert engine_settings.CLASSES_OF_MATERIAL == linear.CLASSES
 
 
