@@ -69,7 +69,7 @@ def test_a_row_says_of_a_setting_what_the_engine_says(command_name, row):
         assert row.name in ("preset", "material_class", "size_mm", "replace")
         return
     assert [value for value, *_ in row.items] == list(meaning.choices) and (row.items or row.kind is meaning.kind)
-    assert bool(row.auto) == ("auto" in option.metavar) or row.items
+    assert bool(row.auto) == ("auto" in (option.metavar or "")) or row.items
     if row.default is not None:
         assert row.default in (getattr(kind(), row.name), row.unsaid)
         assert row.high == meaning.high and row.low in (meaning.low, row.unsaid)

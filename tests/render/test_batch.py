@@ -151,13 +151,3 @@ def test_an_option_that_is_wrong_is_said_once_and_nothing_is_begun(shots, capsys
     code, lines = run([shots, *OPTIONS, "--order", "12"], capsys)
     assert code == 2 and [line["message"] for line in lines] == ["--order; '12'; choose 0 to 9, or auto"]
     assert not any((shots / name / "result").exists() for name in "abc")
-
-
-def test_its_options_are_those_of_estimate_but_for_further_photos_of_one_light(capsys):
-    """A batch is of jobs that know nothing of each other."""
-    helps = {}
-    for name in ("estimate", "batch"):
-        assert main([name, "--help"]) == 0
-        helps[name] = capsys.readouterr().out
-    assert "--with " in helps["estimate"] and "--with " not in helps["batch"]
-    assert all("--appearance" in text for text in helps.values())
