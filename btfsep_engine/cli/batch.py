@@ -41,7 +41,7 @@ class EstimateTask:
 
 
 def estimate_job(task: EstimateTask) -> dict:
-    """The result of a job's estimate, in words of ``result.json``. Raises InputError."""
+    """The result of a job's estimate, as of `run_estimate`. Raises InputError."""
     from btfsep_engine.pipeline.estimation import run_estimate
 
     return run_estimate(

@@ -59,20 +59,11 @@ def doctor(*, library_folder, reporter):
 @LIBRARY
 @command
 @takes_settings(*ESTIMATE)
-def estimate(*, job, library_folder, settings, material, out, with_report, others, reporter):
+def estimate(*, job, library_folder, settings, reporter, **options):
     """Recognises the material and estimates the light of JOB."""
     from btfsep_engine.pipeline.estimation import run_estimate
 
-    result = run_estimate(
-        job,
-        opened_library(library_folder),
-        settings,
-        material=material,
-        out=out,
-        with_report=with_report,
-        others=others,
-        reporter=reporter,
-    )
+    result = run_estimate(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, words.estimate(result)
 
 
@@ -110,12 +101,11 @@ def train(*, job, library_folder, settings, reporter):
 @LIBRARY
 @command
 @takes_settings("directions", "bounces", *RECOGNITION)
-def relight(*, job, library_folder, settings, lighting, out, material, reporter):
+def relight(*, job, library_folder, settings, reporter, **options):
     """Renders JOB's objects under a lighting."""
     from btfsep_engine.pipeline.relighting import run_relight
 
-    library = opened_library(library_folder)
-    result = run_relight(job, library, settings, lighting=lighting, out=out, material=material, reporter=reporter)
+    result = run_relight(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, f"wrote {result['out']}"
 
 
@@ -127,12 +117,11 @@ def relight(*, job, library_folder, settings, lighting, out, material, reporter)
 @LIBRARY
 @command
 @takes_settings(*ONE_SOLVER, only_numbers=("order",), estimator="map")
-def plan(*, job, material, noise, out, settings, library_folder, reporter):
+def plan(*, job, library_folder, settings, reporter, **options):
     """What the geometry, view and material of JOB could determine; its photo is not read."""
     from btfsep_engine.pipeline.plan import run_plan
 
-    library = opened_library(library_folder)
-    result = run_plan(job, library, settings, material=material, noise=noise, out=out, reporter=reporter)
+    result = run_plan(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, words.plan(result)
 
 
