@@ -94,11 +94,13 @@ def assemble(name: str, polygons: Polygons, *, to_world=None) -> tuple[TriangleM
     corner_normals = None
     if polygons.normals is not None:
         corner_normals = _corner_values(polygons.normals, polygons.normal_corners, triangles)
+        size = np.abs(corner_normals).max(-1, keepdims=True)  # they may be of any length but none
+        there = (size > 0) & np.isfinite(size)
+        corner_normals = np.where(there, corner_normals, 0) / np.where(there, size, 1)
         corner_normals = corner_normals @ np.linalg.inv(linear)  # by the inverse transpose, as rows
         length = np.linalg.norm(corner_normals, axis=-1, keepdims=True)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            corner_normals = corner_normals / length
-        missing = ~(np.isfinite(corner_normals).all(-1) & (length[..., 0] > 0))
+        missing = ~(length[..., 0] > 0)
+        corner_normals /= np.where(missing[..., None], 1, length)
         if missing.any():
             corner_normals[missing] = smooth_normals(vertices, faces, normals)[missing]
     else:

@@ -168,6 +168,21 @@ def test_normals_that_are_zero_fall_back_to_the_geometry(tmp_path):
     np.testing.assert_allclose(mesh.corner_normals, geometric_normals(mesh)[:, None].repeat(3, 1), atol=1e-6)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("length", ["1e-30", "1e30", "1e200"])
+def test_normals_in_a_file_may_have_any_length(tmp_path, length):
+    text = f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn {length} 0 {length}\nf 1//1 2//1 3//1\n"
+    mesh = load(tmp_path, text, "m.obj")
+    np.testing.assert_allclose(mesh.corner_normals, np.tile(np.sqrt([0.5, 0, 0.5]), (1, 3, 1)), atol=1e-6)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", ["inf", "-inf", "nan"])
+def test_normals_that_are_no_numbers_fall_back_to_the_geometry(tmp_path, value):
+    mesh = load(tmp_path, f"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 {value}\nf 1//1 2//1 3//1\n", "m.obj")
+    np.testing.assert_allclose(mesh.corner_normals, geometric_normals(mesh)[:, None].repeat(3, 1), atol=1e-6)
+
+
 @pytest.mark.parametrize("with_normals", [False, True])
 def test_a_mirroring_transform_keeps_the_outside_outside(tmp_path, with_normals):
     shape = trimesh.creation.icosphere(2)
