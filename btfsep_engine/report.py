@@ -97,7 +97,7 @@ def write_estimate_report(path, found, settings) -> None:
     settings : pipeline.settings.Settings
     """
     scene = found.scene.at_most(SIDE)
-    photo = scene.job.photo.radiance
+    photo = scene.job.photo.radiance.astype(np.float64)  # a photo may be in any unit, and its squares overflow
     materials = [m.material for m in found.materials]
     textured = settings.appearance == "textured"
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
@@ -113,7 +113,7 @@ def write_estimate_report(path, found, settings) -> None:
         directions=DIRECTIONS,
         indirect=indirect,
         suns=light.suns,
-    )[0]
+    )[0].astype(np.float64)
     sample = render_objects(
         scene, materials, training_lights(rotations=1).selected([0]), textured=True, directions=DIRECTIONS
     )[0]

@@ -91,9 +91,10 @@ class Basis:
     def predicted(self, x) -> np.ndarray:
         """A x: (p, 3), of coefficients (terms, 3), in the photograph's unit."""
         out = np.empty((self.pixels, 3))
+        unit = float(np.abs(x).max()) or 1.0  # so that no photo's unit is too large or too small for single precision
         for c in range(3):
-            out[:, c] = self.images[:, : len(x), c] @ x[:, c].astype(self.images.dtype)
-        return out
+            out[:, c] = self.images[:, : len(x), c] @ (x[:, c] / unit).astype(self.images.dtype)
+        return out * unit
 
     def singular_values(self, terms: int) -> np.ndarray:
         """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""
@@ -155,7 +156,8 @@ class Photograph:
         self._weight, self._smooth = weight, None
         self.moments = [basis.rows(c).T @ (weight[:, c] * self.b[:, c]) for c in range(3)]
         self.energies = (weight * self.b**2).sum(0)
-        self.mean_square = self.energies / np.maximum(self.count, 1e-300)
+        # at least 1 where the unit is the channel's mean; a channel that is black has no less noise for that
+        self.mean_square = np.maximum(self.energies / np.maximum(self.count, 1e-300), 1.0)
         self.effective = 1.0
 
     @property

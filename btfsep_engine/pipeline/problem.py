@@ -63,12 +63,12 @@ class Problem:
         return np.concatenate([p.normal for p in self.points])
 
     def radiance(self, photo=None) -> np.ndarray:
-        """(p, 3) to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
+        """(p, 3) float64 to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
         if photo is None and self.measured is not None:
             return self.measured
         image = self.scene.job.photo.radiance if photo is None else photo
         pixels = self.pixels
-        return image[pixels[:, 0], pixels[:, 1]]
+        return image[pixels[:, 0], pixels[:, 1]].astype(np.float64)  # floats overflow when squared
 
     def by_object(self, values) -> list:
         """Rows of all points, (p, …), cut by object."""
@@ -93,13 +93,14 @@ class Problem:
         return replace(self, basis=[a[:, :terms] for a in self.basis], between=between)
 
     def predicted(self, x) -> np.ndarray:
-        """A x: (p, 3), of coefficients (terms, 3), as many as there are basis lights or fewer."""
+        """A x: (p, 3) float64, of coefficients (terms, 3), as many as there are basis lights or fewer."""
         out = []
+        unit = float(np.abs(x).max()) or 1.0  # so that no photo's unit is too large or too small for single precision
         for a in (a[:, : len(x)] for a in self.basis):
             columns = np.zeros((a.shape[1], 3, 3), np.float32)
-            columns[:, np.arange(3), np.arange(3)] = x
+            columns[:, np.arange(3), np.arange(3)] = x / unit
             out.append(np.ascontiguousarray(a).reshape(len(a), -1) @ columns.reshape(-1, 3))
-        return np.concatenate(out)
+        return np.concatenate(out).astype(np.float64) * unit
 
 
 def shares(scene, pixels: int) -> list[int]:

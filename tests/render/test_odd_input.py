@@ -13,6 +13,7 @@ from btfsep_engine.cli import main
 from btfsep_engine.light.files import read_lighting
 from tests.render.scenes import looking_down
 
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # of numbers: overflow, division by zero, NaN
 RUN = ["--material", "reference/white-diffuse"]
 PICTURES = {"lighting.json", "lighting.exr", "report.png", "result.json"}
 
@@ -165,6 +166,36 @@ def test_a_photo_of_one_value(sphere_job_folder, value):
     folder, _ = sphere_job_folder
     with_photo(folder, np.full((96, 96, 3), value, np.float32))
     estimated(folder)
+
+
+@pytest.mark.parametrize("value", [1e20, 1e37])
+def test_light_is_in_the_units_of_the_photo_whatever_they_are(sphere_job_folder, value):
+    folder, truth = sphere_job_folder
+    with_photo(folder, photo_of(folder) * np.float32(value / 4))
+    assert near(estimated(folder, *EXACT), truth * value / 4)
+    assert json.loads((folder / "result" / "result.json").read_text())["objects"][0]["residual"] < 0.01
+
+
+@pytest.mark.parametrize("lit", [[1, 0, 0], [0, 1, 1], [1e-6, 0, 0], [1, 1e-6, 0]])
+def test_a_photo_with_black_channels(sphere_job_folder, lit):
+    """A sodium lamp: there is no light in the other channels, and no noise from which theirs could be told."""
+    folder, truth = sphere_job_folder
+    with_photo(folder, photo_of(folder) * np.float32(lit))
+    assert near(estimated(folder, *EXACT), truth * lit)
+    found = estimated(folder)
+    dark = np.array(lit) == 0
+    assert np.abs(found[:, dark]).max() < np.abs(found).max()
+
+
+@pytest.mark.parametrize("value", [1e6, 1e20, 1e38])
+@pytest.mark.parametrize("channels", [0, slice(None)], ids=["red", "all"])
+def test_a_pixel_that_is_far_brighter_than_all_others_is_spoken_of(sphere_job_folder, capsys, value, channels):
+    folder, _ = sphere_job_folder
+    pixels = photo_of(folder)
+    pixels[48, 48, channels] = value
+    with_photo(folder, pixels)
+    estimated(folder, "--pixels", "0")
+    assert "poorly" in capsys.readouterr().err
 
 
 def test_a_black_photo_is_refused(sphere_job_folder, capsys):
