@@ -123,7 +123,7 @@ def write_estimate_report(path, found, settings) -> None:
     compared = region & scene.job.photo.usable & np.isfinite(again).all(-1)
     error = np.linalg.norm((again - photo)[compared]) / max(np.linalg.norm(photo[compared]), 1e-30)
     size = (128, 256)
-    estimated = lighting_map(light, *size)
+    estimated = lighting_map(light, *size, radiance=found.radiance)  # as lighting.exr has it
     count = len(light.suns)
     suns = {0: "", 1: " and a sun"}.get(count, f" and {count} suns")
     names = ", ".join(dict.fromkeys(m.name for m in found.materials))

@@ -75,6 +75,11 @@ class Estimate:
     choice: dict
     photos: list
 
+    @property
+    def radiance(self):
+        """The sky's own radiance (`light_account.sky_radiance`); None where its series is all that is known."""
+        return None if self.fit.found is None else sky_radiance(self.fit, self.lighting)
+
 
 @dataclass(frozen=True)
 class PhotoFit:
@@ -295,8 +300,7 @@ def run_estimate(
             report.write_estimate_report(out / "report.png", found, settings)
     with reporter.stage("writing"):
         write_lighting(out / "lighting.json", found.lighting)
-        radiance = None if found.fit.found is None else sky_radiance(found.fit, found.lighting)
-        write_lighting_exr(out / "lighting.exr", found.lighting, radiance=radiance)
+        write_lighting_exr(out / "lighting.exr", found.lighting, radiance=found.radiance)
     result = result_record(found, settings)
     result["seconds"]["total"] = round(time.perf_counter() - started, 4)
     write_json(out / "result.json", result)

@@ -49,3 +49,18 @@ def test_one_free_scale_for_all_channels():
     holed = truth.copy()
     holed[3, 4] = np.nan  # where there is no object
     assert psnr(tint * holed, truth) == pytest.approx(psnr(tint * truth, truth), abs=0.05)
+
+
+def test_the_light_is_drawn_as_the_map_has_it(sphere_job_folder, monkeypatch):
+    """Of order 0 a series is one colour; the fit knows more, and lighting.exr shows it."""
+    folder, _ = sphere_job_folder
+    rows = []
+    monkeypatch.setattr(report, "write_row", lambda path, panels: rows.append(panels))
+    command = ["estimate", str(folder), "--material", "reference/white-diffuse", "--order", "0", "--preset", "draft"]
+    assert main([*command, "--json"]) == 0
+    drawn = rows[0][2][1].astype(np.float64)
+    fine = images.read_linear(folder / "result" / "lighting.exr").pixels.astype(np.float64)
+    mean = fine.reshape(128, 2, 256, 2, 3).mean((1, 3))
+    expected = report.display(mean, report.exposure(mean, ...)).astype(np.float64)
+    assert expected.std((0, 1)).min() > 5
+    np.testing.assert_allclose(drawn, expected, atol=6)
