@@ -20,6 +20,7 @@ from btfsep_engine import atomic
 
 ENVIRONMENT = "BTFSEP_CACHE"  # names another folder
 DIGEST = 32  # bytes
+TEXT = "text"  # what an entry holds instead of numbers
 
 
 def cache_folder() -> Path:
@@ -32,8 +33,12 @@ def cache_folder() -> Path:
     return usual if usual.is_absolute() else Path(os.devnull, "btfsep")
 
 
-def read(path) -> dict | None:
-    """The arrays by name of the entry ``path``; None where there is none, or none that is whole."""
+def read(path, shapes: dict | None = None) -> dict | None:
+    """The arrays by name of the entry ``path``; None where there is none, or none that is whole.
+
+    ``shapes`` says what the entry has to hold to be of use: for each name `TEXT`, or the shape of finite numbers, with
+    a letter for a length that may be any, and is the same wherever the letter stands.
+    """
     path = Path(path)
     try:
         if not path.is_file():  # a pipe would be waited for
@@ -43,9 +48,29 @@ def read(path) -> dict | None:
                 return None
             file.seek(DIGEST)
             names = np.load(file, allow_pickle=False)
-            return {str(name): np.load(file, allow_pickle=False) for name in names}
+            found = {str(name): np.load(file, allow_pickle=False) for name in names}
     except (OSError, ValueError, EOFError):
         return None
+    return found if _fits(found, shapes or {}) else None
+
+
+def _fits(found: dict, shapes: dict) -> bool:
+    """Whether the arrays are those that `read` is asked for."""
+    lengths = {}
+    for name, shape in shapes.items():
+        array = found.get(name, np.array(None))
+        if shape is TEXT:
+            if array.dtype.kind != "U" or array.ndim:
+                return False
+            continue
+        wanted = tuple(
+            lengths.setdefault(n, got) if isinstance(n, str) else n for n, got in zip(shape, array.shape, strict=False)
+        )
+        if len(shape) != array.ndim or array.shape != wanted or array.dtype.kind not in "fiu":
+            return False
+        if not np.isfinite(array).all():
+            return False
+    return True
 
 
 def write(path, arrays: dict) -> None:

@@ -142,7 +142,8 @@ def converted(file: BtfFile, *, components: int, reporter: Reporter | None = Non
     components = max(1, min(components, 2 * sum(file.components) + 2))
     key = cache.digest(VERSION, file.sha256(), components, file.components)
     stored = cache.cache_folder() / "materials" / f"{key[:32]}.entry"
-    kept = cache.read(stored)
+    shapes = {"spatial": (file.texels, "k"), "angular": (file.pairs, 3, "k"), "relative_error": ()}
+    kept = cache.read(stored, shapes)
     if kept is not None:
         return LinearFactors(kept["spatial"], kept["angular"], float(kept["relative_error"]))
     factors = recompress(file.decode, file.texels, file.pairs, components=components, reporter=reporter)

@@ -6,6 +6,7 @@ import functools
 import json
 import logging
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -79,9 +80,10 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
     """
     name = digest(source_digest(), key)[:32]
     path = Path(folder or cache.cache_folder()) / "recognisers" / f"{name}.entry"
-    kept = cache.read(path)
+    kept = cache.read(path, {"header": cache.TEXT})
     if kept is not None:
-        return _assembled(kept)
+        with suppress(ValueError, KeyError, TypeError, AttributeError):  # whole, but not a recogniser
+            return _assembled(kept)
     recogniser = make()
     try:
         cache.write(path, _arrays(recogniser))

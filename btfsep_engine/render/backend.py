@@ -167,9 +167,10 @@ def choose_backend() -> Backend:
         When nothing on this machine can render; it names what was tried and how to mend it.
     """
     fingerprint = _fingerprint()
-    kept = cache.read(remembered())
+    names = [field.name for field in fields(Backend)]
+    kept = cache.read(remembered(), dict.fromkeys(["fingerprint", *names], cache.TEXT))
     if kept is not None and str(kept["fingerprint"]) == fingerprint:
-        return Backend(**{field.name: str(kept[field.name]) for field in fields(Backend)})
+        return Backend(**{name: str(kept[name]) for name in names})
     backend = _try_all()
     with suppress(InputError):  # a cache that cannot be written only costs the trial next time
         cache.write(remembered(), {"fingerprint": fingerprint, **asdict(backend)})

@@ -184,7 +184,7 @@ def _xatlas_uv(mesh):
 
     key = cache.digest("xatlas2", mesh.vertices, mesh.faces)
     stored = cache.cache_folder() / "charts" / f"{key[:32]}.entry"
-    kept = cache.read(stored)
+    kept = cache.read(stored, {"uv": (len(mesh.faces), 3, 2)})
     if kept is not None:
         return kept["uv"].astype(np.float64)
     # charts must not break where a mesh file splits its vertices (seams of normals or of another UV)

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from btfsep_engine import cache
 from btfsep_engine.btf import linear, reciprocity
 from btfsep_engine.btf.directions import (
     hemisphere_quadrature,
@@ -89,6 +90,13 @@ def test_a_log_domain_file_read_as_a_material(tmp_path, rng):
     truth = truth.reshape(found.shape) / DIRECTIONS[:, 2, None]  # the header says that the cosine is in
     assert np.median(np.abs(found / truth - 1)) < 0.06
     assert material.material_class == "leather"
+    (entry,) = (tmp_path / "cache" / "materials").iterdir()
+    kept = cache.read(entry)
+    for name, wrong in (("spatial", kept["spatial"][:, :3]), ("angular", kept["angular"] * np.nan)):
+        cache.write(entry, kept | {name: wrong})  # whole, and of no use
+        again = fmf.read(tmp_path / "leather05_a.btf", components=14)
+        np.testing.assert_array_equal(again.texels, material.texels)
+        np.testing.assert_array_equal(again.angular, material.angular)
 
 
 @pytest.mark.parametrize("included", [True, False])

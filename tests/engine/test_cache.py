@@ -108,3 +108,31 @@ def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_end(tmp_
     monkeypatch.setattr(os, "replace", replace)
     cache.write(tmp_path / "kind" / "key.entry", ARRAYS)
     assert order == [(tmp_path / "kind" / "key.entry").stat().st_size, "replace", "folder"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fits"),
+    [
+        ({}, True),
+        ({"uv": np.zeros((3, 2))}, False),
+        ({"uv": np.zeros((4, 3, 2))}, False),
+        ({"uv": np.array("text")}, False),
+        ({"uv": np.full((3, 4, 2), np.nan)}, False),
+        ({"uv": np.full((3, 4, 2), np.inf, np.float16)}, False),
+        ({"other": np.zeros((5, 7))}, False),
+        ({"uv": np.zeros((3, 7, 2)), "other": np.zeros((7, 7))}, True),
+        ({"name": np.zeros(3)}, False),
+        ({"name": np.array(["a", "b"])}, False),
+        ({"name": np.array("")}, True),
+        ({"more": np.array([np.nan])}, True),
+    ],
+)
+def test_an_entry_that_is_whole_and_holds_something_else_is_none(tmp_path, wrong, fits):
+    arrays = {"uv": np.zeros((3, 4, 2)), "other": np.zeros((4, 7), np.int32), "name": np.array("text"), **wrong}
+    cache.write(tmp_path / "kind" / "key.entry", arrays)
+    shapes = {"uv": (3, "n", 2), "other": ("n", 7), "name": cache.TEXT}
+    assert (cache.read(tmp_path / "kind" / "key.entry", shapes) is not None) is fits
+    assert cache.read(tmp_path / "kind" / "key.entry") is not None
+    for name in shapes:
+        cache.write(tmp_path / "kind" / "less.entry", {k: v for k, v in arrays.items() if k != name})
+        assert cache.read(tmp_path / "kind" / "less.entry", shapes) is None

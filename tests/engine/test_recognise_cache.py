@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 
+from btfsep_engine import cache
 from btfsep_engine.recognise import descriptors, model_file, training
 from btfsep_engine.recognise.vlad import Encoding
 
@@ -64,3 +65,11 @@ def test_other_code_trains_again(tmp_path, monkeypatch, rng):
     assert [ask(), ask()] == [1, 1]
     monkeypatch.setattr(model_file, "source_digest", lambda: "of other code")
     assert [ask(), ask()] == [2, 2]
+    entry = max((tmp_path / "recognisers").iterdir(), key=lambda p: p.stat().st_mtime_ns)
+    good = cache.read(entry)
+    bad = [good | {name: a * np.nan} for name, a in good.items() if a.dtype.kind == "f"]
+    bad += [good | {"header": np.array(text)} for text in ("", "[]", "{}", "7", "hello")]
+    bad += [{n: a for n, a in good.items() if n != name} for name in good] + [good | {"model.vectors": np.zeros(3)}]
+    for number, arrays in enumerate(bad, 3):
+        cache.write(entry, arrays)
+        assert [ask(), ask()] == [number, number]

@@ -65,3 +65,9 @@ def test_every_kind_of_damage_is_mended_without_a_word(sphere_job_folder, capsys
             assert cache.read(path) is None
         np.testing.assert_allclose(estimated(), first, rtol=1e-5, atol=1e-6)
         assert all(cache.read(path) is not None for path in entries)
+    for change in (lambda a: np.full_like(a, np.nan), lambda a: a[..., :1], lambda a: np.array(["a", "b"])):
+        for path in entries:  # whole, and not what it should be
+            path.write_bytes(whole[path])
+            arrays = cache.read(path)
+            cache.write(path, {n: change(a) if a.dtype.kind == "f" else np.zeros(3) for n, a in arrays.items()})
+        np.testing.assert_allclose(estimated(), first, rtol=1e-5, atol=1e-6)
