@@ -3,8 +3,7 @@
 
 Light is linear, so one pass of the transport serves all M. Two questions can be asked of every lighting:
 
-- ``radiance(directions, solid_angle)``: the mean radiance over a cap of that solid angle around each direction
-  (0: exactly from it). For mirrors and single directions.
+- ``radiance(directions)``: the radiance from each direction. For mirrors and single directions.
 - ``cell_averages(directions)``: for n directions spread over the whole sphere, each standing for 4 pi / n. The sum
   of what is returned times 4 pi / n is the whole light, exactly: the sun is in it, however small it is.
 """
@@ -21,8 +20,6 @@ from btfsep_engine import sh
 from btfsep_engine.conventions import direction_to_equirect, pixel_directions, pixel_solid_angles
 
 SAMPLES_PER_CELL = 24  # map samples that share out the light around a direction
-PIXELS_PER_CAP = 400  # more are averaged beforehand
-CHUNK = 4096  # directions
 
 
 class Lightings(Protocol):
@@ -36,8 +33,8 @@ class Lightings(Protocol):
     def names(self) -> tuple[str, ...]:
         """M names, for people"""
 
-    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
-        """(n, M, 3 or 1) float64 from ``directions : (n, 3) float, unit, world``, mean over ``solid_angle`` sr."""
+    def radiance(self, directions) -> np.ndarray:
+        """(n, M, 3 or 1) float64 from ``directions : (n, 3) float, unit, world``."""
 
     def cell_averages(self, directions) -> np.ndarray:
         """(n, M, 3 or 1) float64 for n directions that share out the whole sphere."""
@@ -59,10 +56,6 @@ def cap_factors(order: int, solid_angle: float) -> np.ndarray:
     return np.concatenate([[1.0], (p[:-2] - p[2:]) / ((2 * l + 1) * (1 - c))])
 
 
-def _per_term(per_order: np.ndarray) -> np.ndarray:
-    return np.repeat(per_order, 2 * np.arange(len(per_order)) + 1)
-
-
 @dataclass(frozen=True)
 class SHBasis:
     """The spherical harmonics up to ``order`` as (order + 1)^2 lights, the same in all channels; they go negative."""
@@ -77,9 +70,8 @@ class SHBasis:
     def names(self) -> tuple[str, ...]:
         return tuple(f"Y {l} {m}" for l in range(self.order + 1) for m in range(-l, l + 1))
 
-    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
-        basis = sh.evaluate(self.order, directions)
-        return (basis * _per_term(cap_factors(self.order, solid_angle)))[..., None]
+    def radiance(self, directions) -> np.ndarray:
+        return sh.evaluate(self.order, directions)[..., None]
 
     def cell_averages(self, directions) -> np.ndarray:
         """Point values: the basis hardly changes over a cell, and the sum over cells is a good quadrature."""
@@ -101,10 +93,8 @@ class SHLighting:
     def names(self) -> tuple[str, ...]:
         return (self.name,)
 
-    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
-        order = sh.order_of(len(self.coefficients))
-        factors = _per_term(cap_factors(order, solid_angle))
-        return (sh.evaluate(order, directions) @ (factors[:, None] * self.coefficients))[:, None, :]
+    def radiance(self, directions) -> np.ndarray:
+        return (sh.evaluate(sh.order_of(len(self.coefficients)), directions) @ self.coefficients)[:, None, :]
 
     def cell_averages(self, directions) -> np.ndarray:
         """Point values, as of the basis."""
@@ -150,29 +140,15 @@ class EnvironmentMaps:
         indices = list(indices)
         return EnvironmentMaps(self.maps[indices], tuple(self.names[i] for i in indices))
 
-    def radiance(self, directions, solid_angle: float = 0.0) -> np.ndarray:
-        """As :class:`Lightings` says; between pixel centres bilinear, over caps weighted by solid angle."""
-        d = np.asarray(directions, np.float64)
-        h, w = self.maps.shape[1:3]
-        half_angle = np.arccos(np.clip(1 - solid_angle / (2 * np.pi), -1, 1))
-        factor = int(np.sqrt(solid_angle / (4 * np.pi) * h * w / PIXELS_PER_CAP))
-        while factor > 1 and (h % factor or w % factor):
-            factor -= 1
-        if factor > 1:
-            smaller = np.stack([shrink(m, factor) for m in self.maps])
-            return EnvironmentMaps(smaller, self.names).radiance(d, solid_angle)
-        out = np.empty((len(d), self.count, 3))
-        for start in range(0, len(d), CHUNK):
-            some = slice(start, start + CHUNK)
-            weights = _bilinear(d[some], h, w) if half_angle < 0.5 * np.pi / h else self._caps(d[some], half_angle)
-            out[some] = (weights @ self._table).reshape(-1, self.count, 3)
-        return out
+    def radiance(self, directions) -> np.ndarray:
+        """As :class:`Lightings` says, bilinear between the pixels' centres."""
+        weights = _bilinear(np.asarray(directions, np.float64), *self.maps.shape[1:3])
+        return (weights @ self._table).reshape(-1, self.count, 3)
 
     def cell_averages(self, directions) -> np.ndarray:
         """Each map's energy is shared out among the three directions around it, exactly, by finely divided pixels.
 
-        The shares keep the place of a light too: the sun does not jump to the nearest direction, which makes the
-        error of the low orders a third (order 2 of the training lights, 256 directions: 0.013 against 0.040).
+        The shares keep the place of a light too: the sun does not jump to the nearest direction.
         """
         n = len(directions)
         h, w = self.maps.shape[1:3]
@@ -187,32 +163,6 @@ class EnvironmentMaps:
             ((weight[:, None] * shares).ravel(), (receivers.ravel(), np.repeat(pixel, taps))), shape=(n, h * w)
         )
         return (matrix @ self._table).reshape(n, self.count, 3)
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(pixel_directions(*self.maps.shape[1:3]).reshape(-1, 3))
-
-    def _caps(self, directions, half_angle: float) -> csr_matrix:
-        """Sparse weights of pixels in caps, with an edge as soft as a pixel, each row summing to 1."""
-        h, w = self.maps.shape[1:3]
-        soft = np.pi / h
-        reach = 2 * np.sin(min(half_angle + soft / 2, np.pi) / 2)
-        near = self._tree.query_ball_point(directions, reach)
-        counts = np.array([len(k) for k in near])
-        columns = np.concatenate([np.asarray(k, np.int64) for k in near])
-        rows = np.repeat(np.arange(len(directions)), counts)
-        chord = np.linalg.norm(self._tree.data[columns] - np.asarray(directions)[rows], axis=-1)
-        angle = 2 * np.arcsin(np.clip(chord / 2, 0, 1))
-        weight = np.clip((half_angle - angle) / soft + 0.5, 0, 1) * pixel_solid_angles(h, w)[columns // w]
-        matrix = csr_matrix((weight, (rows, columns)), shape=(len(directions), h * w))
-        total = np.asarray(matrix.sum(1)).ravel()
-        if (total <= 0).any():  # no pixel's centre is near: as good as a single direction
-            empty = np.flatnonzero(total <= 0)
-            single = _bilinear(np.asarray(directions)[empty], h, w).tocoo()
-            matrix = matrix + csr_matrix((single.data, (empty[single.row], single.col)), shape=matrix.shape)
-            total[empty] = 1
-        matrix.data /= np.repeat(total, np.diff(matrix.indptr))
-        return matrix
 
 
 def _around(directions, samples):

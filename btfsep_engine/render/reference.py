@@ -173,14 +173,13 @@ class Reference:
         """
         polar = np.arange(SKY_ROWS) * (np.pi / (SKY_ROWS - 1))
         turn = (np.arange(2 * SKY_ROWS) + 0.5) * (np.pi / SKY_ROWS)
-        cell = 2 * np.pi**2 / (2 * SKY_ROWS**2)
         out = None
         for row, theta in enumerate(polar):
             s = np.sin(theta)
             directions = np.stack(
                 [-s * np.cos(turn), s * np.sin(turn), np.full_like(turn, np.cos(theta))], -1
             )  # Mitsuba's (sin, cos, -cos) of its own axes, in ours
-            values = lightings.radiance(directions, cell * max(s, 1e-3) if _finer(lightings) else 0.0)
+            values = lightings.radiance(directions)
             if out is None:
                 out = np.empty((SKY_ROWS, *values.shape), np.float32)
             out[row] = values
@@ -239,9 +238,3 @@ class Reference:
             spread = (squares - total**2 / samples) / max(samples - 1, 1) / samples
             variance[start : start + step] = np.maximum(spread, 0)
         return mean, variance
-
-
-def _finer(lightings) -> bool:
-    """Whether the lights are maps with more pixels than the emitter has: then they are averaged."""
-    maps = getattr(lightings, "maps", None)
-    return maps is not None and maps.shape[1] > SKY_ROWS

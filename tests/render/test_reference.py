@@ -42,8 +42,8 @@ class Some:
     def names(self):
         return tuple(self.lights.names[i] for i in self.chosen)
 
-    def radiance(self, directions, solid_angle=0.0):
-        return self.lights.radiance(directions, solid_angle)[:, list(self.chosen)]
+    def radiance(self, directions):
+        return self.lights.radiance(directions)[:, list(self.chosen)]
 
     def cell_averages(self, directions):
         return self.lights.cell_averages(directions)[:, list(self.chosen)]
