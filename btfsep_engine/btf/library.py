@@ -14,13 +14,14 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from btfsep_engine import atomic
 from btfsep_engine.btf import linear, procedural
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.lock import locked
-from btfsep_engine.btf.model import REFERENCE, Material, Tabulated
+from btfsep_engine.btf.model import Lambertian, Material, Mirror, Tabulated
 from btfsep_engine.btf.surfaces import GIVEN, SURFACES
 from btfsep_engine.cache import digest
 from btfsep_engine.errors import InputError
@@ -28,6 +29,11 @@ from btfsep_engine.errors import InputError
 INDEX = "index.json"
 MAX_INDEX_BYTES = 16 << 20
 NAME = r"^[a-z0-9]+/[A-Za-z0-9_][A-Za-z0-9._-]*$"  # not "..", nothing that a command takes for an option
+REFERENCE = {  # materials of every library, without a file; a new kind of material (btf/model.py) is named here
+    "reference/white-diffuse": Lambertian("reference/white-diffuse", np.full(3, 0.8)),
+    "reference/grey18": Lambertian("reference/grey18", np.full(3, 0.18)),
+    "reference/chrome": Mirror("reference/chrome", np.array([0.55, 0.556, 0.554])),
+}
 Side = Annotated[int, Field(gt=0, le=1 << 24)]
 
 

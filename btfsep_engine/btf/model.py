@@ -212,10 +212,3 @@ class Mirror(Material):
 
     def diffuse_albedo(self) -> np.ndarray:
         return self.mirror_reflectance
-
-
-REFERENCE = {
-    "reference/white-diffuse": Lambertian("reference/white-diffuse", np.full(3, 0.8)),
-    "reference/grey18": Lambertian("reference/grey18", np.full(3, 0.18)),
-    "reference/chrome": Mirror("reference/chrome", np.array([0.55, 0.556, 0.554])),
-}

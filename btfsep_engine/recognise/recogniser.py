@@ -49,8 +49,8 @@ class Recogniser:
         """The names it can answer with."""
         return self.model.classes
 
-    def recognise(self, radiance, mask, *, what: str = "the region to recognise") -> Recognition:
-        """The material of the masked region of a photo.
+    def describe(self, radiance, mask, *, what: str = "the region to recognise"):
+        """The VLAD vectors of the masked region of a photo, see `vlad.Encoder.encode`.
 
         Parameters
         ----------
@@ -63,10 +63,6 @@ class Recogniser:
         InputError
             Where the region is too small, black or without finite pixels.
         """
-        return self.judged(self.describe(radiance, mask, what=what))
-
-    def describe(self, radiance, mask, *, what: str = "the region to recognise"):
-        """The VLAD vectors of a region, see `vlad.Encoder.encode`; parameters as `recognise`."""
         return self.encoder.encode(dense.extract(radiance, mask, settings=self.settings, what=what))
 
     def judged(self, vectors) -> Recognition:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From rendered training images to a recogniser (the paper, section 3.2).
 
-Images are consumed one by one. Of each only its descriptors are kept, as bytes and half floats: about 0.5 MB an
-image, 170 MB for 17 materials under 21 lights.
+Images are consumed one by one. Of each only its descriptors are kept, as bytes and half floats.
 """
 
 from collections.abc import Callable, Iterable, Iterator

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a value of a table stands for: the average over the hat of its direction.
 
-Who looks a table up interpolates between its directions (:mod:`btfsep_engine.btf.directions`), so a value f_j
-counts for all directions w that its hat h_j reaches, h_j(w) being its weight there. So the value that is stored is
+Between the directions of a table one interpolates (:mod:`btfsep_engine.btf.directions`): a value f_j counts for all
+directions w that its hat h_j reaches, h_j(w) being its weight there. So the value that is stored is
 
     f_j = <h_j, f cos> / <h_j, cos>        (<a, b>: the integral of a b over the hemisphere)
 
@@ -12,8 +12,7 @@ for as wide.)
 
 Averaging smooths, and interpolating between averages smooths again. :func:`sharpened` takes the second smoothing back
 as far as values stay positive: a few steps of Richardson and Lucy's iteration (Richardson 1972, Lucy 1974), which keeps
-the energy of each view exactly. Under natural light this comes nearer to the truth than the averages, and but for
-lobes as wide as the spacing seen from a listed direction, nearer than values at the directions themselves.
+the energy of each view exactly (docs/library.md).
 """
 
 from functools import lru_cache

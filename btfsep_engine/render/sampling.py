@@ -11,9 +11,7 @@ The rule (docs/sampling.md has the figures behind it), inside the object's regio
    diffuse part about the normal and a lobe about the mirror direction (Ramamoorthi and Hanrahan 2001). Nothing is
    traced for it.
 
-Where few pixels have the normals that tell most (a ball on a table) this gives them ten times their share; where an
-object shows all normals, it hardly matters which pixels are taken. The fit needs no weights against the choice: it
-conditions on where the pixels are.
+The fit needs no weights against the choice: it conditions on where the pixels are.
 """
 
 import numpy as np

@@ -20,6 +20,11 @@ QUICK = training.Method(COARSE, SMALL)
 MATERIALS = ("fine", "coarse", "stripes", "flat")
 
 
+def recognised(recogniser, radiance, mask, **names):
+    """What a masked photo is taken for."""
+    return recogniser.judged(recogniser.describe(radiance, mask, **names))
+
+
 def disk(side=SIDE):
     y, x = np.mgrid[:side, :side] - side / 2 + 0.5
     return np.hypot(x, y) < 0.45 * side
@@ -73,7 +78,7 @@ def test_textures_are_told_apart_under_new_lights(kind, request, rng):
     recogniser, right = request.getfixturevalue(kind), 0
     for material in MATERIALS:
         for _ in range(3):
-            answer = recogniser.recognise(photo(material, rng), disk())
+            answer = recognised(recogniser, photo(material, rng), disk())
             right += answer.material == material
             assert answer.candidates[0] == (answer.material, max(s for _, s in answer.candidates))
             assert sum(s for _, s in answer.candidates) == pytest.approx(1)
@@ -81,27 +86,27 @@ def test_textures_are_told_apart_under_new_lights(kind, request, rng):
 
 
 def test_unknown_is_farther_than_known(svm, rng):
-    known = [svm.recognise(photo(m, rng), disk()).unknown_score for m in MATERIALS for _ in range(4)]
+    known = [recognised(svm, photo(m, rng), disk()).unknown_score for m in MATERIALS for _ in range(4)]
     y, x = np.mgrid[:SIDE, :SIDE]
     checks = np.exp2(1.5 * np.sign(np.sin(x / 4) * np.sin(y / 4)))[..., None] * np.array([1.0, 0.2, 0.05])
-    strange = svm.recognise(checks.astype(np.float32), disk())
+    strange = recognised(svm, checks.astype(np.float32), disk())
     assert strange.unknown_score > 1.1 * np.mean(known)
     assert np.mean(np.array(known) > 1) < 0.2
 
 
 def test_unknown_is_a_winner_with_a_vote_below_the_limit(svm, rng):
     image = photo("fine", rng)
-    answer = svm.recognise(image, disk())
+    answer = recognised(svm, image, disk())
     vote = 1 - answer.unknown_score * (1 - svm.model.known_vote)
     for limit, unknown in ((vote - 0.01, False), (vote + 0.01, True)):
         strict = replace(svm, model=replace(svm.model, known_vote=limit))
-        assert strict.recognise(image, disk()).unknown is unknown
+        assert recognised(strict, image, disk()).unknown is unknown
 
 
 @pytest.mark.parametrize("factor", [1e-3, 0.7, 4096.0])
 def test_exposure_does_not_matter(svm, rng, factor):
     image = photo("coarse", rng)
-    here, there = svm.recognise(image, disk()), svm.recognise(image * factor, disk())
+    here, there = recognised(svm, image, disk()), recognised(svm, image * factor, disk())
     assert here.material == there.material
     # 8-bit coding before SIFT may round the odd pixel the other way
     assert dict(here.candidates)[here.material] == pytest.approx(dict(there.candidates)[here.material], abs=0.02)
@@ -124,7 +129,7 @@ def test_nan_and_infinite_pixels_are_bridged(svm, rng):
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             assert not holes[centres[:, 1] + dy, centres[:, 0] + dx].any()
-    assert svm.recognise(image, mask).material == "fine"
+    assert recognised(svm, image, mask).material == "fine"
 
 
 def test_patches_lie_inside_the_mask(rng):
@@ -147,7 +152,7 @@ def test_position_in_the_photo_does_not_matter(svm, rng):
     canvas[70 : 70 + SIDE, 190 : 190 + SIDE], moved[70 : 70 + SIDE, 190 : 190 + SIDE] = image, mask
     here, there = descriptors.extract(image, mask), descriptors.extract(canvas, moved)
     np.testing.assert_allclose(there.xy - here.xy, np.broadcast_to([190, 70], here.xy.shape))
-    assert svm.recognise(canvas, moved).candidates == svm.recognise(image, mask).candidates
+    assert recognised(svm, canvas, moved).candidates == recognised(svm, image, mask).candidates
 
 
 def test_too_small_black_or_absent(svm, rng):
@@ -155,13 +160,13 @@ def test_too_small_black_or_absent(svm, rng):
     tiny = np.zeros((SIDE, SIDE), bool)
     tiny[40:46, 40:46] = True
     with pytest.raises(InputError, match=r"object 'bean'; covers only 36 pixels"):
-        svm.recognise(image, tiny, what="object 'bean'")
+        recognised(svm, image, tiny, what="object 'bean'")
     with pytest.raises(InputError, match="no pixel"):
-        svm.recognise(image, np.zeros_like(tiny))
+        recognised(svm, image, np.zeros_like(tiny))
     with pytest.raises(InputError, match="black"):
-        svm.recognise(np.zeros_like(image), disk())
+        recognised(svm, np.zeros_like(image), disk())
     with pytest.raises(InputError, match="finite"):
-        svm.recognise(np.full_like(image, np.nan), disk())
+        recognised(svm, np.full_like(image, np.nan), disk())
     small = disk(28)
     assert len(descriptors.extract(photo("fine", rng, 28), small)) >= COARSE.minimum
 
@@ -184,7 +189,7 @@ def test_bad_training():
 
 def test_the_same_seed_learns_the_same(svm):
     image = photo("stripes", np.random.default_rng(5))
-    a, b = svm.recognise(image, disk()), learn().recognise(image, disk())
+    a, b = recognised(svm, image, disk()), recognised(learn(), image, disk())
     assert [n for n, _ in a.candidates] == [n for n, _ in b.candidates]
     np.testing.assert_allclose([s for _, s in a.candidates], [s for _, s in b.candidates], atol=1e-4)
 
@@ -195,7 +200,7 @@ def test_what_was_kept_gives_identical_scores(kind, request, rng, tmp_path):
     model_file.cached("a", lambda: recogniser, folder=tmp_path)
     again = model_file.cached("a", pytest.fail, folder=tmp_path)
     image = photo("coarse", rng)
-    assert again.recognise(image, disk()) == recogniser.recognise(image, disk())
+    assert recognised(again, image, disk()) == recognised(recogniser, image, disk())
     assert again.settings == recogniser.settings and again.encoder.encoding == recogniser.encoder.encoding
     numbers = [{k: v for k, v in vars(r.model).items() if np.isscalar(v)} for r in (again, recogniser)]
     assert repr(numbers[0]) == repr(numbers[1])  # not a number is not itself

@@ -73,7 +73,7 @@ def test_materials_are_recognised_under_other_lights(rendered, classifier):
     assert set(recogniser.materials) == set(GRAIN)
     for name in GRAIN:
         for image in render(material(name), other):
-            assert recogniser.recognise(5 * image, region).material == name
+            assert recogniser.judged(recogniser.describe(5 * image, region)).material == name
 
 
 def test_a_wrong_number_of_images_is_a_bug(rendered):

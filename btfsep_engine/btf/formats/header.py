@@ -31,7 +31,7 @@ class Header:
     channels : tuple of str
     views, lights : (n, 3) float64, unit, local frame
     width, height : texels
-    setup, sensor, light_source, xml : str, free text
+    setup, xml : str, free text
     rgb_scale : 3 floats; no known reader applies them
     height_mm : (h, w) float32, the height map of ``!FMF12FCER`` files, or None
     """
@@ -45,8 +45,6 @@ class Header:
     width: int
     height: int
     setup: str = ""
-    sensor: str = ""
-    light_source: str = ""
     xml: str = ""
     rgb_scale: tuple = (1.0, 1.0, 1.0)
     height_mm: np.ndarray | None = field(default=None, repr=False)
@@ -69,7 +67,7 @@ def read_common(cursor: Cursor) -> Header:
         raise cursor.fail("it does not begin like a UBO2014 .btf file", "give a file of the !FMF or !DFMF kind")
     begin = cursor.at = len(signature)
     struct_size, version = cursor.unpack("II", "the header")
-    setup, sensor, source = (cursor.text(80, "the header") for _ in range(3))
+    setup, _, _ = (cursor.text(80, "the header") for _ in range(3))  # the other two: the sensor, the light source
     pixels_per_mm = cursor.unpack("f", "the header")
     rgb_scale = cursor.unpack("3f", "the header")
     cosine = bool(cursor.unpack("I", "the header")) if version > 1 else False
@@ -101,8 +99,6 @@ def read_common(cursor: Cursor) -> Header:
         width=width,
         height=height,
         setup=setup,
-        sensor=sensor,
-        light_source=source,
         xml=xml,
         rgb_scale=rgb_scale,
     )
