@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files are written whole or not at all."""
+"""Files are written whole or not at all, and read with errors in words."""
 
 import os
 import tempfile
@@ -74,3 +74,25 @@ def write_bytes(path, data: bytes) -> None:
 def write_text(path, text: str) -> None:
     """Writes ``text`` as UTF-8 to ``path``, whole or not at all; bytes of names that are none as \\udcXX."""
     write_bytes(path, text.encode(errors="backslashreplace"))
+
+
+def read_bytes(path, name: str | None = None) -> bytes:
+    """What is in a file, which an error calls ``name``; None: by its own name.
+
+    Raises
+    ------
+    InputError
+        It is missing, empty, or cannot be read.
+    """
+    path = Path(path)
+    name = name or path.name
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(name, f"there is no such file in {path.parent}", "check the name") from None
+    except OSError as error:
+        reason = "it is a folder" if path.is_dir() else (error.strerror or str(error))
+        raise InputError(name, f"it cannot be read: {reason}", "check the file") from error
+    if not data:
+        raise InputError(name, "the file is empty", "export it again")
+    return data

@@ -89,7 +89,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     if colorspace not in COLORSPACES:
         raise ValueError(colorspace)
     path = Path(path)
-    data = _read_bytes(path)
+    data = atomic.read_bytes(path)
     if data[:4] == b"\x76\x2f\x31\x01":
         stored, alpha, inside = _read_exr(path, max_pixels)
         peak = None
@@ -126,7 +126,7 @@ def declared_size(path) -> tuple[int, int] | None:
         The file cannot be read, or claims an absurd size.
     """
     path = Path(path)
-    data = _read_bytes(path)
+    data = atomic.read_bytes(path)
     if data[:4] != b"\x76\x2f\x31\x01":
         return _declared_size(data)
     (low, high), *_ = _exr_windows(path)
@@ -143,7 +143,7 @@ def resized(pixels, side: int) -> np.ndarray:
 def read_mask(path) -> np.ndarray:
     """Reads a mask: (h, w) bool, true where any colour channel is not zero and, if there is alpha, it is not zero."""
     path = Path(path)
-    data = _read_bytes(path)
+    data = atomic.read_bytes(path)
     if data[:4] == b"\x76\x2f\x31\x01":
         stored, alpha, _ = _read_exr(path)
     else:
@@ -161,7 +161,7 @@ def read_depth(path) -> np.ndarray:
         As :func:`read_linear`, or no channel looks like depth.
     """
     path = Path(path)
-    if _read_bytes(path)[:4] != b"\x76\x2f\x31\x01":
+    if atomic.read_bytes(path)[:4] != b"\x76\x2f\x31\x01":
         raise InputError(path.name, "this is not an OpenEXR file", "save the depth as EXR")
     for channels, header in _exr_parts(path):
         names = list(channels)
@@ -210,19 +210,6 @@ def write_png(path, array) -> None:
     if not done:
         raise ValueError(f"cannot encode an array of shape {a.shape}")
     atomic.write_bytes(path, data.tobytes())
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(path.name, f"there is no such file in {path.parent}", "check the name") from None
-    except OSError as error:
-        reason = "it is a folder" if path.is_dir() else (error.strerror or str(error))
-        raise InputError(path.name, f"it cannot be read: {reason}", "check the file") from error
-    if not data:
-        raise InputError(path.name, "the file is empty", "export it again")
-    return data
 
 
 def _check_size(path: Path, width: int, height: int, max_pixels: int | None = None) -> None:

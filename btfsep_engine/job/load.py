@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import images
+from btfsep_engine import atomic, images
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
@@ -111,11 +111,7 @@ class _Folder:
         return path
 
     def read(self, relative: str, what: str) -> bytes:
-        path = self.path(relative, what)
-        try:
-            return path.read_bytes()
-        except OSError as error:
-            raise InputError(what, f"it cannot be read: {error.strerror or error}", "check the file") from error
+        return atomic.read_bytes(self.path(relative, what), what)
 
     def digest(self) -> str:
         """sha256 over the names and the bytes of all files used, hexadecimal."""

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from btfsep_engine import atomic
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.job.polygons import Polygons, read_obj, read_ply, triangulate
@@ -35,14 +36,8 @@ def load_mesh(path, *, to_world=None, name: str | None = None) -> tuple[Triangle
     InputError
         Unreadable, damaged, no faces, vertices that are not finite, faces that name vertices that are not there.
     """
-    path = Path(path)
-    name = name or path.name
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(name, f"it cannot be read: {error.strerror or error}", "check the file") from error
-    polygons = parse(name, data)
-    return assemble(name, polygons, to_world=to_world)
+    name = name or Path(path).name
+    return assemble(name, parse(name, atomic.read_bytes(path, name)), to_world=to_world)
 
 
 def parse(name: str, data: bytes) -> Polygons:

@@ -137,7 +137,7 @@ def read_lighting(path) -> Lighting:
         Missing, no lighting of BTFsep, or wrong in itself, in words.
     """
     path = Path(path)
-    schema = parse(LightingSchema, path.name, _read_bytes(path), kind="a BTFsep lighting")
+    schema = parse(LightingSchema, path.name, atomic.read_bytes(path), kind="a BTFsep lighting")
     terms = sh.term_count(schema.order)
     for key in ("coefficients", "stddev", "determined", "low", "high"):
         rows = getattr(schema, key)
@@ -301,12 +301,3 @@ def read_any_map(path) -> np.ndarray:
     """Reads an environment map (EXR, HDR, …) whole, or a ``lighting.json`` as the map of its ``lighting.exr``."""
     path = Path(path)
     return lighting_map(read_lighting(path), *MAP_SIZE) if path.suffix.lower() == ".json" else read_map(path)
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(str(path), "there is no such file", "check the name") from None
-    except OSError as error:
-        raise InputError(str(path), f"it cannot be read: {error.strerror or error}", "check the file") from error

@@ -236,7 +236,7 @@ TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 
 @pytest.mark.parametrize(("data", "words"), [
-    ("", "neither a PLY nor an OBJ"),
+    ("", "the file is empty"),
     ("hello world\n", "neither a PLY nor an OBJ"),
     (b"\0\1\2" * 50, "neither a PLY nor an OBJ"),
     (TWO, "no faces"),

@@ -292,7 +292,7 @@ def test_uv_without_area_are_refused(sphere_job_folder, capsys):
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -7\n", "names vertex"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no faces"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\nf 1 1 1\n", "no face of the mesh has an area"),
-        ("", "neither a PLY nor an OBJ"),
+        ("", "the file is empty"),
         ("hello\n", "neither a PLY nor an OBJ"),
     ],
 )

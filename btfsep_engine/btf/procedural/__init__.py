@@ -106,24 +106,8 @@ RECIPES = {
     "wood/parquet-herringbone": (timber.parquet, 88.0, 0.045),
 }
 NAMES = tuple(RECIPES)
-# Those whose measured files are in btfsep_engine/data/library; the others are a `btfsep library build` away. The files
-# were made from these maps: what changes a map of these makes its file, and every number in docs, stale.
-SHIPPED = (
-    "carpet/loop-sand",
-    "carpet/cut-wine",
-    "fabric/linen-plain",
-    "fabric/denim-twill",
-    "felt/grey-melange",
-    "felt/green-coarse",
-    "leather/brown-grain",
-    "leather/black-nappa",
-    "stone/granite-grey",
-    "stone/sandstone-yellow",
-    "wallpaper/woodchip-white",
-    "wallpaper/damask-teal",
-    "wood/oak-boards",
-    "wood/walnut-lacquered",
-)
+# Those with files in data/library were measured from these maps: what changes a map of one of them makes its file, and
+# every number in docs, stale. The others are a `btfsep library build` away.
 
 
 def maps(name: str, resolution: int = 256, *, variation: int = 0) -> Maps:
