@@ -36,8 +36,8 @@ def cache_folder() -> Path:
 def read(path, shapes: dict | None = None) -> dict | None:
     """The arrays by name of the entry ``path``; None where there is none, or none that is whole.
 
-    ``shapes`` says what the entry has to hold to be of use: for each name `TEXT`, or the shape of finite numbers, with
-    a letter for a length that may be any, and is the same wherever the letter stands.
+    ``shapes`` says what the entry has to hold to be of use: for each name `TEXT`, or the shape of its numbers, with a
+    word for a length that may be any, and is the same wherever the word stands. All its numbers have to be finite then.
     """
     path = Path(path)
     try:
@@ -51,7 +51,7 @@ def read(path, shapes: dict | None = None) -> dict | None:
             found = {str(name): np.load(file, allow_pickle=False) for name in names}
     except (OSError, ValueError, EOFError):
         return None
-    return found if _fits(found, shapes or {}) else None
+    return found if shapes is None or _fits(found, shapes) else None
 
 
 def _fits(found: dict, shapes: dict) -> bool:
@@ -68,9 +68,7 @@ def _fits(found: dict, shapes: dict) -> bool:
         )
         if len(shape) != array.ndim or array.shape != wanted or array.dtype.kind not in "fiu":
             return False
-        if not np.isfinite(array).all():
-            return False
-    return True
+    return all(np.isfinite(array).all() for array in found.values() if array.dtype.kind == "f")
 
 
 def write(path, arrays: dict) -> None:

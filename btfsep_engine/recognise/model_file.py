@@ -24,6 +24,14 @@ ENGINE = Path(__file__).resolve().parents[1]
 # what a training runs through, from the geometry to the classifier
 SOURCES = ("conventions.py", "images.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
 ROOMS = ("btf", "job", "light", "recognise", "render")
+SHAPES = {  # of an entry, see `cache.read`
+    "header": cache.TEXT,
+    "encoder.colour": ("words", "c"),
+    "encoder.sift": ("more words", "axes"),
+    "encoder.sift_mean": ("s",),
+    "encoder.sift_axes": ("s", "axes"),
+    "model.vectors": ("images", "length"),
+}
 
 
 def _arrays(recogniser: Recogniser) -> dict:
@@ -80,7 +88,7 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
     """
     name = digest(source_digest(), key)[:32]
     path = Path(folder or cache.cache_folder()) / "recognisers" / f"{name}.entry"
-    kept = cache.read(path, {"header": cache.TEXT})
+    kept = cache.read(path, SHAPES)
     if kept is not None:
         with suppress(ValueError, KeyError, TypeError, AttributeError):  # whole, but not a recogniser
             return _assembled(kept)

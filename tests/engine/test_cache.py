@@ -124,7 +124,7 @@ def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_end(tmp_
         ({"name": np.zeros(3)}, False),
         ({"name": np.array(["a", "b"])}, False),
         ({"name": np.array("")}, True),
-        ({"more": np.array([np.nan])}, True),
+        ({"more": np.array([np.nan])}, False),
     ],
 )
 def test_an_entry_that_is_whole_and_holds_something_else_is_none(tmp_path, wrong, fits):
