@@ -10,8 +10,8 @@ mean of the channels' logarithms, and c1 = log R - log B, c2 = log G - (log R + 
 because the eigenfunctions of a stationary covariance on the sphere are spherical harmonics: the covariance is one
 variance for each degree, and white numbers w = (a - mean) / s are the unknowns of the fit. The variances are learned
 from the shipped training lights (`learn`; the table is ``data/natural_log_light.json``, written by
-``scripts/learn_natural_light``): a power law over the degrees, because seven maps teach no more. The level, degree 0,
-is as good as unknown.
+``scripts/study learn-natural-light``): a power law over the degrees, because seven maps teach no more. The level,
+degree 0, is as good as unknown.
 
 The light's coefficients up to the fit's order are sums over directions of equal solid angle, x = T exp(u).
 """

@@ -8,22 +8,20 @@ job/, lighting.json, lighting.exr, result.json, rerendered.exr, report.png.
 import argparse
 import contextlib
 import json
-import os
 import shutil
 import sys
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[0] = str(ROOT)  # not this folder: its modules are scripts.cycles'
+import blender_btfsep
+import bpy
+import numpy as np
+from blender_btfsep import command
 
-import blender_btfsep  # noqa: E402
-import bpy  # noqa: E402
-import numpy as np  # noqa: E402
-from blender_btfsep import command  # noqa: E402
-
-from btfsep_engine.fit import compare  # noqa: E402
-from scripts.cycles import engine, figure, objects, studio  # noqa: E402
+from btfsep_engine.fit import compare
+from scripts.cycles import engine, figure, objects, studio
+from scripts.cycles.lights import studio_lights, true_lighting
+from scripts.studies.measures import errors
 
 ORDER = 4
 
@@ -33,25 +31,10 @@ def parse():
     parser.add_argument("--out", type=Path, default=Path("demo_output"), help="folder for what comes out")
     parser.add_argument("--object", default="suzanne", choices=[n for n in objects.NAMES if n != "sphere"])
     parser.add_argument("--material", default="leather/brown-grain", help="a material of the library, or white")
-    parser.add_argument("--light", default="courtyard", choices=sorted(studio.studio_lights()))
+    parser.add_argument("--light", default="courtyard", choices=sorted(studio_lights()))
     parser.add_argument("--library", type=Path, help="another material library")
     parser.add_argument("--quick", action="store_true", help="a smaller photo and the draft settings")
     return parser.parse_args()
-
-
-@contextlib.contextmanager
-def quiet():
-    """Sends what Blender itself writes to standard output into nowhere (Python's own prints too)."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    try:
-        yield
-    finally:
-        sys.stdout.flush()
-        os.dup2(kept, 1)
-        os.close(kept)
 
 
 class Stages:
@@ -65,7 +48,7 @@ class Stages:
         self.number += 1
         print(f"[{self.number}/{self.count}] {name} …", flush=True)
         start = time.perf_counter()
-        with quiet() if hush else contextlib.nullcontext():
+        with studio.quiet() if hush else contextlib.nullcontext():
             yield
         self.seconds[name] = time.perf_counter() - start
         print(f"      {self.seconds[name]:.1f} s", flush=True)
@@ -120,20 +103,20 @@ def main() -> int:
                 image.pack()  # the material's maps live in memory only, the light in Blender's own folder
         bpy.ops.wm.save_as_mainfile(filepath=str(out / "scene.blend"), compress=True)
     with stages.stage("composing report.png"):
-        truth = studio.true_lighting(options.light, ORDER)
-        errors = engine.errors(estimate, truth)
+        truth = true_lighting(options.light, ORDER)
+        off = errors(estimate, truth)
         solid = mask > 0.99
         misfit = compare.relative_l2(rerendered[solid].astype(float), photo[solid].astype(float))
         free, absolute = misfit["relative_l2_free_scale"], misfit["relative_l2"]
         right = found == options.material
-        words = {
-            "photo": f"{options.object}, {options.material}",
-            "material": found + ("" if right or options.material == "white" else f"  (true: {options.material})"),
-            "truth": f"{options.light}, order {ORDER}",
-            "estimate": f"order {ORDER}, error {errors['order2']:.2f} (order 2), {errors['direction']:.0f}°",
-            "rerendered": "Cycles, estimated World",
-            "difference": f"error {absolute:.2f}, with a free scale {free:.2f}",
-        }
+        words = (
+            f"{options.object}, {options.material}",
+            found + ("" if right or options.material == "white" else f"  (true: {options.material})"),
+            f"{options.light}, order {ORDER}",
+            f"order {ORDER}, error {off['order2']:.2f} (order 2), {off['direction']:.0f}°",
+            "Cycles, estimated World",
+            f"error {absolute:.2f}, with a free scale {free:.2f}",
+        )
         figure.write(
             out / "report.png",
             photo=photo,
@@ -150,9 +133,9 @@ def main() -> int:
     print(
         f"""
 material         {found} ({known})
-light, order 1   relative error {errors["order1"]:.3f} with one free scale, {errors["order1_absolute"]:.3f} with none
-light, order 2   relative error {errors["order2"]:.3f} with one free scale, {errors["order2_absolute"]:.3f} with none
-main direction   {errors["direction"]:.1f} degrees off
+light, order 1   relative error {off["order1"]:.3f} with one free scale, {off["order1_absolute"]:.3f} with none
+light, order 2   relative error {off["order2"]:.3f} with one free scale, {off["order2_absolute"]:.3f} with none
+main direction   {off["direction"]:.1f} degrees off
 re-rendering     relative error {free:.3f} with one free scale, {absolute:.3f} with none
 time             {total:.0f} s, of which the engine {result["seconds"]["total"]:.0f} s
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine as a child process, over its command line, and what its results are worth against the truth."""
+"""The engine as a child process, over its command line."""
 
 import json
 import subprocess
@@ -7,9 +7,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
-from btfsep_engine import sh
-from btfsep_engine.fit import compare
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -49,22 +46,3 @@ def run(*arguments, on_progress=None) -> dict:
 def coefficients(lighting_json) -> np.ndarray:
     """((L + 1)^2, 3) float64 of a ``lighting.json``."""
     return np.array(json.loads(Path(lighting_json).read_text())["coefficients"], np.float64)
-
-
-def errors(estimate, truth) -> dict:
-    """What an estimate of coefficients is worth.
-
-    Returns
-    -------
-    order1, order2 : relative L2 error up to that order, one free scale; order1_absolute, order2_absolute : none
-    scale : the free scale of the highest of them; direction : degrees between the main directions of the light
-    """
-    estimate, truth, out = np.asarray(estimate), np.asarray(truth), {}
-    known = min(sh.order_of(len(estimate)), sh.order_of(len(truth)))
-    for order in range(1, min(known, 2) + 1):
-        n = sh.term_count(order)
-        found = compare.relative_l2(estimate[:n], truth[:n])
-        out[f"order{order}"], out[f"order{order}_absolute"] = found["relative_l2_free_scale"], found["relative_l2"]
-        out["scale"] = found["scale"]
-    out["direction"] = compare.direction_error(estimate, truth)
-    return out

@@ -7,6 +7,7 @@ roughness on a Principled BSDF: what the engine's tables stand for, made in anot
 
 import bpy
 import numpy as np
+from scipy.ndimage import fourier_gaussian, map_coordinates
 
 from scripts.cycles import objects
 
@@ -44,12 +45,12 @@ def node_tree(owner):
     return owner.node_tree
 
 
-def white(albedo: float = WHITE_ALBEDO) -> bpy.types.Material:
-    """A perfectly diffuse material."""
+def white(albedo=WHITE_ALBEDO) -> bpy.types.Material:
+    """A perfectly diffuse material of an albedo, one number or three."""
     material = bpy.data.materials.new("white matte")
     tree = node_tree(material)
     bsdf = tree.nodes.new("ShaderNodeBsdfDiffuse")
-    bsdf.inputs["Color"].default_value = (albedo, albedo, albedo, 1)
+    bsdf.inputs["Color"].default_value = (*np.broadcast_to(albedo, 3), 1)
     bsdf.inputs["Roughness"].default_value = 0
     out = tree.nodes.new("ShaderNodeOutputMaterial")
     tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
@@ -74,22 +75,12 @@ def surface(name: str, maps) -> bpy.types.Material:
 
 def smoothed(height, sigma_texels: float) -> np.ndarray:
     """A periodic map (n, m) under a Gaussian, so that a mesh can carry it without aliasing."""
-    fy, fx = np.fft.fftfreq(height.shape[0])[:, None], np.fft.rfftfreq(height.shape[1])[None, :]
-    low = np.exp(-2 * (np.pi * sigma_texels) ** 2 * (fx * fx + fy * fy))
-    return np.fft.irfft2(np.fft.rfft2(height) * low, s=height.shape)
+    return np.fft.ifft2(fourier_gaussian(np.fft.fft2(height), sigma_texels)).real
 
 
 def sample_periodic(values, uv) -> np.ndarray:
     """Bilinear look-up in a periodic map (h, w), row 0 at the smallest v; ``uv : (n, 2)``, one unit a tile."""
-    h, w = values.shape
-    x, y = uv[:, 0] * w - 0.5, uv[:, 1] * h - 0.5
-    x0, y0 = np.floor(x), np.floor(y)
-    fx, fy = x - x0, y - y0
-    x0, y0 = x0.astype(np.int64) % w, y0.astype(np.int64) % h
-    x1, y1 = (x0 + 1) % w, (y0 + 1) % h
-    return (values[y0, x0] * (1 - fx) + values[y0, x1] * fx) * (1 - fy) + (
-        values[y1, x0] * (1 - fx) + values[y1, x1] * fx
-    ) * fy
+    return map_coordinates(values, (uv * values.shape[::-1] - 0.5).T[::-1], order=1, mode="grid-wrap")
 
 
 def displaced(base: bpy.types.Object, name: str, maps, *, face_mm: float = FACE_MM) -> bpy.types.Object:
@@ -105,8 +96,7 @@ def displaced(base: bpy.types.Object, name: str, maps, *, face_mm: float = FACE_
     maps : base_colour (n, n, 3) linear, height_mm (n, n), roughness (n, n), size_mm, f0
     """
     vertex, _ = objects.triangles(base.data)
-    corners = objects.vertex_positions(base.data)[vertex]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    area = objects.area(objects.vertex_positions(base.data)[vertex])
     faces = len(base.data.polygons)
     wanted = min(area / (face_mm * 1e-3) ** 2, MOST_FACES)
     levels = max(int(np.round(np.log(wanted / faces) / np.log(4))), 0)

@@ -53,17 +53,21 @@ def _suzanne(_rng) -> bpy.types.Mesh:
     return subdivided(mesh, 3)
 
 
-def _blob(rng) -> bpy.types.Mesh:
-    """A ball swollen by a sum of smooth waves."""
-    mesh = bpy.data.meshes.new("blob")
+def _ball(cuts: int):
+    """A quad ball of radius 1, its faces of even size: mesh and its vertices (v, 3)."""
+    mesh = bpy.data.meshes.new("ball")
     bm = bmesh.new()
     bmesh.ops.create_cube(bm, size=2.0)
-    bmesh.ops.subdivide_edges(bm, edges=bm.edges, cuts=63, use_grid_fill=True)
+    bmesh.ops.subdivide_edges(bm, edges=bm.edges, cuts=cuts, use_grid_fill=True)
     bm.to_mesh(mesh)
     bm.free()
-    p = vertex_positions(mesh)
-    p = np.tan(p * np.pi / 4)  # evens out the faces
-    p /= np.linalg.norm(p, axis=1, keepdims=True)
+    p = np.tan(vertex_positions(mesh) * np.pi / 4)  # evens out the faces
+    return mesh, p / np.linalg.norm(p, axis=1, keepdims=True)
+
+
+def _blob(rng) -> bpy.types.Mesh:
+    """A ball swollen by a sum of smooth waves."""
+    mesh, p = _ball(63)
     radius = np.ones(len(p))
     for frequency, height in ((2.0, 0.14), (3.6, 0.11), (6.0, 0.06)):
         for wave in rng.normal(size=(3, 3)):
@@ -131,16 +135,8 @@ def _disk(cells: int):
 def _vase(_rng) -> bpy.types.Mesh:
     """Turned on a lathe: an open cup with a thick wall, so that much of it lights and shades itself."""
     outside = [(0.34, 0), (0.5, 0.06), (0.72, 0.4), (0.86, 0.8), (0.78, 1.15), (0.56, 1.42), (0.60, 1.62), (0.78, 1.78)]
-    inside = [
-        (0.74, 1.83),
-        (0.66, 1.78),
-        (0.50, 1.62),
-        (0.46, 1.42),
-        (0.66, 1.13),
-        (0.74, 0.8),
-        (0.6, 0.42),
-        (0.34, 0.14),
-    ]
+    inside = [(0.74, 1.83), (0.66, 1.78), (0.50, 1.62), (0.46, 1.42), (0.66, 1.13)]
+    inside += [(0.74, 0.8), (0.6, 0.42), (0.34, 0.14)]
     r, z = _catmull_rom(outside + inside, 8).T
     around = 160
     angle = np.arange(around) * 2 * np.pi / around
@@ -189,7 +185,41 @@ def _sphere(_rng) -> bpy.types.Mesh:
     return mesh
 
 
-BUILDERS = {"suzanne": _suzanne, "blob": _blob, "knot": _knot, "vase": _vase, "cloth": _cloth, "sphere": _sphere}
+def _pebble(rng) -> bpy.types.Mesh:
+    """An egg with shallow dents, lying aslant: smooth, nearly convex."""
+    mesh, p = _ball(47)
+    radius = np.ones(len(p))
+    for _ in range(6):
+        centre = rng.normal(size=3)
+        centre /= np.linalg.norm(centre)
+        radius -= 0.10 * np.exp(-8 * (1 - p @ centre))
+    p = p * radius[:, None] * (1.0, 0.72, 0.62)
+    p[:, 0] *= 1 + 0.18 * p[:, 2]
+    a = np.radians(35)
+    turn = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+    move(mesh, p @ turn.T)
+    return mesh
+
+
+def _cushion(rng) -> bpy.types.Mesh:
+    """A pillow that stands on an edge: a superellipsoid with four corners and some creases."""
+    mesh, p = _ball(47)
+    length = (np.abs(p[:, 0]) ** 3.5 + np.abs(p[:, 2]) ** 3.5) ** (1 / 3.5)
+    flat = np.hypot(p[:, 0], p[:, 2])
+    p[:, [0, 2]] *= (flat / np.maximum(length, 1e-9))[:, None]
+    p[:, 1] *= 0.55 * (1 - 0.45 * np.clip(flat, 0, 1) ** 2)
+    for _ in range(3):
+        wave, phase = rng.normal(size=2), rng.uniform(0, 2 * np.pi)
+        wave *= 4.5 / np.linalg.norm(wave)
+        p[:, 1] += 0.03 * np.sin(p[:, [0, 2]] @ wave + phase)
+    move(mesh, p)
+    return mesh
+
+
+BUILDERS = {
+    "suzanne": _suzanne, "blob": _blob, "knot": _knot, "vase": _vase, "cloth": _cloth, "sphere": _sphere,
+    "pebble": _pebble, "cushion": _cushion,
+}  # fmt: skip
 NAMES = tuple(BUILDERS)
 
 
@@ -226,44 +256,6 @@ def set_corner_uv(mesh, uv) -> None:
     mesh.uv_layers.active.uv.foreach_set("vector", np.ascontiguousarray(uv, np.float32).ravel())
 
 
-def _charts(mesh) -> np.ndarray:
-    """(faces,) int, the chart of each face: faces joined over edges whose UVs agree on both sides."""
-    bm = bmesh.new()
-    bm.from_mesh(mesh)
-    layer = bm.loops.layers.uv.active
-    parent = list(range(len(bm.faces)))
-
-    def root(i):
-        while parent[i] != i:
-            parent[i] = parent[parent[i]]
-            i = parent[i]
-        return i
-
-    for edge in bm.edges:
-        if len(edge.link_loops) != 2:
-            continue
-        a, b = edge.link_loops
-        here = (a[layer].uv, a.link_loop_next[layer].uv)
-        there = (b.link_loop_next[layer].uv, b[layer].uv)
-        if a.vert is b.vert:
-            there = there[::-1]
-        if all((p - q).length_squared < 1e-12 for p, q in zip(here, there, strict=True)):
-            parent[root(a.face.index)] = root(b.face.index)
-    found = np.array([root(i) for i in range(len(parent))])
-    bm.free()
-    return np.unique(found, return_inverse=True)[1]
-
-
-def _mark_seams(mesh, charts) -> None:
-    bm = bmesh.new()
-    bm.from_mesh(mesh)
-    for edge in bm.edges:
-        faces = edge.link_faces
-        edge.seam = bool(len(faces) == 2 and charts[faces[0].index] != charts[faces[1].index])
-    bm.to_mesh(mesh)
-    bm.free()
-
-
 def unwrap(obj) -> None:
     """Gives ``obj`` a UV map in metres on its surface: charts of like-facing faces, unwrapped, scaled by area."""
     mesh = obj.data
@@ -273,47 +265,49 @@ def unwrap(obj) -> None:
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.ops.mesh.select_all(action="SELECT")
     bpy.ops.uv.smart_project(angle_limit=ISLAND_ANGLE, island_margin=0.0, scale_to_bounds=False)
-    bpy.ops.object.mode_set(mode="OBJECT")
-    _mark_seams(mesh, _charts(mesh))
-    bpy.ops.object.mode_set(mode="EDIT")
-    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.uv.select_all(action="SELECT")
+    bpy.ops.uv.seams_from_islands()
     bpy.ops.uv.unwrap(method="ANGLE_BASED", margin=0.0, fill_holes=False)
+    bpy.ops.uv.select_all(action="SELECT")
+    bpy.ops.uv.average_islands_scale()
     bpy.ops.object.mode_set(mode="OBJECT")
-    _scale_charts(mesh)
+    vertex, corner = triangles(mesh)
+    uv = corner_uv(mesh)
+    flat = np.pad(uv, ((0, 0), (0, 1)))
+    set_corner_uv(mesh, uv * np.sqrt(area(vertex_positions(mesh)[vertex]) / area(flat[corner])))
 
 
-def _scale_charts(mesh) -> None:
-    """Scales each chart so that its area in UV equals its area on the surface (square metres)."""
-    charts = _charts(mesh)
-    uv, (vertex, corner) = corner_uv(mesh), triangles(mesh)
-    face_of = np.empty(len(mesh.loop_triangles), np.int32)
-    mesh.loop_triangles.foreach_get("polygon_index", face_of)
-    p, q = vertex_positions(mesh)[vertex], uv[corner]
-    surface = 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
-    a, b = q[:, 1] - q[:, 0], q[:, 2] - q[:, 0]
-    flat = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    chart = charts[face_of]
-    scale = np.sqrt(np.bincount(chart, surface) / np.maximum(np.bincount(chart, flat), 1e-20))
-    corner_scale = np.empty(len(uv))
-    corner_scale[corner] = scale[chart][:, None]
-    set_corner_uv(mesh, uv * corner_scale[:, None])
+def area(corners) -> float:
+    """Of triangles (t, 3, 3)."""
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
 
 
-def build(name: str, *, seed: int = 0, with_uv: bool = True) -> bpy.types.Object:
+def build(name, *, seed: int = 0, thickness: float = 1.0, view=(0.0, -1.0, 0.0)) -> bpy.types.Object:
     """The object ``name`` (one of :data:`NAMES`), linked to the current scene.
+
+    Parameters
+    ----------
+    thickness : factor on the extent along ``view : (3,)``, the direction towards the camera
 
     Returns
     -------
-    bpy.types.Object with an identity transform, smooth shaded; its UV map, if any, in metres
+    bpy.types.Object with an identity transform, smooth shaded; its UV map in metres
     """
-    mesh = BUILDERS[name](np.random.default_rng(seed))
+    mesh = centred(BUILDERS[name](np.random.default_rng(seed)))
     mesh.name = name
-    positions = vertex_positions(mesh)
-    low, high = positions.min(0), positions.max(0)
-    move(mesh, (positions - (low + high) / 2) * (LARGEST_SIDE / (high - low).max()))
     mesh.shade_smooth()
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(obj)
-    if with_uv:
-        unwrap(obj)
+    if thickness != 1:
+        view, p = np.asarray(view) / np.linalg.norm(view), vertex_positions(mesh)
+        move(mesh, p - (1 - thickness) * (p @ view)[:, None] * view)
+    unwrap(obj)
     return obj
+
+
+def centred(mesh) -> bpy.types.Mesh:
+    """The mesh with its bounding box about the origin, its largest side :data:`LARGEST_SIDE`."""
+    p = vertex_positions(mesh)
+    low, high = p.min(0), p.max(0)
+    move(mesh, (p - (low + high) / 2) * (LARGEST_SIDE / (high - low).max()))
+    return mesh

@@ -5,17 +5,19 @@ What is photographed is the displaced object; what is *known* (and exported in a
 undisplaced macro geometry. Scene unit: metre. Nothing is clamped, filtered or denoised: radiance is as rendered.
 """
 
+import contextlib
 import math
+import os
+import sys
 import tempfile
-from functools import lru_cache
 from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Euler, Vector
+from mathutils import Vector
 
-from btfsep_engine import sh
 from scripts.cycles import materials, objects
+from scripts.cycles.lights import light_path
 
 LENS_MM, SENSOR_MM = 85.0, 36.0
 FRAME_FILL = 0.84  # the object's larger extent over the frame's edge: about 60 % of the frame for a round object
@@ -23,15 +25,19 @@ VIEW_FROM = (0.45, -1.0, 0.42)  # from the front, a little from the right and ab
 BOUNCES = 8
 
 
-def studio_lights() -> dict:
-    """Blender's own environment maps, name -> path. They are the test lights, never used for training."""
-    folder = bpy.utils.system_resource("DATAFILES", path="studiolights/world")
-    return {path.stem: path for path in sorted(Path(folder).glob("*.exr"))}
-
-
-def light_path(light) -> Path:
-    """The path of a light: one of :func:`studio_lights` by name, or a path as it is."""
-    return studio_lights().get(str(light)) or Path(light)
+@contextlib.contextmanager
+def quiet():
+    """Sends what Blender itself writes to standard output into nowhere (Python's own prints too)."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
 
 
 def read_image(path) -> np.ndarray:
@@ -46,41 +52,27 @@ def read_image(path) -> np.ndarray:
         bpy.data.images.remove(image)
 
 
-@lru_cache(maxsize=16)
-def _projected(path: str, order: int) -> np.ndarray:
-    return sh.project_map(read_image(path), order)
-
-
-def true_lighting(light, order: int, rotation_z: float = 0.0, *, rotation=None) -> np.ndarray:
-    """SH coefficients of a light, turned about the world's Z by ``rotation_z`` radians (or by a 3 x 3 ``rotation``).
-
-    Returns
-    -------
-    ((order + 1)^2, 3) float64
-    """
-    if rotation is None:
-        rotation = np.array(Euler((0, 0, rotation_z)).to_matrix())
-    return sh.rotation_matrix(order, rotation) @ _projected(str(light_path(light)), order)
-
-
 def make_world(light, *, rotation_euler=(0.0, 0.0, 0.0)) -> bpy.types.World:
-    """A World with the map of ``light``, turned by ``rotation_euler`` (XYZ, radians): light from d comes from R d."""
+    """A World with the map of ``light``, turned by ``rotation_euler`` (XYZ, radians): light from d comes from R d.
+
+    None: a dark one.
+    """
     world = bpy.data.worlds.new("true light")
     tree = materials.node_tree(world)
     add, link = tree.nodes.new, tree.links.new
-    coordinates, mapping, texture = (
-        add("ShaderNodeTexCoord"),
-        add("ShaderNodeMapping"),
-        add("ShaderNodeTexEnvironment"),
-    )
     background, output = add("ShaderNodeBackground"), add("ShaderNodeOutputWorld")
+    link(background.outputs["Background"], output.inputs["Surface"])
+    if light is None:
+        background.inputs["Color"].default_value = (0, 0, 0, 1)
+        return world
+    coordinates, mapping = add("ShaderNodeTexCoord"), add("ShaderNodeMapping")
+    texture = add("ShaderNodeTexEnvironment")
     mapping.vector_type = "TEXTURE"  # looks up at R^-1 d
     mapping.inputs["Rotation"].default_value = rotation_euler
     texture.image = bpy.data.images.load(str(light_path(light)), check_existing=True)
     link(coordinates.outputs["Generated"], mapping.inputs["Vector"])
     link(mapping.outputs["Vector"], texture.inputs["Vector"])
     link(texture.outputs["Color"], background.inputs["Color"])
-    link(background.outputs["Background"], output.inputs["Surface"])
     return world
 
 
@@ -126,11 +118,12 @@ def clear() -> bpy.types.Scene:
 def make_scene(
     object_name,
     material_name,
-    world_hdri_path,
+    light,
     *,
     resolution,
-    rotation_z=0.0,
     seed=0,
+    variation=None,
+    thickness=1.0,
     maps=None,
     face_mm=materials.FACE_MM,
 ):
@@ -140,10 +133,11 @@ def make_scene(
     ----------
     object_name : one of ``objects.NAMES``
     material_name : "white", or a material of the library ("class/material")
-    world_hdri_path : a path, or a name of :func:`studio_lights`
+    light : the path of a map, or a name of :func:`scripts.cycles.lights.studio_lights`; None: dark
     resolution : edge of the square photo, pixels
-    rotation_z : radians, turns the light
-    seed : of the object's shape; the material's texels are of variation ``seed + 1`` (the library's is 0)
+    seed : of the object's shape
+    variation : of the material's texels; None: ``seed + 1`` (the library's is 0)
+    thickness : factor on the object's extent along the view
     maps : the material's maps, if not ``procedural.maps``' own
     face_mm : edge of a face of the displaced mesh, about
 
@@ -152,14 +146,14 @@ def make_scene(
     scene, camera, base_object (undisplaced, hidden in renders), photo_object (displaced)
     """
     scene = clear()
-    scene.world = make_world(world_hdri_path, rotation_euler=(0, 0, rotation_z))
-    base = objects.build(object_name, seed=seed)
+    scene.world = make_world(light)
+    base = objects.build(object_name, seed=seed, thickness=thickness, view=VIEW_FROM)
     if material_name == "white":
         photo = bpy.data.objects.new(f"{object_name} in white", base.data.copy())
         photo.data.materials.append(materials.white())
         scene.collection.objects.link(photo)
     else:
-        maps = maps or materials.load_maps(material_name, variation=seed + 1)
+        maps = maps or materials.load_maps(material_name, variation=seed + 1 if variation is None else variation)
         photo = materials.displaced(base, material_name, maps, face_mm=face_mm)
         objects.set_corner_uv(base.data, objects.corner_uv(base.data) * (1e3 / maps.size_mm))
     base.hide_render = True
@@ -174,6 +168,40 @@ def make_scene(
     aim(camera, objects.vertex_positions(base.data))
     bpy.context.view_layer.update()
     return scene, camera, base, photo
+
+
+def add_sun(direction, irradiance, *, degrees: float) -> bpy.types.Object:
+    """A Sun lamp so wide that lights from ``direction``; ``irradiance : (3,)`` on what faces it."""
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    strongest = max(irradiance)
+    sun.data.energy, sun.data.angle, sun.data.color = strongest, math.radians(degrees), np.array(irradiance) / strongest
+    sun.rotation_euler = Vector(direction).to_track_quat("Z", "Y").to_euler()
+    bpy.context.scene.collection.objects.link(sun)
+    return sun
+
+
+def add_ball(place, radius: float, radiance: float) -> bpy.types.Object:
+    """A ball at ``place`` that shines, unseen by the camera."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=radius, location=place)
+    material = bpy.data.materials.new("lamp")
+    tree = materials.node_tree(material)
+    shine, out = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
+    shine.inputs["Strength"].default_value = radiance
+    tree.links.new(shine.outputs[0], out.inputs["Surface"])
+    return _unseen(bpy.context.object, material)
+
+
+def add_wall(place, edge: float, colour) -> bpy.types.Object:
+    """A matte square at ``place`` that faces the origin, unseen by the camera."""
+    turn = (-Vector(place)).to_track_quat("Z", "Y").to_euler()
+    bpy.ops.mesh.primitive_plane_add(size=edge, location=place, rotation=turn)
+    return _unseen(bpy.context.object, materials.white(colour))
+
+
+def _unseen(obj, material):
+    obj.data.materials.append(material)
+    obj.visible_camera = False
+    return obj
 
 
 def render_photo(scene, path_exr, samples: int = 64) -> np.ndarray:
@@ -223,9 +251,3 @@ def pinhole(scene, camera) -> dict:
     return dict(
         width=width, height=height, fx=f, fy=f, cx=width / 2, cy=height / 2, to_world=np.array(camera.matrix_world)
     )
-
-
-def angle_between(a, b) -> float:
-    """Degrees between two vectors."""
-    a, b = np.asarray(a, float), np.asarray(b, float)
-    return math.degrees(math.acos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))

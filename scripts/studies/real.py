@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Estimates of photographs whose light is known, beside three plain fits of the same pixels.
+"""Photographs of real objects whose light is known, beside three plain fits of the same pixels.
 
 scripts/study real FOLDER [--only GLOB] [--chart FILE] [--json FILE]
 
@@ -17,42 +17,30 @@ Lambert's and no prior. They get the normals of the engine's surface points that
     order 2    the same of order 2
 """
 
-import argparse
 import json
-import sys
+import re
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from tqdm import tqdm
 
 from btfsep_engine import sh
-from btfsep_engine.atomic import replacing, write_text
+from btfsep_engine.atomic import write_text
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.compare import direction_error
-from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from scripts.studies.measures import ERROR_ORDER, covered, scaled_error
-from scripts.studies.summary import kind
+from scripts.studies import ROOT, parser, tables
+from scripts.studies.measures import ERROR_ORDER, TERMS, errors, judged
 
-ROOT = Path(__file__).resolve().parents[2]
-TERMS = sh.term_count(ERROR_ORDER)
 FACING = 0.15  # cosine to the camera: beyond, a pixel holds too many normals
 LIT = 0.15  # of the 99th percentile of the object's brightness
 PLAIN = {"lamp": "one lamp", "order1": "order 1", "order2": "order 2"}
-TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-LOOKS = {  # Okabe and Ito's colours
-    "ours": {"color": "#0072B2", "marker": "o", "s": 46, "zorder": 4, "label": "ours"},
-    "lamp": {"color": "#E69F00", "marker": "v", "s": 26, "label": "plain: one lamp"},
-    "order1": {"color": "#009E73", "marker": "s", "s": 20, "label": "plain: order 1"},
-    "order2": {"color": "#D55E00", "marker": "^", "s": 26, "label": "plain: order 2"},
-}
+LOOKS = {"ours": ("o", 46), "lamp": ("v", 26), "order1": ("s", 20), "order2": ("^", 26)}  # marker, size
 
 
 def true_light(folder: Path) -> np.ndarray:
@@ -94,123 +82,106 @@ def study(folder: Path, library) -> dict:
     truth, reporter = true_light(folder), Reporter()
     scene = PreparedScene(load_job(folder), reporter)
     found = estimate(scene, library, choose())
-    light, fit = found.lighting, found.fit
-    x = light.coefficients[:TERMS]
-    error, scale = scaled_error(x, truth)
-    stated = expected_error(light.coefficients, fit.samples)["order_2"]["median"]
+    ours = judged(found.lighting, found.fit.samples, truth, free_scale=True)
     row = {
         "job": folder.name,
-        "ours_error": error,
-        "ours_angle": direction_error(x, truth),
-        "stated": stated,
-        **covered(scale * x, scale * light.stddev[:TERMS], truth, interval=scale * light.interval[:, :TERMS]),
-        "suns": len(light.suns),
-        "residual": fit.residual,
+        "ours_error": ours["order2"],
+        "ours_angle": ours["direction"],
+        "stated": ours["stated2"],
+        "over": ours["order2"] / ours["stated2"],
+        **{key: 100 * ours[key] for key in MEANS},
+        "warned": len(reporter.warnings),
+        "suns": len(found.lighting.suns),
+        "residual": found.fit.residual,
         "warnings": reporter.warnings,
     }
     for name, grey in plain_fits(*facing(scene)).items():
-        plain = np.repeat(grey[:, None], 3, 1)
-        row[f"{name}_error"] = scaled_error(plain, truth)[0]
-        row[f"{name}_angle"] = direction_error(plain, truth)
+        off = errors(np.repeat(grey[:, None], 3, 1), truth)
+        row |= {f"{name}_error": off["order2"], f"{name}_angle": off["direction"]}
     return row
 
 
-COLUMNS = (
-    ("ours_error", "error", "{:.2f}"),
-    ("ours_angle", "angle", "{:.1f}°"),
-    ("stated", "stated", "{:.2f}"),
-    ("over", "over stated", "{:.2f}"),
-    ("within68", "68 %", "{:.0f} %"),
-    ("within95", "95 %", "{:.0f} %"),
-    ("inside", "95 % range", "{:.0f} %"),
-    ("warned", "warnings", "{:.0f}"),
-    *((f"{name}_{what}", words, form) for name in PLAIN for what, words, form in (
-        ("error", f"{PLAIN[name]}: error", "{:.2f}"), ("angle", f"{PLAIN[name]}: angle", "{:.1f}°"))),
-)  # fmt: skip
+COLUMNS = {  # what of a row, and its form
+    "ours_error": ("error", "{:.2f}"),
+    "ours_angle": ("angle", "{:.1f}°"),
+    "stated": ("stated", "{:.2f}"),
+    "over": ("over stated", "{:.2f}"),
+    "within68": ("68 %", "{:.0f} %"),
+    "within95": ("95 %", "{:.0f} %"),
+    "inside": ("95 % range", "{:.0f} %"),
+    "warned": ("warnings", "{:.0f}"),
+    **{f"{k}_{what}": (f"{PLAIN[k]}: {what}", form) for k in PLAIN for what, form in (
+        ("error", "{:.2f}"), ("angle", "{:.1f}°"))},
+}  # fmt: skip
+HEADS = [words for words, _ in COLUMNS.values()]
 MEANS = ("within68", "within95", "inside")  # of shares the mean and the least; of all else the median and the most
 
 
-def cells(row: dict) -> dict:
-    """A row's numbers, shares in per cent."""
-    more = {"over": row["ours_error"] / row["stated"], "warned": len(row["warnings"])}
-    return row | more | {key: 100 * row[key] for key in MEANS}
-
-
-def table(rows: list) -> str:
+def by_job(rows: list) -> str:
     """A line a job."""
-    lines = ["| job | " + " | ".join(words for _, words, _ in COLUMNS) + " |", "|---|" + "---|" * len(COLUMNS)]
-    for row in rows:
-        told = cells(row)
-        lines.append(f"| {row['job']} | " + " | ".join(form.format(told[key]) for key, _, form in COLUMNS) + " |")
-    return "\n".join(lines)
+    lines = [[row["job"], *(form.format(row[key]) for key, (_, form) in COLUMNS.items())] for row in rows]
+    return tables.table(["job", *HEADS], lines)
 
 
 def summary(rows: list) -> str:
     """Medians and worst by kind, and of all."""
-    names = dict.fromkeys(r["job"].split("_")[0] for r in rows)
-    groups = [(name, [r for r in rows if r["job"].split("_")[0] == name]) for name in names]
-    lines = ["| | jobs | " + " | ".join(words for _, words, _ in COLUMNS) + " |", "|---|" + "---|" * (len(COLUMNS) + 1)]
-    for name, group in [*groups, ("**all**", rows)]:
-        told, out = [cells(r) for r in group], []
-        for key, _, form in COLUMNS:
-            values = np.array([t[key] for t in told], np.float64)
-            middle, far = (values.mean(), values.min()) if key in MEANS else (np.median(values), values.max())
-            out.append(f"{form.format(middle)} ({form.format(far)})")
-        lines.append(f"| {name} | {len(group)} | " + " | ".join(out) + " |")
-    return "\n".join(lines)
+    lines = []
+    for name, some in tables.groups(rows, lambda r: r["job"].split("_")[0]):
+        cells = []
+        for key, (_, form) in COLUMNS.items():
+            how = {"middle": np.mean, "far": np.min} if key in MEANS else {}
+            cells.append(tables.spread([r[key] for r in some], form, **how))
+        lines.append([name, len(some), *cells])
+    return tables.table(["", "jobs", *HEADS], lines)
 
 
 def draw(path: Path, rows: list) -> None:
     """Every photograph's errors, ours and the plain fits', above the error that ours stated."""
-    figure = Figure(figsize=(6.4, 5.2), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = tables.figure(6.4, 5.2, dpi=120)
     axes = figure.subplots()
     stated = np.array([r["stated"] for r in rows])
-    for name, look in LOOKS.items():
-        axes.scatter(stated, [r[f"{name}_error"] for r in rows], linewidths=0, alpha=0.85, **look)
+    for (name, (marker, size)), colour in zip(LOOKS.items(), tables.COLOURS, strict=False):
+        look = {"color": colour, "marker": marker, "s": size, "zorder": 4 if name == "ours" else 2}
+        words = "ours" if name == "ours" else f"plain: {PLAIN[name]}"
+        axes.scatter(stated, [r[f"{name}_error"] for r in rows], linewidths=0, alpha=0.85, label=words, **look)
     ends = np.array([0.7 * stated.min(), 1.4 * stated.max()])
     axes.plot(ends, ends, color="#000000", linewidth=0.9, label="error = stated")
     axes.fill_between(ends, ends / 2, 2 * ends, color="#000000", alpha=0.06, linewidth=0, label="within a factor of 2")
     axes.set(xscale="log", yscale="log", xlim=ends, xlabel="error that the estimate states (order 2, median)")
     axes.set_ylabel("error of the light up to order 2 (relative, one free scale)")
-    for axis, low, high in ((axes.xaxis, *ends), (axes.yaxis, *axes.get_ylim())):
-        kept = [t for t in TICKS if low <= t <= high]
-        axis.set_ticks(kept, [f"{t:g}" for t in kept])
-        axis.set_ticks([], minor=True)
-    axes.grid(color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
+    tables.plain(axes, size=10, grid="both")
+    tables.log_ticks(axes.xaxis, *ends)
+    tables.log_ticks(axes.yaxis, *axes.get_ylim())
     axes.legend(frameon=False, fontsize=8.5)
     axes.set_title(f"{len(rows)} photographs of real objects under known lamps", fontsize=11)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as scratch:
-        figure.savefig(scratch, format="png")
+    tables.save(figure, path)
+
+
+def kind(warning: str) -> str:
+    """A warning without its numbers."""
+    return re.sub(r"[-+]?\d+(\.\d+)?", "#", warning)
 
 
 def main(arguments) -> int:
-    parser = argparse.ArgumentParser(
-        prog="scripts/study real", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folder", type=Path, help="of jobs, each with a truth.json")
-    parser.add_argument("--only", default="*", metavar="GLOB", help="of the jobs' names")
-    parser.add_argument("--library", type=Path)
-    parser.add_argument("--chart", type=Path, default=ROOT / "docs" / "images" / "accuracy-real.png")
-    parser.add_argument("--json", type=Path, help="every number, and the warnings in words")
-    options = parser.parse_args(arguments)
-    truths = options.folder.glob(f"{options.only}/truth.json")
+    options = parser("real", __doc__)
+    options.add_argument("folder", type=Path, help="of jobs, each with a truth.json")
+    options.add_argument("--only", default="*", metavar="GLOB", help="of the jobs' names")
+    options.add_argument("--library", type=Path)
+    options.add_argument("--chart", type=Path, default=ROOT / "docs" / "images" / "accuracy-real.png")
+    options.add_argument("--json", type=Path, help="every number, and the warnings in words")
+    given = options.parse_args(arguments)
+    truths = given.folder.glob(f"{given.only}/truth.json")
     folders = sorted(p.parent for p in truths if (p.parent / "job.json").exists())
     if not folders:
-        parser.error(f"{options.folder} has no jobs with a truth.json")
-    library, rows = open_library(options.library), []
-    for folder in folders:
-        rows.append(study(folder, library))
-        r = rows[-1]
-        print(f"{folder.name}: {r['ours_error']:.3f}, {r['stated']:.3f} stated", file=sys.stderr, flush=True)
-    if options.json:
-        write_text(options.json, json.dumps(rows, indent=1) + "\n")
-    print(table(rows) + "\n\nMedians (worst); of shares means (least):\n\n" + summary(rows))
+        options.error(f"{given.folder} has no jobs with a truth.json")
+    library = open_library(given.library)
+    rows = [study(folder, library) for folder in tqdm(folders)]
+    if given.json:
+        write_text(given.json, json.dumps(rows, indent=1) + "\n")
+    print(by_job(rows) + "\n\nMedians (worst); of shares means (least):\n\n" + summary(rows))
     said = Counter(words for r in rows for words in {kind(w) for w in r["warnings"]})
     print("\nWarned of, numbers left out:\n")
     for words, count in said.most_common():
         print(f"- {count} of {len(rows)}: {words}")
-    draw(options.chart, rows)
+    draw(given.chart, rows)
     return 0

@@ -3,7 +3,6 @@
 
 import json
 import os
-import runpy
 import subprocess
 import sys
 import tomllib
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import btfsep_engine
+from scripts.studies.makers.build_extension import zip_name
 
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = """
@@ -66,9 +66,8 @@ def test_the_zip_holds_the_addon_and_the_engine(extension):
 
 
 def test_zips_of_different_content_have_different_names():
-    name = runpy.run_path(str(ROOT / "scripts" / "build_extension"))["zip_name"]
     contents = [(None, ["3.11"]), ("linux-x64", ["3.11"]), ("linux-x64", ["3.13"]), ("linux-x64", ["3.11", "3.13"])]
-    names = [name("0.1.0", *content) for content in [*contents, ("windows-x64", ["3.11"])]]
+    names = [zip_name("0.1.0", *content) for content in [*contents, ("windows-x64", ["3.11"])]]
     assert len(set(names)) == len(names) and names[2] == "btfsep-0.1.0-linux-x64-py313.zip"
 
 

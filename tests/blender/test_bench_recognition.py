@@ -6,15 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 
 import pytest
 
 from btfsep_engine.btf.library import open_library
+from scripts.studies import bench_recognition
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "bench_recognition"
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "study"
 THREE = ("leather/brown-grain", "wallpaper/damask-teal", "wood/oak-boards")
 
 
@@ -35,7 +34,7 @@ def test_a_material_left_out_is_counted_under_the_training_of_an_estimate(librar
     where = ["--object", "sphere", "--resolution", "128", "--library", library, "--folder", tmp_path / "bench"]
     what = ["--photos", "engine", "--preset", "draft", "--no-verify", "--hide", THREE[2]]
     child = subprocess.run(
-        list(map(str, [sys.executable, SCRIPT, *where, *what])),
+        list(map(str, [sys.executable, SCRIPT, "bench-recognition", *where, *what])),
         capture_output=True, text=True, env=os.environ | {"BTFSEP_CACHE": str(tmp_path / "cache")},
     )  # fmt: skip
     assert child.returncode == 0, child.stderr
@@ -49,10 +48,6 @@ def test_a_material_left_out_is_counted_under_the_training_of_an_estimate(librar
     assert f"renders by the engine of a material left out: {unknown} of 8 judged unknown" in child.stdout
 
 
-def test_shares_come_with_their_range(monkeypatch):
-    monkeypatch.setattr(sys, "path", list(sys.path))  # the script takes its own folder's place
-    loader = SourceFileLoader("bench_recognition", str(SCRIPT))
-    bench = module_from_spec(spec_from_loader("bench_recognition", loader))
-    loader.exec_module(bench)
-    assert bench.share(i < 22 for i in range(30)) == "73.3% (56 to 86)"
-    assert bench.share([False] * 12) == "0.0% (0 to 24)"
+def test_shares_come_with_their_range():
+    assert bench_recognition.share(i < 22 for i in range(30)) == "73.3% (56 to 86)"
+    assert bench_recognition.share([False] * 12) == "0.0% (0 to 24)"

@@ -23,6 +23,7 @@ from blender_btfsep.export import export_job
 from btfsep_engine import sh
 from btfsep_engine.job.load import load_job
 from scripts.cycles import engine, materials, objects, studio
+from scripts.cycles.lights import true_lighting
 
 RESOLUTION, SAMPLES = 160, 96
 GIVEN = ("--material", "reference/white-diffuse", "--no-report", "--pixels", 0)
@@ -60,7 +61,7 @@ def relative(a, b):
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.7, -0.9, 2.2)])
 def test_low_orders_come_back(tmp_path, library, turn):
-    truth = studio.true_lighting("sunset", 2, rotation=np.array(Euler(turn).to_matrix()))
+    truth = true_lighting("sunset", 2, rotation=np.array(Euler(turn).to_matrix()))
     lowest = sh.to_map(truth, 64, 128).min(axis=(0, 1))
     truth[0] += np.maximum(0.02 - lowest, 0) * np.sqrt(4 * np.pi)  # light cannot be negative
     scene, _, base, _ = studio.make_scene("sphere", "white", "sunset", resolution=RESOLUTION)
@@ -75,7 +76,7 @@ def test_low_orders_come_back(tmp_path, library, turn):
 def test_real_light_as_far_as_one_view_allows(tmp_path, library, light):
     scene, _, base, _ = studio.make_scene("sphere", "white", light, resolution=RESOLUTION)
     found, job = estimate(scene, base, library, tmp_path, "--order", 2)
-    truth = studio.true_lighting(light, 10)
+    truth = true_lighting(light, 10)
 
     radius = np.linalg.norm(objects.vertex_positions(bpy.data.objects[base.name].data), axis=1).mean()
     y, x = np.mgrid[: job.camera.height, : job.camera.width] + 0.5

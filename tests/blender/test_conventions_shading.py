@@ -13,6 +13,7 @@ from mathutils import Euler, Vector
 from btfsep_engine import sh
 from btfsep_engine.job.model import Camera
 from scripts.cycles import materials, studio
+from scripts.cycles.lights import true_lighting
 
 ORDER = 10  # the irradiance of order 12 and above is below 0.2 % of its mean in these maps
 ALBEDO = 0.8
@@ -77,7 +78,7 @@ def shading_error(scene, coefficients, path, samples=256):
 @pytest.mark.parametrize("light", ["courtyard", "sunset", "city"])
 def test_real_lights(ball, light, tmp_path):
     ball.world = studio.make_world(light)
-    truth = studio.true_lighting(light, ORDER)
+    truth = true_lighting(light, ORDER)
     assert shading_error(ball, truth, tmp_path / "ball.exr") < 0.01
     # the light is asymmetric enough for the test to mean something: any mirroring of it is far off
     for axis in range(3):
@@ -94,8 +95,8 @@ def test_turned_world(ball, axis, tmp_path):
     """The light turned in Blender by R is the engine's coefficients turned by R."""
     ball.world = studio.make_world("sunset", rotation_euler=TURNS[axis])
     rotation = np.array(Euler(TURNS[axis]).to_matrix())
-    turned = studio.true_lighting("sunset", ORDER, rotation=rotation)
+    turned = true_lighting("sunset", ORDER, rotation=rotation)
     assert shading_error(ball, turned, tmp_path / "ball.exr") < 0.01
-    backwards = studio.true_lighting("sunset", ORDER, rotation=rotation.T)
+    backwards = true_lighting("sunset", ORDER, rotation=rotation.T)
     _, normals = normals_seen(ball)
     assert np.abs(sh.irradiance(backwards, normals) / sh.irradiance(turned, normals) - 1).max() > 0.05

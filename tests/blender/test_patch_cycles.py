@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The virtual gonioreflectometer against Cycles: the same displaced patch, sun and view, mean radiance.
 
-``scripts/study_patch`` does the same with more patches and pairs, and prints what the documentation says.
+``scripts/study check-patch`` does the same with more patches and pairs, and prints what the documentation says.
 """
 
 import numpy as np

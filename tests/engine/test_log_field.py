@@ -2,10 +2,6 @@
 """The prior of natural light: its derivatives, its statistics by sampling, its symmetry; where its table is from."""
 
 import json
-import sys
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from btfsep_engine import sh
 from btfsep_engine.light import log_field, maps
 from btfsep_engine.light.log_field import CHROMA, even_field, natural_field
+from scripts.studies.makers import learn_natural_light
 
 
 def test_the_jacobian_is_that_of_finite_differences(rng):
@@ -89,18 +86,14 @@ def test_even_light_is_one_level_and_one_colour():
     assert np.ptp(radiance, axis=1).max() < 1e-12 and np.ptp(radiance[:, 0]) > 0.01
 
 
-def test_the_table_is_what_the_shipped_maps_teach(monkeypatch):
-    """`scripts/learn_natural_light` again, with its file left alone."""
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    script = Path(__file__).parents[2] / "scripts" / "learn_natural_light"
-    loader = SourceFileLoader("learn_natural_light", str(script))
-    module = module_from_spec(spec_from_loader(loader.name, loader))
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    loader.exec_module(module)
+def test_the_table_is_what_the_shipped_maps_teach():
+    """`scripts/study learn-natural-light` again, with its file left alone."""
     files = sorted(maps.FOLDER.glob("*.exr"))
     table = json.loads(log_field.TABLE.read_text())
     assert table.pop("maps") == [f.stem for f in files]
-    learned = module.learn([module.expansions(np.asarray(maps.read_map(f), np.float64)) for f in files])
+    learned = learn_natural_light.learn(
+        [learn_natural_light.expansions(np.asarray(maps.read_map(f), np.float64)) for f in files]
+    )
     assert learned.keys() == table.keys()
     np.testing.assert_allclose(learned.pop("zonal_mean"), table.pop("zonal_mean"), rtol=1e-6)
     for name, each in table.items():

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from scripts.studies.mappings import quality, singular_values
+from scripts.studies.parametrisation.quality import quality, singular_values
 
 
 def grid(rows, columns):

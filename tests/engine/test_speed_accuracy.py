@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from scripts.speed_accuracy.summary import summed_up
+from scripts.studies.speed_accuracy import at_equal_error, equal_words, summed_up
 
 
 def photo(ways: dict) -> list:
@@ -57,3 +57,19 @@ def test_beaten_is_what_another_beats_by_more_than_chance(rng):
 def test_without_the_papers_way_there_is_no_ratio_to_it(rng):
     found = [[row for row in rows if row["axis"] != "paper"] for rows in photographs(rng)]
     assert all(p.paper_ratio is None for p in summed_up(found))
+
+
+def test_equal_error_is_reached_by_the_first_number_of_paths_that_errs_no_more(rng):
+    traced = {8: (4.0, 3.0), 16: (8.0, 1.4), 32: (16.0, 1.0), 64: (32.0, 0.99)}  # seconds and error over the kernel's
+    found = []
+    for _ in range(20):
+        hard, busy = rng.lognormal(0, 1), rng.lognormal(0, 0.5)
+        ways = {("preset", "balanced"): (0.5, 0.03), ("preset", "paper"): (1.0, 0.1)}
+        ways |= {("paper", f"{n} samples"): (s, 0.1 * e) for n, (s, e) in traced.items()}
+        found.append(photo({k: (s * busy, e * hard * rng.lognormal(0, 0.02)) for k, (s, e) in ways.items()}))
+    found.append(photo({("preset", "balanced"): (0.5, 0.03), ("preset", "paper"): (1.0, 0.1)}))  # not tried there
+    rows = at_equal_error(found)
+    assert [r["same"][3] for r in rows] == [False, False, True, True] and not any(r["balanced"][3] for r in rows)
+    assert rows[2]["same"][2] == pytest.approx(16) and rows[2]["balanced"][2] == pytest.approx(32)
+    assert rows[0]["same"][0] == pytest.approx(3, rel=0.05)
+    assert "reached by 32 samples, in 16 times the time; none reaches the light of `balanced`" in equal_words(rows)

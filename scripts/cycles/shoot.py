@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Takes photographs with Cycles and writes their jobs: ``python -m scripts.cycles.shoot``, told what on standard input.
+
+A process of its own, because Blender and the renderer each bring their own libraries. The input is JSON: "resolution",
+"samples", "threads" (0: all), "noise" (of a pixel, where Cycles stops; null: the studio's) and "shots", a list of the
+fields of :class:`scripts.studies.photos.Shot`. What is there already is not made again.
+"""
+
+import json
+import os
+import sys
+from itertools import groupby
+from pathlib import Path
+
+import bpy
+import numpy as np
+from blender_btfsep.export import export_job
+from tqdm import tqdm
+
+from scripts.cycles import studio
+
+COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object
+STANDING = ("folder", "object", "material", "seed", "variation", "thickness")  # the same of all that one scene shows
+
+
+def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None) -> None:
+    """Renders each shot, and writes each folder's job (photo, base mesh, camera) after its first one."""
+    missing = [s for s in shots if not (Path(s["folder"]) / s["name"]).exists() or not _job(s).exists()]
+    bar = tqdm(total=len(missing), desc="photographs", disable=not missing)
+    for key, group in groupby(missing, lambda s: [s[k] for k in STANDING]):
+        told = dict(zip(STANDING, key, strict=True))
+        folder, name, material = Path(told.pop("folder")), told.pop("object"), told.pop("material")
+        folder.mkdir(parents=True, exist_ok=True)
+        with studio.quiet():
+            scene, _, base, _ = studio.make_scene(name, material, None, resolution=resolution, **told)
+            scene.render.use_persistent_data = True  # the displaced mesh is the same in all photographs
+            if threads:
+                scene.render.threads_mode, scene.render.threads = "FIXED", threads
+            if noise:
+                scene.cycles.adaptive_threshold = noise
+        for shot in group:
+            with studio.quiet():
+                _photograph(scene, shot, folder / shot["name"], samples, base)
+                if not _job(shot).exists():
+                    np.save(folder / COVERAGE, studio.object_mask(scene))
+                    export_job(scene, folder, image_path=folder / shot["name"], objects=[base], occluders=[])
+            bar.update()
+
+
+def _job(shot) -> Path:
+    return Path(shot["folder"]) / "job.json"
+
+
+def _photograph(scene, shot, path: Path, samples: int, base) -> None:
+    radius = 0.5 * float(np.linalg.norm(np.ptp([v.co for v in base.data.vertices], axis=0)))
+    added = []
+    if sun := shot["sun"]:
+        added.append(studio.add_sun(sun["direction"], sun["irradiance"], degrees=sun["degrees"]))
+    if ball := shot["ball"]:
+        added.append(studio.add_ball(np.array(ball["place"]) * radius, ball["radius"] * radius, ball["radiance"]))
+    if wall := shot["wall"]:
+        added.append(studio.add_wall(np.array(wall["place"]) * radius, wall["edge"] * radius, wall["colour"]))
+    scene.world = studio.make_world(shot["light"])
+    partial = path.with_name(f"partial-{os.getpid()}.exr")
+    studio.render_photo(scene, partial, samples)
+    os.replace(partial, path)
+    for obj in added:
+        bpy.data.objects.remove(obj)
+
+
+if __name__ == "__main__":
+    os.nice(15)
+    shoot(**json.load(sys.stdin))

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A process from its start to its result: jobs of the dented sphere, estimated by the command line."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from btfsep_engine import images
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.render import radiosity
+from scripts.studies import ROOT
+from scripts.studies.measures import errors
+from scripts.studies.photos import WHITE
+from scripts.studies.stage import MATERIALS, Stage, positive_light, write_job
+from scripts.studies.tables import table
+
+CASES = (  # label, material, options, counted in --quick
+    ("first ever: tries libLLVM, compiles", WHITE, "--no-report", False),
+    ("after that", WHITE, "--no-report", True),
+    ("after that, again", WHITE, "--no-report", False),
+    ("a textured material, first", MATERIALS[0], "--no-report", False),
+    ("a textured material, after that", MATERIALS[0], "--no-report", True),
+    ("white, with the report's first compilation", WHITE, "--report", False),
+    ("white, with the report", WHITE, "--report", False),
+)
+
+
+def photograph(folder: Path, material, *, directions: int) -> np.ndarray:
+    """A job of the dented sphere of a material under a known light; the light's coefficients ((L + 1)^2, 3)."""
+    stage, light = Stage(textured=material.name != WHITE), positive_light(3)
+    points, photo = stage.points, np.zeros_like(stage.job.photo.radiance)
+    transport, lighting = stage.transport(points, directions), SHLighting(light)
+    indirect = radiosity.Indirect(stage.tracer, [radiosity.diffuse_albedo(material)], lighting, bounces=3)
+    seen = transport.radiance(material, lighting) + indirect.reflected(transport, material)
+    photo[tuple(points.pixels.T)] = seen[:, 0]
+    write_job(folder, stage.shape, stage.job.camera)
+    images.write_exr(folder / "photo.exr", photo)
+    return light
+
+
+def cold(options) -> str:
+    """Seconds of whole processes, with a home and caches of their own that are empty at first."""
+    library, rows = open_library(options.library), []
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        (folder / "home").mkdir()
+        lights = {
+            name: photograph(folder / name.replace("/", "-"), library.load(name), directions=options.photo_directions)
+            for name in (WHITE, MATERIALS[0])
+        }
+        environment = {**os.environ, "HOME": str(folder / "home"), "BTFSEP_CACHE": str(folder / "cache")}
+        for label, name, more, quick in CASES:
+            if quick or not options.quick:
+                row = _run(folder / name.replace("/", "-"), name, more, environment, lights[name], options)
+                rows.append((label, *row))
+                print(f"  {label}: {row[0]} s", flush=True)
+    head = ("`btfsep estimate JOB --material …`", "s", "processor s", "of it in stages", "light up to order 3, to")
+    return table(head, rows)
+
+
+def _run(job: Path, name: str, more: str, environment, light, options) -> tuple:
+    base = [sys.executable, "-P", "-m", "btfsep_engine", "estimate", str(job), "--json", "--material", name, more]
+    base += ["--library", str(options.library)] if options.library else []
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    run = subprocess.run(base, env=environment, capture_output=True, text=True, cwd=ROOT)
+    seconds, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if run.returncode:
+        raise SystemExit(run.stderr)
+    result = json.loads(run.stdout.splitlines()[-1])["result"]
+    found = np.array(json.loads(Path(result["lighting"]).read_text())["coefficients"])[: len(light)]
+    stages = ", ".join(f"{k} {v:.2f}" for k, v in result["seconds"].items())
+    work = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return f"{seconds:.2f}", f"{work:.2f}", stages, f"{errors(found, light, (3,))['order3_absolute']:.3f}"

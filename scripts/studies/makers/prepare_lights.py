@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Makes the training lights of the engine from a folder of environment maps.
+
+scripts/study prepare-lights SOURCE_DIR
+
+Every .hdr or .exr in SOURCE_DIR, averaged by solid angle to 128 x 64, scaled to a mean luminance of 1 / pi, is
+written as a half-float EXR to btfsep_engine/data/lights, under its name without a resolution ("_1k").
+Record where new maps come from, and under which licence, in btfsep_engine/data/README.md.
+"""
+
+import re
+from pathlib import Path
+
+from btfsep_engine import images
+from btfsep_engine.errors import InputError
+from btfsep_engine.light.lightings import shrink
+from btfsep_engine.light.maps import FOLDER, normalised, read_map
+from scripts.studies import parser
+
+WIDTH = 128
+
+
+def main(arguments) -> None:
+    options = parser("prepare-lights", __doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--to", type=Path, default=FOLDER)
+    given = options.parse_args(arguments)
+    files = sorted(f for f in given.folder.glob("*") if f.suffix.lower() in (".hdr", ".exr"))
+    if not files:
+        raise InputError(str(given.folder), "there is no .hdr or .exr in it", "give a folder of environment maps")
+    for file in files:
+        radiance = read_map(file)
+        if radiance.shape[1] % WIDTH:
+            raise InputError(file.name, f"it is {radiance.shape[1]} wide", f"give maps of a multiple of {WIDTH}")
+        small = normalised(shrink(radiance, radiance.shape[1] // WIDTH))
+        target = given.to / (re.sub(r"_\d+k$", "", file.stem) + ".exr")
+        images.write_exr(target, small, half=True)
+        print(f"{target.name}: brightest {small.max():.3g}, {target.stat().st_size} bytes")

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scenes in memory that benchmarks and checks look at: shapes, cameras, jobs without a file."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from btfsep_engine import sh
+from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
+from btfsep_engine.render import surface
+from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.render.transport import Transport
+from scripts.studies.measures import timed
+
+MATERIALS = ("leather/brown-grain", "fabric/denim-twill", "wood/walnut-lacquered")
+METRES = 0.01  # of a world unit: a texel is larger than a pixel, whichever way it is filtered
+WARM = 4000  # pixels of an estimate
+
+
+def as_mesh(shape, *, flat=False) -> TriangleMesh:
+    """A trimesh shape with smooth (or flat) normals."""
+    faces = np.asarray(shape.faces, np.int32)
+    normals = np.repeat(shape.face_normals[:, None], 3, 1) if flat else shape.vertex_normals[faces]
+    return TriangleMesh(np.asarray(shape.vertices, np.float64), faces, np.asarray(normals, np.float32))
+
+
+def looking_down(size: int, focal: float) -> Camera:
+    """A square camera on the +z axis, 4 above the origin, looking down."""
+    to_world = np.eye(4)
+    to_world[2, 3] = 4.0
+    return Camera(size, size, focal, focal, size / 2, size / 2, to_world)
+
+
+def job_of(meshes, camera, *, occluders=(), metres_per_unit=METRES, uv: str = "xatlas") -> Job:
+    """A job in memory, its photo black."""
+    shape = camera.height, camera.width
+    photo = Photo(np.zeros((*shape, 3), np.float32), np.ones(shape, bool), 0)
+    objects = tuple(JobObject(f"object {i}", mesh, uv=uv) for i, mesh in enumerate(meshes))
+    return Job(Path("."), photo, camera, objects, tuple(occluders), metres_per_unit, 0.0, "")
+
+
+def write_job(
+    folder: Path, shape: trimesh.Trimesh, camera: Camera, *, image="photo.exr", metres=METRES, **told
+) -> None:
+    """A job folder of one object, but for its photograph; ``told`` of it, as ``docs/formats.md`` has it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    shape.export(folder / "object.ply")
+    seen = {k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
+    job = {"format": "btfsep-job", "version": 1, "image": image, "metres_per_unit": metres}
+    job["camera"] = {**seen, "to_world": camera.to_world.tolist()}
+    job["objects"] = [{"name": "object", "mesh": "object.ply", **told}]
+    (folder / "job.json").write_text(json.dumps(job))
+
+
+def positive_light(order: int) -> np.ndarray:
+    """Coefficients ((order + 1)^2, 3) of a light that is positive everywhere."""
+    x = np.random.default_rng(0).normal(size=(sh.term_count(order), 3)) * 0.12
+    x[0] = 3.0
+    return x
+
+
+def dented(level: int) -> trimesh.Trimesh:
+    """A sphere with dents that shade one another, of 20 * 4^level triangles and about unit radius."""
+    ball = trimesh.creation.icosphere(min(level, 5))
+    for _ in range(level - 5):
+        vertices, faces = trimesh.remesh.subdivide(ball.vertices, ball.faces)
+        ball = trimesh.Trimesh(vertices / np.linalg.norm(vertices, axis=1, keepdims=True), faces, process=False)
+    ball.vertices *= 0.85 + 0.22 * waves(ball.vertices)
+    return ball
+
+
+def waves(positions) -> np.ndarray:
+    """(n, 1) in [-1, 1]."""
+    return np.sin(5 * np.asarray(positions) + [1, 2, 0.5]).prod(1, keepdims=True)
+
+
+class Stage:
+    """The dented sphere before a camera of ``size`` x ``size`` pixels.
+
+    Attributes
+    ----------
+    built : (2,) seconds that loading the mesh and building its tree of boxes took, as :func:`timed` has them
+    """
+
+    def __init__(self, *, level: int = 5, size: int = 320, textured: bool = True):
+        self.shape = dented(level)
+        self.job = job_of([as_mesh(self.shape)], looking_down(size, 1.55 * size))
+        self.built, self.tracer = timed(lambda: Tracer([self.job.objects[0].mesh]))
+        points = surface.surface_points(surface.camera_view(self.tracer, self.job), self.job, 0)
+        self.points = surface.with_texture(points, self.job, 0) if textured else surface.with_any_tangent(points)
+
+    def some(self, count: int = WARM):
+        """About ``count`` of the points, spread over the picture."""
+        return self.points.take(spread(self.points, count))
+
+    def transport(self, points, directions: int) -> Transport:
+        return Transport(self.tracer, points, directions=directions, millimetres_per_unit=1000 * METRES)
