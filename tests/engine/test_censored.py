@@ -87,7 +87,7 @@ def test_working_values_have_the_slope_and_curvature_of_tobins_likelihood(photog
     s = np.sqrt(np.square(left).sum(0) / (~clipped).sum(0))
     z = (values - p) / s
     spoken = clipped & (weights > censored.LIGHTEST) & (weights < 1) & (np.abs(z) < censored.FARTHEST)
-    assert spoken.sum() > 200
+    assert spoken.sum() > 100
 
     def likelihood(at):
         return norm.logcdf((at - values) / s)
