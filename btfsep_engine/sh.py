@@ -5,6 +5,8 @@ Index l^2 + l + m, orthonormal, with the Condon-Shortley sign: the sign of ``drj
 Y_1 = (-0.4886 y, 0.4886 z, -0.4886 x).
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
@@ -41,27 +43,37 @@ def evaluate(order: int, directions) -> np.ndarray:
     (..., (order + 1)^2) float64
     """
     d = np.asarray(directions, np.float64)
-    x, y, z = d[..., 0], d[..., 1], d[..., 2]
-    out = np.empty((*d.shape[:-1], term_count(order)))
-    cos_m, sin_m = np.ones_like(x), np.zeros_like(x)  # Re and Im of (x + i y)^m
-    p_mm = np.full_like(x, np.sqrt(1 / (4 * np.pi)))  # normalised P_m^m / sin^m
-    for m in range(order + 1):
-        if m:
-            cos_m, sin_m = x * cos_m - y * sin_m, x * sin_m + y * cos_m
-            p_mm = -p_mm * np.sqrt((2 * m + 1) / (2 * m))
-        previous, current = np.zeros_like(x), p_mm
-        for l in range(m, order + 1):
-            if l > m:
-                a = np.sqrt((4 * l * l - 1) / (l * l - m * m))
-                b = np.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1)) if l > m + 1 else 0.0
-                previous, current = current, a * (z * current - b * previous)
-            centre = l * l + l
-            if m == 0:
-                out[..., centre] = current
-            else:
-                out[..., centre + m] = np.sqrt(2) * current * cos_m
-                out[..., centre - m] = np.sqrt(2) * current * sin_m
-    return out
+    x, y, z = d.reshape(-1, 3).T
+    step, before_last, diagonal = _recurrence(order)
+    turn = np.ones((order + 1, len(x)), complex)  # (x + i y)^m, times sqrt(2) where m > 0
+    if order:
+        np.multiply.accumulate(np.broadcast_to(x + 1j * y, (order, len(x))), out=turn[1:])
+        turn[1:] *= np.sqrt(2)
+    out = np.empty((len(x), term_count(order)))
+    last = now = None  # normalised P_l^m / sin^m of the degrees before, (m, directions)
+    for l in range(order + 1):
+        older, last, now = last, now, np.empty((l + 1, len(x)))
+        now[l] = diagonal[l]
+        if l:
+            now[:l] = z * last
+        if l > 1:
+            now[: l - 1] -= before_last[l, : l - 1, None] * older
+        now[:l] *= step[l, :l, None]
+        out[:, l * l + l : (l + 1) ** 2] = (now * turn.real[: l + 1]).T
+        out[:, l * l : l * l + l] = (now[:0:-1] * turn.imag[l:0:-1]).T
+    return out.reshape(*d.shape[:-1], term_count(order))
+
+
+@lru_cache(maxsize=16)
+def _recurrence(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Factors of P_l^m = step (z P_(l-1)^m - before_last P_(l-2)^m), (l, m), and P_m^m / sin^m, (m,)."""
+    l, m = np.mgrid[: order + 1, : order + 1].astype(float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        step = np.sqrt((4 * l * l - 1) / (l * l - m * m))
+        before_last = np.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1))
+    k = np.arange(1, order + 1)
+    diagonal = np.cumprod([np.sqrt(1 / (4 * np.pi)), *-np.sqrt((2 * k + 1) / (2 * k))])
+    return step, before_last, diagonal
 
 
 def project_map(radiance, order: int) -> np.ndarray:

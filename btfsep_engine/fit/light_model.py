@@ -19,14 +19,15 @@ from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, LogField
 OF_LAMP = 5  # unknowns
 DIRECTION = np.radians(10)  # s
 BRIGHTNESS, TINT, GREEN = 2.0, 0.3, 0.1
+SIZES = np.array([BRIGHTNESS, TINT, GREEN])
 STEP = 1e-3  # of a numerical derivative by the direction
 
 
-def across(direction) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors across a unit direction (3,) and each other."""
+def across(direction) -> np.ndarray:
+    """Two unit vectors across a unit direction (3,) and each other: (2, 3)."""
     first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
     first /= np.linalg.norm(first)
-    return first, np.cross(direction, first)
+    return np.stack([first, np.cross(direction, first)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,55 +47,44 @@ class LightModel:
         return [across(d) for d in self.lamps]
 
     def parts(self, white) -> tuple[np.ndarray, np.ndarray]:
-        """The field's unknowns (k,), and the lamps' (lamps, 5)."""
+        """The field's unknowns (…, k), and the lamps' (…, lamps, 5)."""
         k = self.field.unknowns
-        return white[:k], white[k:].reshape(-1, OF_LAMP)
+        return white[..., :k], white[..., k:].reshape(*white.shape[:-1], -1, OF_LAMP)
 
     def lamp(self, i: int, q) -> tuple[np.ndarray, np.ndarray]:
-        """Direction (3,) and irradiance (3,) of lamp i with the unknowns q (5,)."""
-        first, second = self._across[i]
-        d = self.lamps[i] + DIRECTION * (q[0] * first + q[1] * second)
-        log = np.log(2 * np.pi) + CHROMA @ np.array([BRIGHTNESS * q[2], TINT * q[3], GREEN * q[4]])
-        return d / np.linalg.norm(d), np.exp(np.minimum(log, LARGEST_LOG))
+        """Directions (…, 3) and irradiances (…, 3) of lamp i with unknowns q (…, 5)."""
+        d = self.lamps[i] + DIRECTION * (q[..., :2] @ self._across[i])
+        log = np.log(2 * np.pi) + (q[..., 2:] * SIZES) @ CHROMA.T
+        return d / np.linalg.norm(d, axis=-1, keepdims=True), np.exp(np.minimum(log, LARGEST_LOG))
 
     def light(self, white):
-        """Coefficients (3, terms) of all of the light, and the field's radiance (3, n)."""
+        """Coefficients (…, 3, terms) of all of the light, and the field's radiance (…, 3, n), of unknowns (…, k)."""
         of_field, of_lamps = self.parts(white)
         radiance = self.field.radiance(of_field)
         x = self.field.coefficients(radiance)
-        if len(of_lamps):
-            directions, irradiances = zip(*(self.lamp(i, q) for i, q in enumerate(of_lamps)), strict=True)
-            x = x + np.stack(irradiances, 1) @ self._harmonics(directions)
-        return x, radiance
-
-    def lights(self, whites) -> np.ndarray:
-        """Coefficients (m, 3, terms) of all of the light of many unknowns (m, unknowns)."""
-        out = self.field.coefficients(self.field.radiance(whites[:, : self.field.unknowns]))
         for i in range(len(self.lamps)):
-            lamps = [self.lamp(i, self.parts(white)[1][i]) for white in whites]
-            out += np.stack([e for _, e in lamps])[..., None] * self._harmonics([d for d, _ in lamps])[:, None]
-        return out
+            direction, irradiance = self.lamp(i, of_lamps[..., i, :])
+            x = x + irradiance[..., None] * self._harmonics(direction)[..., None, :]
+        return x, radiance
 
     def sky(self, white) -> np.ndarray:
         """Coefficients (3, terms) of the field alone."""
         return self.field.coefficients(self.field.radiance(self.parts(white)[0]))
 
     def _harmonics(self, directions) -> np.ndarray:
-        """(directions, terms)."""
-        return sh.evaluate(sh.order_of(self.field.terms), np.stack(directions))
+        """(…, terms) of directions (…, 3)."""
+        return sh.evaluate(sh.order_of(self.field.terms), directions)
 
     def jacobian(self, white, radiance, rows) -> np.ndarray:
         """Derivatives of R_c x_c by the unknowns: (all rows, unknowns); ``rows`` : R of each channel."""
         columns, of_lamps = [self.field.jacobian(rows, radiance)], self.parts(white)[1]
-        steps = STEP * np.eye(OF_LAMP)[:2]
-        directions = [self.lamp(i, q + step)[0] for i, q in enumerate(of_lamps) for step in (0, *steps)]
-        harmonics = self._harmonics(directions).reshape(len(of_lamps), 3, -1) if directions else ()
-        for i, (q, (y, *moved)) in enumerate(zip(of_lamps, harmonics, strict=True)):
-            irradiance = self.lamp(i, q)[1]
-            for there in moved:
-                slope = (there - y) / STEP
-                columns.append(np.concatenate([r @ slope * e for r, e in zip(rows, irradiance, strict=True)]))
-            parts = [r @ y * e for r, e in zip(rows, irradiance, strict=True)]
-            for j, size in enumerate((BRIGHTNESS, TINT, GREEN)):
-                columns.append(size * np.concatenate([CHROMA[c, j] * part for c, part in enumerate(parts)]))
+        moves = STEP * np.eye(OF_LAMP)[[2, 0, 1]]
+        moves[0] = 0
+        for i, q in enumerate(of_lamps):
+            directions, irradiances = self.lamp(i, q + moves)
+            y, *moved = self._harmonics(directions)
+            slopes = np.stack([y, *((there - y) / STEP for there in moved)], 1)
+            seen = [e * (r @ slopes) for r, e in zip(rows, irradiances[0], strict=True)]  # (rows, 3) of each channel
+            columns.append(np.concatenate([part[:, 1:] for part in seen]))
+            columns.append(np.concatenate([np.outer(p[:, 0], SIZES * v) for p, v in zip(seen, CHROMA, strict=True)]))
         return np.column_stack(columns)

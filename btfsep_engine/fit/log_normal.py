@@ -37,6 +37,7 @@ SEEN = (
 HOPELESS = 50.0  # of the logarithm of the evidence: so far below, a plain model's lamps are not tried beside a field
 HIDDEN = 0.04  # of the same: a lamp that the photo could not know of
 HIDDEN_LAMPS = 0.5  # expected number of them over a whole sphere of such directions
+ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alone is taken
 SAMPLES = 200
 WIDER = 1.25  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
 CENTRINGS = 4  # steps by which samples are moved to what the photo says
@@ -144,11 +145,10 @@ class LightSolver:
         samples = lights * (unit * factors)[:, None]
         lamps = []
         for i, q in enumerate(model.parts(best.white)[1]):
-            at = model.field.unknowns + 5 * i
-            drawn = [model.lamp(i, white[at : at + 5]) for white in whites]
+            directions, irradiances = model.lamp(i, model.parts(whites)[1][:, i])
             direction, irradiance = model.lamp(i, q)
-            off = np.arccos(np.clip([d @ direction for d, _ in drawn], -1, 1))
-            each = np.stack([e for _, e in drawn]) * unit * factors
+            off = np.arccos(np.clip(directions @ direction, -1, 1))
+            each = irradiances * unit * factors
             share = each.mean(1) / (SINGLE * samples[:, 0].mean(1))
             own = irradiance * unit
             part = float(own.mean() / (SINGLE * (best.x[:, 0] * unit).mean()))
@@ -219,12 +219,12 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
         ]
         return np.concatenate(parts, 1) - wanted
 
-    lights = model.lights(whites)
+    lights = model.light(whites)[0]
     left = off(lights)
     for _ in range(CENTRINGS):
         step = cho_solve((best.factor, True), (left @ jacobian).T).T
         trial = whites - step
-        lights_there = model.lights(trial)
+        lights_there = model.light(trial)[0]
         left_there = off(lights_there)
         better = np.square(left_there).sum(1) < np.square(left).sum(1)
         whites[better], lights[better], left[better] = trial[better], lights_there[better], left_there[better]
@@ -268,7 +268,7 @@ def restated(fit: Fit, samples) -> Fit:
 
 def elect(photo: Photograph) -> tuple[Solution, Solution | None]:
     """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one."""
-    field = solve(photo, LightModel(natural_field()))
+    field = solve(photo, LightModel(natural_field()), rounds=2, steps=ROUGHLY)
     photo.learn_from(field.x)
     field = solve(photo, field.model, white=field.white, v=field.v)
     plain = with_lamps(photo, solve(photo, LightModel(even_field())), place=most_explained)

@@ -57,22 +57,25 @@ class Solution:
     steps: int
 
 
-def solve(photo: Photograph, model: LightModel, *, white=None, v=None, discrepancy=NEARLY_RIGHT) -> Solution:
+def solve(
+    photo: Photograph, model: LightModel, *, white=None, v=None, discrepancy=NEARLY_RIGHT, rounds=ROUNDS, steps=STEPS
+) -> Solution:
     """The most probable light of ``photo``.
 
     Parameters
     ----------
     white, v : where the search begins; None: even light, and a large noise
     discrepancy : D of `fit.products`
+    rounds, steps : of the noise, and of the light at each
     """
     white = np.zeros(model.unknowns) if white is None else white
     floor = FLOOR**2 * photo.mean_square
     v = np.maximum(FIRST_NOISE**2 * photo.mean_square if v is None else v, floor)
-    steps = 0
-    for left in reversed(range(ROUNDS)):
+    all_steps = 0
+    for left in reversed(range(rounds)):
         rows = photo.rows(v, discrepancy)
-        white, x, radiance, lowest, taken = _minimised(rows, model, white)
-        steps += taken
+        white, x, radiance, lowest, taken = _minimised(rows, model, white, steps)
+        all_steps += taken
         now = np.maximum(photo.noise(x, v, discrepancy), floor)
         settled = np.abs(np.log(now / v)).max() < SETTLED
         if settled or not left:  # what is stated is all at one noise
@@ -89,7 +92,7 @@ def solve(photo: Photograph, model: LightModel, *, white=None, v=None, discrepan
         - LAMP_COST * len(model.lamps)
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)
     )
-    return Solution(model, white, x, radiance, v, discrepancy, rows, factor, evidence, steps)
+    return Solution(model, white, x, radiance, v, discrepancy, rows, factor, evidence, all_steps)
 
 
 def _precision(jacobian) -> np.ndarray:
@@ -98,12 +101,12 @@ def _precision(jacobian) -> np.ndarray:
     return out
 
 
-def _minimised(rows: Rows, model: LightModel, white):
+def _minimised(rows: Rows, model: LightModel, white, most: int):
     """theta, x, radiance, (|r|^2 + |theta|^2) / 2, and the steps that were taken."""
     x, radiance = model.light(white)
     r = rows.residual(x)
     now, damping, steps = 0.5 * (r @ r + white @ white), 1e-2, 0
-    while steps < STEPS:
+    while steps < most:
         steps += 1
         jacobian = model.jacobian(white, radiance, rows.root)
         gradient, precision = jacobian.T @ r + white, _precision(jacobian)

@@ -64,13 +64,16 @@ class LogField:
 
     @cached_property
     def directions(self) -> np.ndarray:
-        """(n, 3) float64, unit, each for the solid angle 4 pi / n."""
-        return fibonacci_sphere(DIRECTIONS)
+        """(n, 3) float64, unit, each for the solid angle 4 pi / n; one, where all are alike."""
+        return fibonacci_sphere(DIRECTIONS if max(self.order, self.chroma_order) else 1)
 
     @cached_property
     def to_coefficients(self) -> np.ndarray:
         """T, (terms, n): radiance in the directions to coefficients."""
-        return sh.evaluate(sh.order_of(self.terms), self.directions).T * (4 * np.pi / DIRECTIONS)
+        y = sh.evaluate(sh.order_of(self.terms), self.directions)
+        if len(y) == 1:
+            y[:, 1:] = 0
+        return y.T * (4 * np.pi / len(y))
 
     @cached_property
     def _factors(self) -> list:
