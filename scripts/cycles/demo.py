@@ -37,45 +37,38 @@ def parse():
     return parser.parse_args()
 
 
-class Stages:
-    """Tells the stages and times them."""
-
-    def __init__(self, count):
-        self.count, self.number, self.seconds = count, 0, {}
-
-    @contextlib.contextmanager
-    def stage(self, name, *, hush=True):
-        self.number += 1
-        print(f"[{self.number}/{self.count}] {name} …", flush=True)
-        start = time.perf_counter()
-        with studio.quiet() if hush else contextlib.nullcontext():
-            yield
-        self.seconds[name] = time.perf_counter() - start
-        print(f"      {self.seconds[name]:.1f} s", flush=True)
+@contextlib.contextmanager
+def stage(number: int, name: str, *, hush=True):
+    """Tells a stage and how long it took."""
+    print(f"[{number}/7] {name} …", flush=True)
+    start = time.perf_counter()
+    with studio.quiet() if hush else contextlib.nullcontext():
+        yield
+    print(f"      {time.perf_counter() - start:.1f} s", flush=True)
 
 
 def main() -> int:
     options = parse()
     out = options.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
-    stages, started = Stages(7), time.perf_counter()
+    started = time.perf_counter()
     resolution, samples = (256, 48) if options.quick else (512, 64)
     blender_btfsep.register()
 
-    with stages.stage(f"building a scene: {options.object} in {options.material} under '{options.light}'"):
+    with stage(1, f"building a scene: {options.object} in {options.material} under '{options.light}'"):
         scene, camera, base, _ = studio.make_scene(
             options.object, options.material, options.light, resolution=resolution
         )
         base.display_type = "WIRE"  # what the engine is told, over what is photographed
         scene.cycles.samples = samples
-    with stages.stage(f"taking the photo with Cycles, {resolution} x {resolution}"):
+    with stage(2, f"taking the photo with Cycles, {resolution} x {resolution}"):
         photo = studio.render_photo(scene, out / "photo.exr", samples)
         mask = studio.object_mask(scene)
     scene.btfsep.image = bpy.data.images.load(str(out / "photo.exr"), check_existing=False)
     scene.btfsep.objects.add().object = base
     scene.btfsep.occluders = "NONE"  # the photographed object is the known one: it casts no second shadow
 
-    with stages.stage("BTFsep: job, recognition, estimate, World", hush=False):
+    with stage(3, "BTFsep: job, recognition, estimate, World", hush=False):
         library = ["--library", str(options.library.resolve())] if options.library else []
         preset = "draft" if options.quick else "balanced"
         result_folder = out / "job" / "result"
@@ -90,19 +83,19 @@ def main() -> int:
     found = result["objects"][0]["material"]
     estimate = engine.coefficients(out / "lighting.json")
 
-    with stages.stage("the object as the library has the material"):
+    with stage(4, "the object as the library has the material"):
         job_options = ["--lighting", out / "lighting.json", "--out", out / "material.exr"]
         engine.run("relight", out / "job", *job_options, "--material", found, *library)
         as_recognised = studio.read_image(out / "material.exr")
-    with stages.stage("rendering again with Cycles, under the estimated World"):
+    with stage(5, "rendering again with Cycles, under the estimated World"):
         rerendered = studio.render_photo(scene, out / "rerendered.exr", samples)
-    with stages.stage("saving scene.blend"):
+    with stage(6, "saving scene.blend"):
         scene.render.filepath = "//rerendered.exr"
         for image in bpy.data.images:
             if image.source in {"GENERATED", "FILE"} and not image.packed_file:
                 image.pack()  # the material's maps live in memory only, the light in Blender's own folder
         bpy.ops.wm.save_as_mainfile(filepath=str(out / "scene.blend"), compress=True)
-    with stages.stage("composing report.png"):
+    with stage(7, "composing report.png"):
         truth = true_lighting(options.light, ORDER)
         off = errors(estimate, truth)
         solid = mask > 0.99

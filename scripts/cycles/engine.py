@@ -2,8 +2,11 @@
 """The engine as a child process, over its command line."""
 
 import json
+import os
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -15,32 +18,39 @@ class EngineFailed(RuntimeError):
     """The engine's own sentence."""
 
 
-def run(*arguments, on_progress=None) -> dict:
-    """``python -m btfsep_engine ARGUMENTS --json``; gives the result of the last line.
+def measured(*arguments, **environment):
+    """``python -m btfsep_engine ARGUMENTS --json``, with variables added to its environment.
 
-    Parameters
-    ----------
-    on_progress : called with (stage, fraction, message) as the engine tells of its progress
+    Returns
+    -------
+    the result of the last line, and (seconds by the clock, seconds of processor, gigabytes resident at most)
 
     Raises
     ------
     EngineFailed
     """
     command = [sys.executable, "-P", "-m", "btfsep_engine", *map(str, arguments), "--json"]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
-        result = failure = None
-        for line in child.stdout:
-            message = json.loads(line)
-            if message["type"] == "progress" and on_progress:
-                on_progress(message["stage"], message["fraction"], message.get("message", ""))
-            elif message["type"] == "done":
-                result = message["result"]
-            elif message["type"] == "failed":
-                failure = message["message"]
-        complaints = child.stderr.read()
-    if child.returncode or result is None:
-        raise EngineFailed(failure or complaints.strip() or f"the engine ended with {child.returncode}")
-    return result
+    with tempfile.TemporaryFile("w+") as complaints:
+        where = {"cwd": ROOT, "env": os.environ | environment, "stdout": subprocess.PIPE, "stderr": complaints}
+        started = time.perf_counter()
+        child = subprocess.Popen(command, text=True, **where)
+        with child.stdout:
+            lines = [json.loads(line) for line in child.stdout]
+        _, status, used = os.wait4(child.pid, 0)
+        elapsed = time.perf_counter() - started
+        child.returncode = os.waitstatus_to_exitcode(status)
+        last = lines[-1] if lines else {}
+        if child.returncode or last.get("type") != "done":
+            complaints.seek(0)
+            words = last.get("message") or complaints.read().strip()
+            raise EngineFailed(words or f"the engine ended with {child.returncode}")
+    peak = used.ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e9
+    return last["result"], (elapsed, used.ru_utime + used.ru_stime, peak)
+
+
+def run(*arguments) -> dict:
+    """The result alone."""
+    return measured(*arguments)[0]
 
 
 def coefficients(lighting_json) -> np.ndarray:

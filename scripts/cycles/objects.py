@@ -8,6 +8,7 @@ smooth shaded, with a low-distortion UV map in **metres on the surface** (a late
 import bmesh
 import bpy
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 LARGEST_SIDE = 0.15  # metres
 ISLAND_ANGLE = np.radians(50.0)  # the most that a chart's faces lean from its projection: stretch below 1 / cos
@@ -44,23 +45,27 @@ def subdivided(mesh: bpy.types.Mesh, levels: int) -> bpy.types.Mesh:
     return result
 
 
-def _suzanne(_rng) -> bpy.types.Mesh:
-    mesh = bpy.data.meshes.new("suzanne")
-    bm = bmesh.new()
-    bmesh.ops.create_monkey(bm)
+def filled(fill) -> bpy.types.Mesh:
+    """A mesh of what ``fill(bm)`` puts into a bmesh."""
+    mesh, bm = bpy.data.meshes.new("mesh"), bmesh.new()
+    fill(bm)
     bm.to_mesh(mesh)
     bm.free()
-    return subdivided(mesh, 3)
+    return mesh
+
+
+def _suzanne(_rng) -> bpy.types.Mesh:
+    return subdivided(filled(bmesh.ops.create_monkey), 3)
 
 
 def _ball(cuts: int):
     """A quad ball of radius 1, its faces of even size: mesh and its vertices (v, 3)."""
-    mesh = bpy.data.meshes.new("ball")
-    bm = bmesh.new()
-    bmesh.ops.create_cube(bm, size=2.0)
-    bmesh.ops.subdivide_edges(bm, edges=bm.edges, cuts=cuts, use_grid_fill=True)
-    bm.to_mesh(mesh)
-    bm.free()
+
+    def cube(bm):
+        bmesh.ops.create_cube(bm, size=2.0)
+        bmesh.ops.subdivide_edges(bm, edges=bm.edges, cuts=cuts, use_grid_fill=True)
+
+    mesh = filled(cube)
     p = np.tan(vertex_positions(mesh) * np.pi / 4)  # evens out the faces
     return mesh, p / np.linalg.norm(p, axis=1, keepdims=True)
 
@@ -108,12 +113,8 @@ def _knot(_rng) -> bpy.types.Mesh:
 
 def _catmull_rom(points, steps: int) -> np.ndarray:
     p = np.asarray(points, float)
-    p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
-    t = np.linspace(0, 1, steps, endpoint=False)[:, None]
-    out = []
-    for a, b, c, d in zip(p[:-3], p[1:-2], p[2:-1], p[3:], strict=True):
-        out.append(b + 0.5 * t * (c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))))
-    return np.vstack([*out, p[-2:-1]])
+    at = np.linspace(0, len(p) - 1, (len(p) - 1) * steps + 1)
+    return CubicHermiteSpline(np.arange(len(p)), p, np.gradient(p, axis=0))(at)
 
 
 def _disk(cells: int):
@@ -177,12 +178,7 @@ def _cloth(rng) -> bpy.types.Mesh:
 
 def _sphere(_rng) -> bpy.types.Mesh:
     """A ball, fine enough that its facets do not show: for the tests of conventions."""
-    mesh = bpy.data.meshes.new("sphere")
-    bm = bmesh.new()
-    bmesh.ops.create_icosphere(bm, subdivisions=6, radius=1.0)
-    bm.to_mesh(mesh)
-    bm.free()
-    return mesh
+    return filled(lambda bm: bmesh.ops.create_icosphere(bm, subdivisions=6, radius=1.0))
 
 
 def _pebble(rng) -> bpy.types.Mesh:

@@ -212,15 +212,6 @@ def render_photo(scene, path_exr, samples: int = 64) -> np.ndarray:
     return read_image(path_exr)
 
 
-def render_under(scene, world, path_exr, samples: int = 64) -> np.ndarray:
-    """The same photograph under another ``world``; the scene keeps its own."""
-    own, scene.world = scene.world, world
-    try:
-        return render_photo(scene, path_exr, samples)
-    finally:
-        scene.world = own
-
-
 def object_mask(scene) -> np.ndarray:
     """(h, w) float32 in [0, 1], how much of each pixel is object rather than World."""
     render, cycles, settings = scene.render, scene.cycles, scene.render.image_settings
@@ -241,13 +232,3 @@ def object_mask(scene) -> np.ndarray:
         settings.color_mode = "RGB"
         render.film_transparent, cycles.max_bounces, cycles.use_adaptive_sampling, cycles.samples = kept
     return flat.reshape(shape)[::-1, :, 3].copy()
-
-
-def pinhole(scene, camera) -> dict:
-    """The camera as a job has it: width, height, fx, fy, cx, cy in pixels, to_world (4, 4)."""
-    width = scene.render.resolution_x
-    f = width * camera.data.lens / camera.data.sensor_width
-    height = scene.render.resolution_y
-    return dict(
-        width=width, height=height, fx=f, fy=f, cx=width / 2, cy=height / 2, to_world=np.array(camera.matrix_world)
-    )

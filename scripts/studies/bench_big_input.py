@@ -10,12 +10,9 @@ photographs are of a dented ring of 100,000 triangles in leather under a light o
 pixels, each of which lends its light to those around it, with 1 % noise: the handling is measured, not the accuracy.
 """
 
-import json
-import os
 import subprocess
 import sys
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +29,7 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.sampling import spread
+from scripts.cycles import engine
 from scripts.studies import ROOT, parser
 from scripts.studies.measures import timed
 from scripts.studies.stage import looking_down, positive_light, waves, write_job
@@ -84,18 +82,7 @@ def time_charts(side: int) -> None:
         print(f"charts of {len(faces):,} triangles, {name}: {clock:.1f} s by the clock, {work:.1f} s of processor")
 
 
-def run(arguments):
-    """Runs a child; (its exit status, peak resident memory in GB, seconds by the clock, seconds of processor)."""
-    started = time.perf_counter()
-    child = subprocess.Popen([str(a) for a in arguments], stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    unit = 1 if sys.platform == "darwin" else 1024
-    elapsed = time.perf_counter() - started
-    return child.returncode, used.ru_maxrss * unit / 1e9, elapsed, used.ru_utime + used.ru_stime
-
-
-def main(arguments) -> int:
+def main(arguments) -> None:
     options = parser("bench-big-input", __doc__)
     options.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
     options.add_argument("--size", type=int, default=4096, help="edge of the large photographs, pixels")
@@ -109,7 +96,7 @@ def main(arguments) -> int:
         "mesh": (SMALL, given.side, "exr"),
     }
     print(f"{'':28}{'peak GB':>9}{'seconds':>9}{'of processor':>14}  stages")
-    worst, material = 0, None if given.recognise else MATERIAL
+    material = None if given.recognise else MATERIAL
     with tempfile.TemporaryDirectory() as scratch:
         for case in (c for c in wanted if c in given.only):
             size, side, suffix = wanted[case]
@@ -118,18 +105,11 @@ def main(arguments) -> int:
             call = f"make_job{(str(folder), size, side, suffix, material)}"
             code = f"from {__name__} import make_job; {call}"
             subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
-            command = [sys.executable, "-m", "btfsep_engine", "estimate", folder]
             # the fine mesh's charts are made, whatever the photo asks for
-            command += ["--appearance", "textured"] if case == "mesh" else []
-            status, peak, seconds, processor = run(command)
-            worst = max(worst, status)
-            name = f"{size} x {size} {suffix.upper()}, {2 * side * side:,} tri"
-            if status:
-                print(f"{name:28} failed with status {status}")
-                continue
-            result = json.loads((folder / "result" / "result.json").read_text())
+            more = ["--appearance", "textured"] if case == "mesh" else []
+            result, (seconds, processor, peak) = engine.measured("estimate", folder, *more)
             stages = ", ".join(f"{k} {v:.1f}" for k, v in result["seconds"].items() if k != "total" and v >= 0.05)
+            name = f"{size} x {size} {suffix.upper()}, {2 * side * side:,} tri"
             print(f"{name:28}{peak:9.2f}{seconds:9.1f}{processor:14.1f}  {stages}", flush=True)
     if "charts" in given.only:
         time_charts(given.side)
-    return worst

@@ -45,19 +45,18 @@ ORDER = 4
 
 def row_of(shot, given) -> list:
     """Estimates and re-renders one photograph; gives the five (picture, words below it)."""
-    folder, library = Path(shot.folder), ["--library", given.library.resolve()] if given.library else []
-    told = ["--order", ORDER, "--appearance", given.appearance, "--preset", given.preset, *library]
+    folder, told = Path(shot.folder), ["--order", ORDER, "--appearance", "mean", "--preset", given.preset]
     found = engine.run("estimate", folder, *told, "--no-report")
     name = found["objects"][0]["material"]
     again = folder / "again.exr"
-    engine.run("relight", folder, "--lighting", found["lighting"], "--material", name, "--out", again, *library)
+    engine.run("relight", folder, "--lighting", found["lighting"], "--material", name, "--out", again)
     estimate, truth = engine.coefficients(found["lighting"]), true_lighting(shot.light, ORDER)
     photo, rendered = (images.read_linear(folder / p).pixels[..., :3] for p in (shot.name, "again.exr"))
     inside = np.load(folder / "coverage.npy")
     shown = exposure(photo[inside > 0.5])
     maps = [sh.to_map(x, 96, 192) for x in (estimate, truth)]
     bright = exposure(np.maximum(maps[1], 0))
-    swatch, off = thumbnail.render(open_library(given.library).load(name), 200), errors(estimate, truth)
+    swatch, off = thumbnail.render(open_library(None).load(name), 200), errors(estimate, truth)
     pictures = [
         on_white(display(photo, shown), inside),
         display(swatch, exposure(swatch)),
@@ -78,9 +77,7 @@ def main(arguments) -> None:
     options = parser("figures", __doc__)
     options.add_argument("--to", type=Path, default=ROOT / "docs" / "images", help="folder for the two figures")
     options.add_argument("--photos", type=Path, help="folder in which photos and jobs are kept")
-    options.add_argument("--library", type=Path, help="another material library")
     options.add_argument("--preset", default="balanced")
-    options.add_argument("--appearance", default="mean", help="mean (the paper's regulariser) or textured")
     options.add_argument("--resolution", type=int, default=320)
     options.add_argument("--samples", type=int, default=96)
     options.add_argument("--quick", action="store_true", help="one row of each figure")

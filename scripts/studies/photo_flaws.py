@@ -6,13 +6,12 @@ scripts/study photo-flaws PHOTOS --work FOLDER    jobs OBJECT_MATERIAL_LIGHT, as
 Each flaw is laid over photographs by Cycles at five severities; prints the tables and draws docs/photo-flaws.png.
 Errors are relative, of the coefficients up to order 2 with one free scale (dyes: with none), medians over the photos,
 each object in two materials under one light (--all: in all, under two). --only AXIS … prints some of the tables, and
-draws no chart. Basis images and every photo's numbers are kept in --work: a run that was stopped goes on where it was.
---anew AXIS … forgets numbers after a change of the code.
+draws no chart. Every photo's numbers are kept in --work: a run that was stopped goes on where it was.
 """
 
-import hashlib
 import json
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -33,14 +32,14 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.real_photo import STIFF
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.sampling import spread
 from scripts.studies import ROOT, parser, photos, tables
 from scripts.studies.measures import covered, errors, order2
 
 LIGHTS = ("courtyard", "sunset")
-PIXELS, DIRECTIONS, BOUNCES = 2000, 256, 4
+PIXELS, DIRECTIONS = 2000, 256
 TEXTURES = {"aligned": "mesh", "not aligned": "xatlas"}
 ORDER = 4
 CLIPPED = (0.01, 0.05, 0.1, 0.2, 0.4)  # share of the object's pixels
@@ -54,7 +53,7 @@ INNER = 2  # pixels nearer to the silhouette are left out, as the engine does
 
 @dataclass(frozen=True)
 class View:
-    """One object and material, its pixels' basis images computed once and kept.
+    """One object and material: what does not change with what is done to its photographs.
 
     Attributes
     ----------
@@ -84,25 +83,10 @@ class View:
         return image[self.pixels[:, 0], self.pixels[:, 1]]
 
 
-def read_view(shown: list, library, cache: Path) -> View:
-    """The view of one object's photographs, its basis images from ``cache`` where they are there."""
+def view_of(shown: list, library) -> View:
+    """The view of one object's photographs."""
     jobs = {p.light: load_job(p.folder) for p in shown}
-    job, material = jobs[shown[0].light], library.load(shown[0].material)
-    key = hashlib.sha256(f"{job.digest} {PIXELS} {DIRECTIONS} {BOUNCES} {material.name}".encode()).hexdigest()[:12]
-    path = cache / f"{shown[0].object}_{shown[0].shown}_{key}.npz"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic.replacing(path) as scratch:
-            np.savez(scratch, **_computed(job, material))
-    with np.load(path) as kept:
-        basis = {k[6:]: kept[k] for k in kept.files if k.startswith("basis ")}
-        own = {k: kept[k] for k in ("pixels", "depth", "normals", "region")}
-    images = {light: each.photo.radiance for light, each in jobs.items()}
-    return View(**own, basis=basis, photos=images, truths={p.light: p.truth(9) for p in shown})
-
-
-def _computed(job, material) -> dict:
-    lights, out = SHBasis(9), {}
+    job, material, lights, basis = jobs[shown[0].light], library.load(shown[0].material), SHBasis(9), {}
     asked = {"mean": (material.mean_material(), None)}
     if material.has_texture:
         asked |= {k: (material, uv) for k, uv in TEXTURES.items()}
@@ -111,12 +95,12 @@ def _computed(job, material) -> dict:
         region = scene.view.mesh == 0
         points = scene.points(0, region=region, textured=uv is not None)
         points = points.take(spread(points, PIXELS, seed=0))
-        indirect = scene.indirect([used], lights, Settings(), bounces=BOUNCES)
-        out[f"basis {key}"] = scene.radiance(points, used, lights, directions=DIRECTIONS, indirect=indirect)
-        out["pixels"], out["normals"] = points.pixels, points.normal
-        inside = distance_transform_cdt(np.pad(region, 1), "chessboard")[1:-1, 1:-1]
-        out["depth"], out["region"] = inside[points.pixels[:, 0], points.pixels[:, 1]], region
-    return out
+        indirect = scene.indirect([used], lights, Settings(), bounces=MODELLED_BOUNCES)
+        basis[key] = scene.radiance(points, used, lights, directions=DIRECTIONS, indirect=indirect)
+    inside = distance_transform_cdt(np.pad(region, 1), "chessboard")[1:-1, 1:-1]
+    images = {light: each.photo.radiance for light, each in jobs.items()}
+    truths = {p.light: p.truth(9) for p in shown}
+    return View(points.pixels, inside[tuple(points.pixels.T)], points.normal, region, basis, images, truths)
 
 
 def error(fit, truth) -> float:
@@ -324,22 +308,16 @@ def chosen(shown: list, *, every: bool) -> list:
 def answers(views: list, library, given) -> dict:
     """{axis: [{estimator: [error at each severity]}]}, a dict for each photo, from --work where it is there."""
     out: dict = {name: [] for name in given.only}
-    read: dict = {}
-
-    def view_of(i):
-        if i not in read:
-            read[i] = read_view(views[i], library, given.work / "basis")
-        return read[i]
-
+    made = cache(lambda i: view_of(views[i], library))
     for i, shown in enumerate(tqdm(views)):
         other = (i + 4) % len(views)  # the second object of a pair: another one under the same light
         lights = given.lights if given.all else [given.lights[i // 2 % len(given.lights)]]
-        for light in [one for one in lights if one in {p.light for p in shown}]:
+        for photo in [p for p in shown if p.light in lights]:
             for name in given.only:
-                path = given.work / "numbers" / f"{name}_{shown[0].object}_{shown[0].shown}_{light}.json"
-                if name in given.anew or not path.exists():
-                    pair = (view_of(other),) if name in PAIRS else ()
-                    found = AXES[name][2](view_of(i), *pair, light, np.random.default_rng(5))
+                path = given.work / f"{name}_{photo.folder.name}.json"
+                if not path.exists():
+                    pair = (made(other),) if name in PAIRS else ()
+                    found = AXES[name][2](made(i), *pair, photo.light, np.random.default_rng(5))
                     path.parent.mkdir(parents=True, exist_ok=True)
                     atomic.write_text(path, json.dumps(found))
                 found = json.loads(path.read_text())
@@ -380,10 +358,9 @@ def draw(path: Path, found: dict) -> None:
 def main(arguments) -> int:
     options = parser("photo-flaws", __doc__)
     options.add_argument("photos", type=Path)
-    options.add_argument("--work", type=Path, required=True, help="folder for basis images and numbers")
+    options.add_argument("--work", type=Path, required=True, help="folder for each photo's numbers")
     options.add_argument("--lights", nargs="+", default=list(LIGHTS), metavar="LIGHT")
     options.add_argument("--all", action="store_true", help="all materials, under all of the lights")
-    options.add_argument("--anew", nargs="+", choices=list(AXES), default=[], metavar="AXIS")
     options.add_argument("--only", nargs="+", choices=list(AXES), default=list(AXES), metavar="AXIS")
     options.add_argument("--chart", type=Path, default=ROOT / "docs" / "photo-flaws.png")
     given = options.parse_args(arguments)

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How the estimate's error depends on which and how many pixels, on directions, and on light between surfaces.
 
-scripts/study sampling --photos FOLDER    uses the photos that scripts/study photos FOLDER left, or makes them
-scripts/study sampling --quick            one object of each material; --all four, not two
+scripts/study sampling PHOTOS            the photos that scripts/study photos leaves; what lacks is made
+scripts/study sampling PHOTOS --quick    one object of each material; --all four, not two
 
 Photographs by Cycles of displaced objects under Blender's own studio lights, which nothing was trained on; the
 material given. Prints tables and draws docs/images/sampling.png; docs/sampling.md has them in words. The table with a
 small ball is synthetic (our own transport, 10 % noise): it only says which pixels tell more.
 """
 
-import contextlib
-import tempfile
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -241,30 +239,23 @@ def draw(path, study: Study) -> None:
 
 def main(arguments) -> int:
     options = parser("sampling", __doc__)
-    options.add_argument("--photos", type=Path, help="folder in which the photos and jobs are kept")
-    options.add_argument("--library", type=Path)
-    options.add_argument("--resolution", type=int, default=256)
-    options.add_argument("--samples", type=int, default=64, help="of Cycles")
+    options.add_argument("photos", type=Path, help="folder in which the photos and jobs are kept")
     options.add_argument("--quick", action="store_true", help="one object of each material")
     options.add_argument("--all", action="store_true", help="four objects of each material, not two")
     options.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "sampling.png")
     given = options.parse_args(arguments)
-    study, library = Study(), open_library(given.library)
-    with contextlib.ExitStack() as stack:
-        kept = (given.photos or Path(stack.enter_context(tempfile.TemporaryDirectory()))).resolve()
-        # two objects of each material, so that each object is met twice
-        some = 4 if given.all else 1 if given.quick else 2
-        grid = [(i, j) for i in range(4) for j in range(4) if (j - i) % 4 < some]
-        views = [
-            [photos.shot(kept, OBJECTS[j], MATERIALS[i], LIGHTS[(i + j + k) % 4]) for k in (0, 1)] for i, j in grid
-        ]
-        photos.take([s for v in views for s in v], resolution=given.resolution, samples=given.samples)
-        for shots in tqdm(views):
-            jobs = [load_job(s.folder) for s in shots]
-            pairs = [(job.photo.radiance, true_lighting(s.light, 4)) for job, s in zip(jobs, shots, strict=True)]
-            name, material = shots[0].object, shots[0].material
-            told = library.load(photos.library_name(material)).mean_material()
-            study.scene(name, material, pairs, PreparedScene(jobs[0], Reporter()), told)
+    study, library = Study(), open_library(None)
+    # two objects of each material, so that each object is met twice
+    grid = [(i, j) for i in range(4) for j in range(4) if (j - i) % 4 < (4 if given.all else 1 if given.quick else 2)]
+    kept = given.photos.resolve()
+    views = [[photos.shot(kept, OBJECTS[j], MATERIALS[i], LIGHTS[(i + j + k) % 4]) for k in (0, 1)] for i, j in grid]
+    photos.take([s for v in views for s in v])
+    for shots in tqdm(views):
+        jobs = [load_job(s.folder) for s in shots]
+        pairs = [(job.photo.radiance, true_lighting(s.light, 4)) for job, s in zip(jobs, shots, strict=True)]
+        name, material = shots[0].object, shots[0].material
+        told = library.load(photos.library_name(material)).mean_material()
+        study.scene(name, material, pairs, PreparedScene(jobs[0], Reporter()), told)
     study.table_with_ball()
     print("\n" + printed(study))
     draw(given.out, study)

@@ -47,7 +47,9 @@ def ball():
 
 def normals_seen(scene):
     """(h, w) bool and (n, 3): the pixels whose centre meets the unit ball, well off its rim, and its normals there."""
-    camera = Camera(**studio.pinhole(scene, scene.camera))
+    lens, (width, height) = scene.camera.data, (scene.render.resolution_x, scene.render.resolution_y)
+    f = width * lens.lens / lens.sensor_width
+    camera = Camera(width, height, f, f, width / 2, height / 2, np.array(scene.camera.matrix_world))
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     origin, direction = camera.rays(x.ravel(), y.ravel())
     b = (origin * direction).sum(1)

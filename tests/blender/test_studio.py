@@ -119,16 +119,32 @@ def test_the_scene_is_a_fair_photograph(tmp_path):
     assert camera.location.z > 0.05  # from above
 
 
-def test_rendering_under_another_world_keeps_the_scenes_own(tmp_path):
+def test_the_same_scene_is_lit_by_the_world_that_it_is_given(tmp_path):
     scene, _, _, _ = studio.make_scene("sphere", "white", "city", resolution=32)
-    own = scene.world
-    dark = bpy.data.worlds.new("dark")
-    tree = materials.node_tree(dark)
+    scene.world = bpy.data.worlds.new("even")
+    tree = materials.node_tree(scene.world)
     background = tree.nodes.new("ShaderNodeBackground")
     background.inputs["Color"].default_value = (0.25, 0.5, 1.0, 1)
     tree.links.new(background.outputs[0], tree.nodes.new("ShaderNodeOutputWorld").inputs["Surface"])
-    picture = studio.render_under(scene, dark, tmp_path / "dark.exr", 64)
-    assert scene.world is own or scene.world == own
+    picture = studio.render_photo(scene, tmp_path / "even.exr", 64)
     # a white furnace: a convex ball under even light is albedo times the light
     assert picture[16, 16] == pytest.approx(0.8 * np.array([0.25, 0.5, 1.0]), rel=0.03)
     assert picture[0, 0] == pytest.approx([0.25, 0.5, 1.0], rel=1e-3)
+
+
+def test_what_is_added_lights_as_it_says(tmp_path):
+    """A dark studio: a sun of irradiance pi, and a near ball of as much at the centre, on a white matte ball."""
+    sun_from = np.array([0.3, -0.8, 0.5]) / np.linalg.norm([0.3, -0.8, 0.5])
+    scene, camera, _, _ = studio.make_scene("sphere", "white", None, resolution=48)
+    facing = np.array(camera.matrix_world)[:3, 2]  # the normal in the middle of the picture
+    near = 6 * sun_from - facing  # in radii, from there to the ball
+    length, radius = np.linalg.norm(near), 0.075
+    for add, expected in (
+        (lambda: studio.add_sun(sun_from, [np.pi] * 3, degrees=0.54), sun_from @ facing),
+        (lambda: studio.add_ball(6 * radius * sun_from, 0.12 * radius, 2500), 36 * near @ facing / length**3),
+    ):
+        added = add()
+        picture = studio.render_photo(scene, tmp_path / "lit.exr", 64)
+        bpy.data.objects.remove(added)
+        assert picture[22:26, 22:26].mean() == pytest.approx(0.8 * expected, rel=0.04)
+    assert studio.render_photo(scene, tmp_path / "dark.exr", 4).max() == 0

@@ -1,13 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A process from its start to its result: jobs of the dented sphere, estimated by the command line."""
 
-import json
-import os
-import resource
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +10,7 @@ from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.render import radiosity
-from scripts.studies import ROOT
+from scripts.cycles import engine
 from scripts.studies.measures import errors
 from scripts.studies.photos import WHITE
 from scripts.studies.stage import MATERIALS, Stage, positive_light, write_job
@@ -56,26 +50,15 @@ def cold(options) -> str:
             name: photograph(folder / name.replace("/", "-"), library.load(name), directions=options.photo_directions)
             for name in (WHITE, MATERIALS[0])
         }
-        environment = {**os.environ, "HOME": str(folder / "home"), "BTFSEP_CACHE": str(folder / "cache")}
+        own = {"HOME": str(folder / "home"), "BTFSEP_CACHE": str(folder / "cache")}
+        own_library = ["--library", options.library] if options.library else []
         for label, name, more, quick in CASES:
             if quick or not options.quick:
-                row = _run(folder / name.replace("/", "-"), name, more, environment, lights[name], options)
-                rows.append((label, *row))
-                print(f"  {label}: {row[0]} s", flush=True)
+                job = folder / name.replace("/", "-")
+                result, seconds = engine.measured("estimate", job, "--material", name, more, *own_library, **own)
+                stages = ", ".join(f"{k} {v:.2f}" for k, v in result["seconds"].items())
+                off = errors(engine.coefficients(result["lighting"]), lights[name], (3,))["order3_absolute"]
+                rows.append((label, f"{seconds[0]:.2f}", f"{seconds[1]:.2f}", stages, f"{off:.3f}"))
+                print(f"  {label}: {seconds[0]:.2f} s", flush=True)
     head = ("`btfsep estimate JOB --material …`", "s", "processor s", "of it in stages", "light up to order 3, to")
     return table(head, rows)
-
-
-def _run(job: Path, name: str, more: str, environment, light, options) -> tuple:
-    base = [sys.executable, "-P", "-m", "btfsep_engine", "estimate", str(job), "--json", "--material", name, more]
-    base += ["--library", str(options.library)] if options.library else []
-    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    run = subprocess.run(base, env=environment, capture_output=True, text=True, cwd=ROOT)
-    seconds, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_CHILDREN)
-    if run.returncode:
-        raise SystemExit(run.stderr)
-    result = json.loads(run.stdout.splitlines()[-1])["result"]
-    found = np.array(json.loads(Path(result["lighting"]).read_text())["coefficients"])[: len(light)]
-    stages = ", ".join(f"{k} {v:.2f}" for k, v in result["seconds"].items())
-    work = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return f"{seconds:.2f}", f"{work:.2f}", stages, f"{errors(found, light, (3,))['order3_absolute']:.3f}"

@@ -39,13 +39,12 @@ def make(folder) -> None:
 
 def _mesh(name):
     if name == "suzanne":
-        mesh = bpy.data.meshes.new("suzanne")
-        bm = bmesh.new()
-        bm.loops.layers.uv.new("UVMap")
-        bmesh.ops.create_monkey(bm, calc_uvs=True)
-        bm.to_mesh(mesh)
-        bm.free()
-        mesh = objects.subdivided(mesh, 2)
+
+        def monkey(bm):
+            bm.loops.layers.uv.new("UVMap")
+            bmesh.ops.create_monkey(bm, calc_uvs=True)
+
+        mesh = objects.subdivided(objects.filled(monkey), 2)
     else:
         mesh = objects.BUILDERS[name](np.random.default_rng(0))
     return objects.centred(mesh)

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The charts of the stability study: one small picture for each axis, and a sheet of photographs."""
+"""The charts of the stability study: one small picture for each axis."""
 
 from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine.errors import InputError
 from scripts.studies import tables
-from scripts.studies.stability import scenes
 from scripts.studies.stability.axes import AXES
 from scripts.studies.stability.methods import NAMES, STATES_SPREAD
-from scripts.studies.stability.run import UNDISTURBED, Task
 
 # colours told apart by everybody; ours is drawn last and thick, the paper's orders are of one colour
 LOOKS = {
@@ -115,37 +112,9 @@ def warnings_chart(path: Path, answers) -> None:
     _drawn(path, answers.names, "Photographs that were warned of, %", draw)
 
 
-def photographs(path: Path, chosen, given) -> bool:
-    """A sheet of what is photographed: a row for each scene. False where photographs are missing."""
-    first = given.lights[0]
-    wanted = [(UNDISTURBED, 0, light, f"undisturbed, {scenes.light_name(light)}") for light in given.lights]
-    wanted += [(a, 5, first, a) for a in ("sun", "near light", "coloured light", "second object")]
-    wanted += [("flat geometry", 3, first, "flat geometry"), ("noise", 4, first, "noise")]
-    wanted = [w for w in wanted if w[0] in (UNDISTURBED, *given.axes)]
-    figure = tables.figure(1.5 * len(wanted), 1.5 * len(chosen) + 0.3, dpi=130)
-    places = figure.subplots(len(chosen), len(wanted), squeeze=False)
-    for row, scene in zip(places, chosen, strict=True):
-        for axes, (axis, index, light, words) in zip(row, wanted, strict=True):
-            task = Task(axis, index, scene, light)
-            try:
-                case = task.case(given.work, given.lights)
-            except (InputError, FileNotFoundError):  # a photograph that was not made yet
-                return False
-            picture = np.clip(case.image * (0.75 / np.percentile(case.clean[case.region], 97)), 0, 1) ** (1 / 2.2)
-            axes.imshow(picture, interpolation="nearest")
-            tables.empty(axes)
-            if scene is chosen[0]:
-                axes.set_title(words + (f", {task.value:g}" if index else ""), fontsize=7.5)
-        row[0].set_ylabel(scene.name, fontsize=9)
-    tables.save(figure, path)
-    return True
-
-
-def draw_all(folder: Path, answers, chosen, given) -> list[str]:
-    """Draws every chart into ``folder``; gives their names."""
+def draw_all(folder: Path, answers) -> None:
+    """Draws every chart into ``folder``."""
     for name in MEASURES:
         measure_chart(folder / f"{name}.png", answers, name)
     coverage_chart(folder / "stability-coverage.png", answers)
     warnings_chart(folder / "stability-warnings.png", answers)
-    sheet = photographs(folder / "stability-photos.png", chosen, given)
-    return [*MEASURES, "stability-coverage", "stability-warnings", *(["stability-photos"] if sheet else [])]

@@ -33,13 +33,6 @@ def to_coefficients(light, order: int) -> np.ndarray:
     return basis.T @ np.asarray(light, np.float64) * (4 * np.pi / (ROWS * COLUMNS))
 
 
-def from_coefficients(coefficients) -> np.ndarray:
-    """The means of a light over the cells, (cells, 3); may be negative."""
-    order = sh.order_of(len(coefficients))
-    values = sh.evaluate(order, directions(4)) @ np.asarray(coefficients, np.float64)
-    return values.reshape(ROWS * COLUMNS, 16, -1).mean(1)
-
-
 @dataclass(frozen=True)
 class Seen:
     """Surface points.

@@ -13,12 +13,6 @@ from scripts.studies.stability.run import UNDISTURBED
 
 NEVER = 0
 WORSE = 1.5  # times the undisturbed error: from here on a disturbance is felt
-CSV_FIELDS = (
-    "axis", "index", "value", "scene", "light", "method", "refused", "order1", "order2", "order1_absolute",
-    "order2_absolute", "direction", "diffuse_si_rmse", "silver_si_rmse", "mirror_si_rmse", "diffuse_degrees",
-    "silver_degrees", "mirror_degrees", "psnr", "stated", "within68", "within95", "inside", "warnings", "seconds",
-)  # fmt: skip
-
 HOW = """\
 {methods} methods are asked for the light of the same photographs, which are disturbed in {axes} ways, each five times
 more severely. What is photographed are {scenes} objects under {lights} of Blender's studio lights ({names}), none of
@@ -63,7 +57,7 @@ def write(chosen, given) -> None:
     if not answers.records:
         print("no estimates yet")
         return
-    drawn = charts.draw_all(given.out.parent / "images", answers, chosen, given)
+    charts.draw_all(given.out.parent / "images", answers)
     table = given.out.with_suffix(".csv")
     _write_csv(table, answers)
     words = HOW.format(
@@ -80,8 +74,6 @@ def write(chosen, given) -> None:
         hidden=HIDDEN,
     )
     parts = ["# Stability", words]
-    if "stability-photos" in drawn:
-        parts.append(_picture("stability-photos", "What is photographed, undisturbed and disturbed"))
     parts += ["## In short", _short(answers), _overview(answers), _undisturbed(answers)]
     title = f"{len(answers.methods)} methods, {len(answers.names)} axes: error against severity"
     parts += [_picture("stability", title)]
@@ -95,7 +87,7 @@ def write(chosen, given) -> None:
     parts.append(_picture("stability-coverage", "Share of the truth inside the stated intervals"))
     parts.append(_picture("stability-warnings", "Share of the photographs that were warned of"))
     write_text(given.out, "\n\n".join(p.rstrip() for p in parts) + "\n")
-    print(f"{given.out}, {table}, {len(drawn)} charts")
+    print(f"{given.out}, {table}")
 
 
 def _picture(name: str, words: str) -> str:
@@ -256,17 +248,11 @@ def _listed(errors, names) -> str:
 
 
 def _write_csv(path, answers) -> None:
-    rows = [
-        {
-            **record,
-            "axis": task.axis,
-            "index": task.index,
-            "value": "" if task.value is None else task.value,
-            "scene": task.scene.name,
-            "light": scenes.light_name(task.light),
-            "method": method,
-            "warnings": " | ".join(record["warnings"]),
-        }
-        for (task, method), record in answers.records.items()
-    ]
-    tables.write_csv(path, rows, CSV_FIELDS)
+    rows = []
+    for (task, method), record in answers.records.items():
+        asked = {"axis": task.axis, "index": task.index, "value": "" if task.value is None else task.value}
+        asked |= {"scene": task.scene.name, "light": scenes.light_name(task.light), "method": method}
+        told = {k: v for k, v in record.items() if k not in ("task", "scale")}
+        rows.append(asked | told | {"warnings": " | ".join(record["warnings"])})
+    fields = dict.fromkeys(key for row in rows for key in row)
+    tables.write_csv(path, rows, list(fields))
