@@ -139,9 +139,11 @@ class LightSolver:
         model = best.model
         whites, lights = posterior_samples(best, SAMPLES, random)
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
+        own_light = lights[:, 0].copy()  # what the lamps are a share of: a rival's light has none of them
         if rival is not None:
             lights[::2] = posterior_samples(rival, len(lights[::2]), random)[1]
-        lights += hidden_lamps(self.basis, SAMPLES, random)
+        hidden = hidden_lamps(self.basis, SAMPLES, random)
+        lights += hidden
         samples = lights * (unit * factors)[:, None]
         lamps = []
         for i, q in enumerate(model.parts(best.white)[1]):
@@ -149,7 +151,8 @@ class LightSolver:
             direction, irradiance = model.lamp(i, q)
             off = np.arccos(np.clip(directions @ direction, -1, 1))
             each = irradiances * unit * factors
-            share = each.mean(1) / (SINGLE * samples[:, 0].mean(1))
+            whole = SINGLE * ((own_light + hidden[:, 0]) * unit * factors).mean(1)
+            share = each.mean(1) / np.maximum(whole, 1e-300)  # a sample may have no light at all
             own = irradiance * unit
             part = float(own.mean() / (SINGLE * (best.x[:, 0] * unit).mean()))
             degrees = float(np.degrees(np.sqrt(np.square(off).mean())))

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from btfsep_engine.fit import log_normal
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.log_normal import WIDER, LightSolver, hidden_lamps
 from btfsep_engine.fit.products import NEARLY_RIGHT
@@ -195,6 +196,21 @@ def test_what_light_can_imitate_is_the_fits_derivative(rng, light, tint):
     numerical = solver.basis.predicted((up.shown - down.shown) / 0.02)
     imitated = change - solver.smoother(fit)(change)
     assert np.linalg.norm(imitated - numerical) < 0.08 * np.linalg.norm(numerical)
+
+
+@pytest.mark.parametrize("bright", [0.0, 1e-9, 1e3])
+def test_a_lamps_share_is_of_the_light_that_it_is_in(rng, monkeypatch, bright):
+    """Whatever the light of the rival is, which need not have the lamp."""
+    draw = log_normal.posterior_samples
+
+    def drawn(solution, count, random):
+        whites, lights = draw(solution, count, random)
+        return whites, lights * bright if solution.model.field.order else lights
+
+    monkeypatch.setattr(log_normal, "posterior_samples", drawn)
+    fit, _, _ = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0, 3.0, 3.0]))
+    assert is_plain(fit) and fit.found.rival is not None
+    assert 0 < fit.lamps[0].share_stddev < 0.1
 
 
 def test_samples_are_laplaces(rng):
