@@ -55,7 +55,8 @@ class PreparedScene:
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
         with reporter.stage("geometry"):
             meshes = [*(o.mesh for o in job.objects), *job.occluders, *(mesh for _, mesh in unseen_meshes(job))]
-            self.tracer = Tracer(meshes)
+            first = len(job.objects)
+            self.tracer = Tracer(meshes, range(first, first + len(job.occluders)))
             self.view = camera_view(self.tracer, job)
             self.regions = [object_region(self.view, job, i) for i in range(len(job.objects))]
 

@@ -23,7 +23,7 @@ DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more 
 LANES = 1 << 20  # pairs of pixel and direction that are followed at once
 NEIGHBOURS = 3
 MOST = 0.98  # of an albedo: light in a closed room ends
-NORMAL_SCALE = 0.5  # weight of a normal's difference against a distance in scene radii, in the neighbour search
+NORMAL_SCALE = 0.5  # weight of a normal's difference against a distance in objects' radii, in the neighbour search
 
 
 def diffuse_albedo(material: Material) -> np.ndarray:
@@ -62,10 +62,11 @@ class Network:
         return csr_matrix((weights.ravel(), taps.ravel(), starts), (count, len(self.mesh)))
 
     def _samples(self, random, count: int):
-        """Points on all triangles by area, each with both sides: positions, normals, mesh numbers."""
+        """Points on all triangles that send light, by area, each with both sides: positions, normals, mesh numbers."""
         meshes = self.tracer.meshes
-        corners = np.concatenate([m.vertices[m.faces] for m in meshes])
-        owner = np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes])
+        senders = [i for i in range(len(meshes)) if i not in self.tracer.occluders]
+        corners = np.concatenate([meshes[i].vertices[meshes[i].faces] for i in senders])
+        owner = np.repeat(senders, [len(meshes[i].faces) for i in senders])
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(cross, axis=1)
         cumulative = np.cumsum(area) / area.sum()
@@ -84,7 +85,7 @@ class Network:
         return np.concatenate([(position - self.tracer.centre) / self.tracer.radius, normal * NORMAL_SCALE], 1)
 
     def arrivals(self, position, normal, omega):
-        """Where rays arrive.
+        """Where rays arrive that are sent light from there.
 
         Parameters
         ----------
@@ -97,7 +98,7 @@ class Network:
         """
         starts = position + OFFSET * self.tracer.radius * normal
         hits = self.tracer.nearest(starts, omega)
-        arrived = np.flatnonzero(hits.mesh >= 0)
+        arrived = np.flatnonzero((hits.mesh >= 0) & ~np.isin(hits.mesh, self.tracer.occluders))
         arrival = starts[arrived] + hits.distance[arrived, None] * omega[arrived]
         facing = np.empty_like(arrival)
         for number, mesh in enumerate(self.tracer.meshes):
@@ -180,6 +181,8 @@ class Indirect:
                 continue
             net = self._network
             arrived, taps, shares = net.arrivals(some.position[point], some.flat_normal[point], directions[direction])
+            if len(arrived) == 0:
+                continue
             pairs = weights.of_pairs(some, point[arrived], direction[arrived])
             received = [net.sparse(point[arrived], taps, shares * w[:, None], len(some)) for w in pairs]
             self._put(out[:, start : start + step], received, weights.colour / np.float32(np.pi))

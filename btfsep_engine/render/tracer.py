@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rays against a job's triangles: nearest hits and visibility, by Mitsuba's ray tracer.
 
-The scene is moved to its centre and scaled to radius 1, so that single precision serves any scene; positions
-and distances that leave this module are in world units again.
+The scene is moved to its objects' centre and scaled to their radius, so that single precision serves any scene, however
+far the ground goes on; positions and distances that leave this module are in world units again.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from btfsep_engine.render.arrays import divided, dr, mi, packets, vector
 
 MISS = np.int32(-1)
 LANES = 1 << 22  # rays traced at once: bounds the memory of a pass to a few hundred MB
-OFFSET = 2e-4  # start of a secondary ray off its surface, in scene radii
+OFFSET = 2e-4  # start of a secondary ray off its surface, in the objects' radii
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,15 @@ class Tracer:
     Parameters
     ----------
     meshes : sequence of job.model.TriangleMesh
+    occluders : numbers of those that only cast shadows: they send no light, and may reach far beyond the objects
     """
 
-    def __init__(self, meshes):
-        self.meshes = tuple(meshes)
+    def __init__(self, meshes, occluders=()):
+        self.meshes, self.occluders = tuple(meshes), tuple(occluders)
         if not self.meshes:
             raise InputError("the job", "no geometry", "export at least one object with faces")
-        used = [m.vertices[np.unique(m.faces)] for m in self.meshes]
+        objects = [m for i, m in enumerate(self.meshes) if i not in self.occluders]
+        used = [m.vertices[np.unique(m.faces)] for m in objects]
         low = np.min([v.min(0) for v in used], 0)
         high = np.max([v.max(0) for v in used], 0)
         self.centre = (low + high) / 2

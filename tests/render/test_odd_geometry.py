@@ -10,7 +10,7 @@ import trimesh
 
 from btfsep_engine import images
 from btfsep_engine.cli import main
-from btfsep_engine.light.files import read_lighting
+from btfsep_engine.light.files import exactly, read_lighting, write_lighting
 
 # the light has order 2 and nothing is noisy: least squares finds it exactly, whatever the file looks like
 RUN = ["--material", "reference/white-diffuse", "--order", "2", "--estimator", "least-squares", "--no-report"]
@@ -22,8 +22,8 @@ def edited(folder, change):
     (folder / "job.json").write_text(json.dumps(job))
 
 
-def estimated(folder):
-    assert main(["estimate", str(folder), *RUN]) == 0
+def estimated(folder, *options):
+    assert main(["estimate", str(folder), *RUN, *options]) == 0
     return read_lighting(folder / "result" / "lighting.json").coefficients
 
 
@@ -112,3 +112,28 @@ def test_a_16_bit_photo_gives_the_light_up_to_its_scale(sphere_job_folder):
     cv2.imwrite(str(folder / "photo.png"), np.round(coded[..., ::-1] * 65535).astype(np.uint16))
     edited(folder, lambda job: job.update(image="photo.png"))
     assert np.linalg.norm(estimated(folder) / scale - truth) < 0.03 * np.linalg.norm(truth)
+
+
+def test_how_far_the_ground_goes_on_does_not_matter(sphere_job_folder):
+    """To a bowl on it: rays start a little off a surface, and light goes from one side of the bowl to the other."""
+    folder, truth = sphere_job_folder
+    bowl = trimesh.creation.icosphere(4)
+    bowl.update_faces(bowl.triangles_center[:, 2] < 0.1)
+    bowl.export(folder / "sphere.ply")
+    write_lighting(folder / "light.json", exactly(truth))
+
+    def on_ground(half):
+        ground = trimesh.creation.box([2 * half, 2 * half, 0.02])
+        ground.apply_translation([0, 0, -1.2]).export(folder / "ground.ply")
+        edited(folder, lambda job: job.update(occluders=[{"mesh": "ground.ply"}]))
+
+    on_ground(3)
+    shown = ["--lighting", str(folder / "light.json"), "--material", "reference/white-diffuse", "--directions", "4096"]
+    assert main(["relight", str(folder), *shown, "--bounces", "8", "--out", str(folder / "photo.exr")]) == 0
+    pixels = images.read_linear(folder / "photo.exr").pixels
+    images.write_exr(folder / "photo.exr", np.nan_to_num(pixels))
+    near = estimated(folder, "--bounces", "8")
+    assert np.linalg.norm(near - truth) < 0.05 * np.linalg.norm(truth)
+    for half in (300, 30_000):
+        on_ground(half)
+        assert np.linalg.norm(estimated(folder, "--bounces", "8") - near) < 2e-3 * np.linalg.norm(near)
