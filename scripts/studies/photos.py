@@ -98,7 +98,8 @@ def take(shots, *, resolution: int = 256, samples: int = 64, threads: int = 0, n
 
 def in_blender(module: str, told) -> None:
     """Runs a module that needs Blender, with JSON on its standard input."""
-    child = subprocess.run([sys.executable, "-m", module], input=json.dumps(told), text=True, cwd=ROOT, check=False)
+    code = f"import bpy, runpy; runpy.run_module({module!r}, run_name='__main__')"  # bpy first: it brings bmesh
+    child = subprocess.run([sys.executable, "-c", code], input=json.dumps(told), text=True, cwd=ROOT, check=False)
     if child.returncode:
         raise SystemExit(child.returncode)
 
