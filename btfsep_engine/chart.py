@@ -51,7 +51,7 @@ def write_chart(path, points, *, reference: str, title: str) -> None:
     axes.grid(alpha=0.25, which="both")
     axes.set_xlabel("seconds of transport and fit, warm")
     axes.set_ylabel(f"error of order 2, one free scale, {REFERENCES[reference]}")
-    axes.set_title(title, fontsize=11)
+    axes.set_title(title, fontsize=11, parse_math=False)
     figure.legend(fontsize=8, loc="outside right upper")
     figure.draw_without_rendering()  # the layout, by which labels are placed
     figure.set_layout_engine("none")

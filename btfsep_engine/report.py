@@ -59,7 +59,7 @@ def write_row(path, panels) -> None:
         axes = figure.add_subplot(grid[0, column])
         axes.imshow(image, interpolation="antialiased")
         axes.set_axis_off()
-        axes.set_title(label, fontsize=11, pad=5)
+        axes.set_title(label, fontsize=11, pad=5, parse_math=False)
     with replacing(path) as scratch:
         figure.savefig(scratch, format="png")
 

@@ -66,8 +66,9 @@ def find_jobs(places, list_file=None) -> list[Path]:
     places = [Path(p) for p in places]
     if list_file is not None:
         try:
-            with click.open_file(str(list_file), encoding="utf-8", errors="surrogateescape") as lines:
-                places += [Path(line.strip()) for line in lines if line.strip() and not line.startswith("#")]
+            with click.open_file(str(list_file), "rb") as file:  # names are bytes, whatever text the machine speaks
+                lines = [line.strip() for line in file.read().removeprefix(b"\xef\xbb\xbf").splitlines()]
+            places += [Path(os.fsdecode(line)) for line in lines if line and not line.startswith(b"#")]
         except OSError as error:
             raise InputError(f"--list {list_file}", str(error), "give a text file with a job folder a line") from error
     found = []

@@ -20,6 +20,7 @@ Matrix = Annotated[list[Row], Field(min_length=4, max_length=4)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 RelativePath = Annotated[str, Field(min_length=1, max_length=1000)]
 Length = Annotated[float, Field(gt=0, lt=1e9)]
+Focal = Annotated[float, Field(gt=1e-6, lt=1e9)]
 Pixels = Annotated[int, Field(gt=0, le=20000)]
 Position = Annotated[float, Field(gt=-1e9, lt=1e9)]
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -41,8 +42,8 @@ class Strict(BaseModel):
 class CameraSchema(Strict):
     width: Pixels
     height: Pixels
-    fx: Length
-    fy: Length
+    fx: Focal
+    fy: Focal
     cx: Position
     cy: Position
     to_world: Matrix
@@ -186,6 +187,7 @@ def nearest(word: str, choices) -> str:
 
 _WANTED = {
     "string_type": "a text",
+    "string_unicode": "a text of Unicode (give the file another name)",
     "float_type": "a number",
     "int_type": "a whole number",
     "int_from_float": "a whole number",

@@ -5,6 +5,8 @@ import csv
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +108,8 @@ def test_places_shards_and_what_is_wrong_with_them(shots, tmp_path):
     assert find_jobs([shots / "a", shots / "a" / "job.json"]) == [shots / "a"]
     (tmp_path / "list.txt").write_text(f"# shots\n{shots / 'c'}\n\n{shots / 'a'}\n")
     assert [p.name for p in find_jobs([], tmp_path / "list.txt")] == ["c", "a"]
+    (tmp_path / "list.txt").write_bytes(b"\xef\xbb\xbf" + os.fsencode(f"{shots / 'b'}\r\n  {shots / 'a'}  "))
+    assert [p.name for p in find_jobs([], tmp_path / "list.txt")] == ["b", "a"]
     shards = [shard_of(every, f"{k}/2") for k in (1, 2)]
     assert sorted(shards[0] + shards[1]) == sorted(every) and not set(shards[0]) & set(shards[1])
     for wrong in ("0/2", "3/2", "two", "1"):
@@ -145,6 +149,15 @@ def test_jobs_of_any_name_are_estimated(shots, monkeypatch, capsys):
     assert b"caf\\udce9" in (shots / "batch.csv").read_bytes()
     code, lines = run(["--list", "list.txt", *OPTIONS], capsys)
     assert code == 0 and lines[-1]["result"]["done"] == 1
+
+
+def test_a_list_of_names_is_read_as_the_machine_names_files(shots):
+    (shots / "a").rename(shots / "é")
+    (shots / "list.txt").write_bytes("é\n".encode())
+    program = "from btfsep_engine.cli.batch import find_jobs; print(len(find_jobs([], 'list.txt')))"
+    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    run = [sys.executable, "-c", program]
+    assert subprocess.run(run, cwd=shots, env=environment, capture_output=True, check=True).stdout == b"1\n"
 
 
 def test_an_option_that_is_wrong_is_said_once_and_nothing_is_begun(shots, capsys):

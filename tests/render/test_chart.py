@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from btfsep_engine import images, sh
+from btfsep_engine.chart import write_chart
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import exactly, write_lighting
-from btfsep_engine.pipeline.tradeoff import pareto_front, variations
+from btfsep_engine.pipeline.tradeoff import Point, pareto_front, variations
 
 
 def test_the_front_is_what_nothing_beats():
@@ -49,3 +50,9 @@ def test_a_truth_of_too_low_an_order_is_refused(sphere_job_folder, capsys, tmp_p
     write_lighting(tmp_path / "truth.json", exactly(truth[: sh.term_count(1)]))
     assert main(["chart", str(folder), "--truth", str(tmp_path / "truth.json")]) == 2
     assert "give order 2 or more" in capsys.readouterr().err
+
+
+def test_a_folder_may_be_named_like_a_formula(tmp_path):
+    points = [Point("pixels", "250", s, e, 1.0, True, np.zeros((9, 3))) for s, e in ((1.0, 0.2), (2.0, 0.1))]
+    write_chart(tmp_path / "chart.png", points, reference="truth", title=r"shots $\frac{1}$: leather")
+    assert (tmp_path / "chart.png").stat().st_size > 1000
