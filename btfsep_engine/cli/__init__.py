@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: ``btfsep`` and ``python -m btfsep_engine``."""
+"""The command line: ``btfsep`` and ``python -P -m btfsep_engine``."""
 
 from btfsep_engine.cli.commands import main
 

@@ -15,17 +15,19 @@ CONSOLE = "import sys\nfrom btfsep_engine.cli import main\nif __name__ == '__mai
 OPTIONS = ["--material", "reference/white-diffuse", "--preset", "draft", "--no-report"]
 
 
-@pytest.mark.parametrize("started", ["module", "console script"])
+@pytest.mark.parametrize("started", ["module", "module, with -P", "console script"])
 @pytest.mark.parametrize("command", [["doctor"], ["batch", ".", *OPTIONS], ["estimate", "shot", *OPTIONS]], ids=str)
 def test_modules_in_the_current_folder_do_not_run(sphere_job_folder, tmp_path_factory, started, command):
     job, _ = sphere_job_folder
     shots, elsewhere = tmp_path_factory.mktemp("shots"), tmp_path_factory.mktemp("elsewhere")
     job.rename(shots / "shot")
-    for name in MODULES.split():
+    safe = [*sys.stdlib_module_names, "btfsep_engine"]  # without -P Python looks for these before it starts a module
+    for name in [*MODULES.split(), *(safe if started != "module" else ())]:
         (shots / f"{name}.py").write_text(PLANTED)
     (elsewhere / "btfsep").write_text(CONSOLE)
     marker = elsewhere / "executed"
-    program = ["-m", "btfsep_engine"] if started == "module" else [str(elsewhere / "btfsep")]
+    module = ["-m", "btfsep_engine"]
+    program = {"module": module, "module, with -P": ["-P", *module]}.get(started, [str(elsewhere / "btfsep")])
     # a cache of its own: the renderer is tried in a child
     environment = os.environ | {"MARKER": str(marker), "BTFSEP_CACHE": str(elsewhere / "cache")}
     environment.pop("PYTHONSAFEPATH", None)
