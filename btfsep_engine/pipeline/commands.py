@@ -43,6 +43,10 @@ def run_train(folder, library, settings: Settings, *, reporter) -> dict:
 def run_recognise(folder, library, settings: Settings, *, reporter) -> dict:
     """Recognises the material of every object, also of those whose material the job names."""
     scene = _prepared(folder, reporter)
+    if scene.job.image_colorspace == "unknown" and scene.job.photo.bits is not None:
+        reporter.warn(
+            "the photo's tone curve is unknown: it was read as sRGB; an estimate finds it, and recognises by it"
+        )
     found = object_materials(scene, library, settings, names=[None] * len(scene.job.objects))
     objects = [{"name": o.name, **material_record(m)} for o, m in zip(scene.job.objects, found, strict=True)]
     return {"objects": objects, **run_record(settings, reporter)}

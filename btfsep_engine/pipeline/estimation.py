@@ -40,7 +40,7 @@ from btfsep_engine.pipeline.reflectance import nearer_materials
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import stacked
-from btfsep_engine.pipeline.tone import curve_doubts, curve_words, refuse_unknown, with_other_curves
+from btfsep_engine.pipeline.tone import curve_doubts, curve_words, read_otherwise, refuse_unknown, with_other_curves
 
 UNSEEN = (
     "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
@@ -113,6 +113,31 @@ def object_materials(scene: PreparedScene, library, settings: Settings, *, names
     return found
 
 
+def materials_of(scenes, library, settings: Settings, *, material: str | None) -> list:
+    """For every photograph `object_materials`; ``material`` : of all objects, or None."""
+    materials = []
+    for each in scenes:
+        known = {o.name: m.name for o, m in zip(scenes[0].job.objects, materials[0], strict=True)} if materials else {}
+        names = [material or o.material or (None if o.surface else known.get(o.name)) for o in each.job.objects]
+        materials.append(object_materials(each, library, settings, names=names))
+    return materials
+
+
+def changed_materials(scenes, before, after) -> list[str]:
+    """Where the photo's own curve showed another material than sRGB, which recognition begins with, in words."""
+    found = [
+        (o.name, old.name, new.name)
+        for scene, olds, news in zip(scenes, before, after, strict=True)
+        for o, old, new in zip(scene.job.objects, olds, news, strict=True)
+    ]
+    return [
+        f"object '{name}' was recognised as {new} with the photo read by the tone curve that was found; read as sRGB, "
+        f"it looked like {old}; state the curve or the material, if you know one of them"
+        for name, old, new in dict.fromkeys(found)
+        if old != new
+    ]
+
+
 def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None, others=()) -> Estimate:
     """Recognises what is not given and solves for the light that all objects share.
 
@@ -120,20 +145,27 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     """
     scenes, reporter = [scene, *others], scene.reporter
     refuse_unknown(scenes, settings)
-    materials = []
-    for each in scenes:
-        known = {o.name: m.name for o, m in zip(scene.job.objects, materials[0], strict=True)} if materials else {}
-        names = [material or o.material or (None if o.surface else known.get(o.name)) for o in each.job.objects]
-        materials.append(object_materials(each, library, settings, names=names))
-    with reporter.stage("transport"):
-        tried, why = textures_to_try(scenes, materials, settings)
-        # path tracing has interreflections for nothing; the kernel looks first whether they are needed
-        decides = settings.bounces == "auto" and settings.transport == "kernel"
-        settings = replace(settings, bounces=1 if decides else settings.reflections)
-        chosen = all_chosen_points(scenes, replace(settings, appearance="textured") if tried else settings)
-        problems, rich = posed(scenes, materials, chosen, settings, both=tried)
-    scenes = [p.scene for p in problems]  # their photos read by the curve that was chosen
-    asked = settings
+    materials = materials_of(scenes, library, settings, material=material)
+    # path tracing has interreflections for nothing; the kernel looks first whether they are needed
+    decides = settings.bounces == "auto" and settings.transport == "kernel"
+    settings = asked = replace(settings, bounces=1 if decides else settings.reflections)
+
+    def set_up():
+        with reporter.stage("transport"):
+            tried, why = textures_to_try(scenes, materials, settings)
+            chosen = all_chosen_points(scenes, replace(settings, appearance="textured") if tried else settings)
+            return tried, why, *posed(scenes, materials, chosen, settings, both=tried)
+
+    tried, why, problems, rich = set_up()
+    read = [p.scene for p in problems]  # their photos read by the curve that was chosen
+    if any(not m.given for found in materials for m in found) and any(read_otherwise(each) for each in read):
+        before, materials = materials, materials_of(read, library, settings, material=material)
+        changes = changed_materials(scenes, before, materials)
+        for change in changes:
+            reporter.warn(change)
+        if changes:
+            tried, why, problems, rich = set_up()
+    scenes = [p.scene for p in problems]
     with reporter.stage("fit"):
         settings, fit, solver, exposures, choice = chosen_fit(problems, rich, asked)
     if decides:

@@ -107,6 +107,11 @@ def _is_sought(scene) -> bool:
     return job.image_colorspace == "unknown" and job.photo.bits is not None and scene.curves is None
 
 
+def read_otherwise(scene) -> bool:
+    """Whether the scene's photo was found to have another curve than sRGB, as which it was read at first."""
+    return scene.curves is not None and scene.curves.curves[0] != SRGB
+
+
 def _read(scene, curves: Curves):
     """The scene with its photo read by the most probable curve."""
     out = copy.copy(scene)

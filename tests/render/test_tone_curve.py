@@ -15,6 +15,7 @@ from btfsep_engine.fit.expected_error import expected_error
 from btfsep_engine.fit.tone_curve import LINEAR, SRGB, ToneCurve
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate, result_record
 from btfsep_engine.pipeline.modelling import all_chosen_points, posed
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -22,6 +23,7 @@ from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.pipeline.tone import Curves, codes_of, with_other_curves
 from btfsep_engine.progress import Reporter
+from btfsep_engine.recognise.recogniser import Recognition
 from tests.render.scenes import as_mesh, job_of, looking_down
 
 SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2, pixels=1000)
@@ -123,6 +125,26 @@ def test_a_curve_that_explains_far_less_than_another_is_doubted(ball, said, true
     scene = seen(ball, true, said)
     estimate(scene, Grey(), SETTINGS, material="grey")
     assert any("tone curve is doubtful" in each for each in scene.reporter.said) == doubted
+
+
+def looks_like(scene, index, library, settings):
+    """A stand-in for recognition: by how dark the photo's darker half is, as by any feature that a curve changes."""
+    shown = scene.job.photo.radiance[scene.regions[index]]
+    name = "darker" if np.percentile(shown, 25) < 0.48 * np.percentile(shown, 90) else "lighter"
+    return Recognition(name, ((name, 1.0),), False, 0.0)
+
+
+@pytest.mark.parametrize("curve", [LINEAR, ToneCurve(0.5), SRGB])
+def test_an_object_is_recognised_by_the_curve_that_was_found(ball, monkeypatch, curve):
+    """The same ball, whatever curve its photo has been through; read as sRGB a linear photo is too dark."""
+    monkeypatch.setattr(estimation, "recognise_object", looks_like)
+    scene = seen(ball, curve, "unknown")
+    as_srgb = looks_like(scene, 0, None, None).material
+    assert as_srgb == ("lighter" if curve is SRGB else "darker")
+    found = estimate(scene, Grey(), SETTINGS)
+    assert [m.name for m in found.materials] == ["lighter"]
+    said = [each for each in scene.reporter.said if "was recognised as" in each]
+    assert len(said) == (curve is not SRGB) and all("as lighter" in each and "like darker" in each for each in said)
 
 
 def test_least_squares_cannot_find_a_curve(ball):
