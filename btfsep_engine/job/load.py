@@ -11,7 +11,7 @@ from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.meshes import load_mesh
-from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
+from btfsep_engine.job.model import Camera, Job, JobObject, Occluder, Photo, TriangleMesh
 from btfsep_engine.job.schema import CameraSchema, JobSchema, SurfaceSchema, parse
 
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
@@ -62,18 +62,13 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
         objects = tuple(_object(reader, o, camera, notes) for o in schema.objects)
     else:
         objects = (_depth_object(reader, schema, camera),)
-    occluders = []
-    for i, o in enumerate(schema.occluders):
-        occluders.append(_mesh(reader, o, f"occluders[{i}]", notes))
-        if _surface(reader, o.surface, occluders[-1], f"occluders[{i}]") is not None:  # checked all the same
-            shines = ", and its emission is left out" if any(o.surface.emission) else ""
-            notes.append(f"occluders[{i}]: its surface is not used yet: what casts shadows is black{shines}")
+    occluders = tuple(_occluder(reader, o, f"occluders[{i}]", notes) for i, o in enumerate(schema.occluders))
     return Job(
         folder=folder,
         photo=photo,
         camera=camera,
         objects=objects,
-        occluders=tuple(occluders),
+        occluders=occluders,
         metres_per_unit=schema.metres_per_unit,
         exposure_ev=schema.exposure_ev,
         digest=reader.digest(),
@@ -232,6 +227,14 @@ def _object(reader: _Folder, schema, camera: Camera, notes: list) -> JobObject:
     surface = _object_surface(reader, schema, mesh)
     uv = schema.uv if surface is None or surface.image is None else "mesh"
     return JobObject(schema.name, mesh, _mask(reader, schema, camera), schema.material, uv, surface=surface)
+
+
+def _occluder(reader: _Folder, schema, what: str, notes: list) -> Occluder:
+    mesh = _mesh(reader, schema, what, notes)
+    surface = _surface(reader, schema.surface, mesh, what)
+    if surface is not None and any(surface.emission):
+        notes.append(f"{what}: surface; it has emission, which is left out; what it reflects is followed")
+    return Occluder(mesh, surface)
 
 
 def _object_surface(reader: _Folder, schema, mesh: TriangleMesh) -> Surface | None:

@@ -92,6 +92,17 @@ class JobObject:
 
 
 @dataclass(frozen=True)
+class Occluder:
+    """Geometry that casts shadows and reflects light and is not fitted.
+
+    ``surface`` : what it is made of, by numbers (one with an image has a mesh with ``corner_uv``), or None: not known.
+    """
+
+    mesh: TriangleMesh
+    surface: Surface | None = None
+
+
+@dataclass(frozen=True)
 class Photo:
     """The photograph.
 
@@ -123,7 +134,7 @@ class Job:
     photo: Photo
     camera: Camera
     objects: tuple[JobObject, ...]
-    occluders: tuple[TriangleMesh, ...]
+    occluders: tuple[Occluder, ...]
     metres_per_unit: float
     exposure_ev: float
     digest: str

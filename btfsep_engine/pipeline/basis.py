@@ -46,6 +46,7 @@ def _by_reference(scene, materials, chosen, lights, settings: TransportSettings)
         materials,
         bounces=settings.reflections,
         textured=settings.appearance == "textured",
+        grey=scene.grey,
         reporter=scene.reporter,
     )
     pixels = np.concatenate([points.pixels for points in chosen])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""When the light that a scene's surfaces send each other is worth modelling: no more than the estimate needs.
+"""When the light that objects and occluders send each other is worth modelling: no more than the estimate needs.
 
 Of the light found without it, one extra image says what the surfaces would send each other: y, at a few hundred pixels,
 spread to the others by nearest place and normal (it is smooth). The fit of b - y tells what it does to the estimate.
@@ -16,7 +16,7 @@ from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import Fit, solve
 from btfsep_engine.light.lightings import SHBasis, SHLighting
-from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS, PreparedScene
+from btfsep_engine.pipeline.scene import BRIGHTEST, INDIRECT_DIRECTIONS, PreparedScene
 from btfsep_engine.pipeline.settings import Settings, TransportSettings
 from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
@@ -75,14 +75,14 @@ def open_share(scene: PreparedScene, points: SurfacePoints) -> np.ndarray:
 def even_sky_bound(scene: PreparedScene, materials, points) -> float:
     """What other surfaces can add to the light that falls on the points, over what the sky gives, under an even sky.
 
-    Nothing that a closed direction shows is brighter than ``albedo`` times all that falls on it.
+    Nothing that a closed direction shows, object or occluder, is brighter than ``albedo`` times all that falls on it.
 
     Parameters
     ----------
     materials : of each object
     points : list of SurfacePoints, of each object
     """
-    albedo = max(float(diffuse_albedo(m).max()) for m in materials)
+    albedo = max(float(a.max()) for a in (*map(diffuse_albedo, materials), *scene.occluder_albedos))
     opened = np.concatenate([open_share(scene, p) for p in points])
     received = albedo * (1 - opened) / (1 - albedo * (1 - opened))
     return float(received.sum() / max(opened.sum(), 1e-12))
@@ -101,6 +101,8 @@ def own_light(
     settings : of the samples between which the light goes
     bounces : that would be followed, >= 2
     """
+    # what is not known may be bright
+    problems = [replace(p, scene=p.scene.with_grey(BRIGHTEST)) for p in problems]
     few = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
     bound = max(even_sky_bound(q.scene, m, p) for q, m, p in zip(problems, materials, few, strict=True))
     if bound < NEGLIGIBLE:

@@ -3,6 +3,7 @@
 
 import copy
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -12,8 +13,9 @@ from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.beams import beam_radiance
+from btfsep_engine.render.homogeneous import reflected_share
 from btfsep_engine.render.point_transport import point_radiance
-from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
+from btfsep_engine.render.radiosity import MOST, Indirect, diffuse_albedo
 from btfsep_engine.render.surface import (
     SurfacePoints,
     View,
@@ -28,6 +30,7 @@ from btfsep_engine.render.transport import Transport
 
 INDIRECT_DIRECTIONS = 128  # light from other surfaces is smooth
 SUN_DIRECTIONS = 12  # over a sun's disc
+GREY, BRIGHTEST = 0.3, 0.8  # what things reflect as a rule, and at most but for white
 MIRRORED = 9  # order of the series as which a mirror shows a sun: a ray never hits it
 
 
@@ -53,12 +56,34 @@ class PreparedScene:
     def __init__(self, job: Job, reporter):
         self.job, self.reporter = job, reporter
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
+        self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):
-            meshes = [*(o.mesh for o in job.objects), *job.occluders, *(mesh for _, mesh in unseen_meshes(job))]
+            beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]
+            meshes = [*(o.mesh for o in job.objects), *beside]
             first = len(job.objects)
             self.tracer = Tracer(meshes, range(first, first + len(job.occluders)))
             self.view = camera_view(self.tracer, job)
             self.regions = [object_region(self.view, job, i) for i in range(len(job.objects))]
+
+    @property
+    def has_unknown(self) -> bool:
+        """Whether there is an occluder of which the job does not say what it is made of."""
+        return any(o.surface is None for o in self.job.occluders)
+
+    def with_grey(self, albedo: float) -> "PreparedScene":
+        """The same scene with such occluders of this grey."""
+        out = copy.copy(self)
+        out.grey = albedo
+        return out
+
+    @cached_property
+    def _known_albedos(self) -> list:
+        return [None if o.surface is None else np.clip(reflected_share(o.surface), 0, MOST) for o in self.job.occluders]
+
+    @property
+    def occluder_albedos(self) -> list:
+        """Of each occluder (3,), or (n, n, 3) by its UVs: what it reflects of light from all sides."""
+        return [np.full(3, self.grey) if a is None else a for a in self._known_albedos]
 
     @property
     def millimetres_per_unit(self) -> float:
@@ -123,14 +148,14 @@ class PreparedScene:
         """Light between surfaces, or None where one bounce is all that is asked for.
 
         The samples and their seed are the settings', so that one network serves all of an estimate. ``materials`` has
-        one Material (or None, unknown: black) per object, its unseen side included; occluders are black.
+        one Material (or None, unknown: black) per object, its unseen side included.
         """
         if bounces < 2:
             return None
         black = np.zeros(3)
         albedos = [black if m is None else diffuse_albedo(m) for m in materials]
         unseen = [albedos[i] for i, _ in unseen_meshes(self.job)]
-        albedos += [black] * len(self.job.occluders) + unseen
+        albedos += [*self.occluder_albedos, *unseen]
         samples, seed = settings.surface_samples, settings.seed
         return Indirect(self.tracer, albedos, lightings, bounces=bounces - 1, samples=samples, seed=seed)
 

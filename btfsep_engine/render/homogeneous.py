@@ -24,6 +24,7 @@ import numpy as np
 from btfsep_engine.btf.directions import cosine_weights, hemisphere_quadrature, interpolator, ubo2014_directions
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.surfaces import CLASS, Surface
+from btfsep_engine.images import resized
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.render.appearance import spatial_factors
 from btfsep_engine.render.arrays import dr, floats, mi, vector
@@ -57,6 +58,19 @@ def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per
     edge = mean_scale(mesh, mesh.corner_uv) * millimetres_per_unit  # of the image, which is one unit of UV wide
     material = Tabulated(name, CLASS, texels, angular, directions, directions, edge / len(texels))
     return replace(material, laid_mean=_mean_over(material, mesh, edge))
+
+
+def reflected_share(surface: Surface, *, side: int = 64) -> np.ndarray:
+    """How much of light from all sides a surface reflects: (3,), or of one with an image (n, n, 3), n at most ``side``.
+
+    Between black and white it is taken to be linear in the base colour, as it is of what is no metal.
+    """
+    if surface.image is None:
+        return homogeneous(surface, CLASS).diffuse_albedo()
+    black, white = (
+        homogeneous(replace(surface, image=None, base_color=(c, c, c)), CLASS).diffuse_albedo() for c in (0.0, 1.0)
+    )
+    return black + resized(surface.image, min(side, len(surface.image))) * (white - black)
 
 
 def _factors(surface: Surface, colours) -> tuple[np.ndarray, np.ndarray]:

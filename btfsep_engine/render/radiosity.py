@@ -4,6 +4,9 @@
 Only the receiving pixel needs the full BTF; what other surfaces send is smooth, so they are treated as diffuse
 with their material's albedo (radiosity; Goral et al. 1984). The radiosity of a few thousand surface samples is
 found under all M lightings at once; it is linear in the light, as everything else.
+
+Where something stands beside the objects, samples lie the closer to each other the nearer to the objects they are, as
+large as what an object sees of them: the shadow on a table is resolved, however large the table.
 """
 
 import weakref
@@ -24,6 +27,8 @@ LANES = 1 << 20  # pairs of pixel and direction that are followed at once
 NEIGHBOURS = 3
 MOST = 0.98  # of an albedo: light in a closed room ends
 NORMAL_SCALE = 0.5  # weight of a normal's difference against a distance in objects' radii, in the neighbour search
+COARSE = 0.5  # longest edge of a face from which samples are drawn, over its distance
+SPLITS = 40  # the most times that a face is cut into four
 
 
 def diffuse_albedo(material: Material) -> np.ndarray:
@@ -44,13 +49,17 @@ class Network:
 
     def __init__(self, tracer: Tracer, *, samples: int, seed: int):
         self.tracer = weakref.proxy(tracer)  # a network is kept as long as its tracer, and must not keep it
-        position, normal, self.mesh = self._samples(np.random.default_rng(seed), samples)
-        self._tree = cKDTree(self._feature(position, normal))
+        position, normal, mesh, face, weights, outer = self._samples(np.random.default_rng(seed), samples)
         self.directions = fibonacci_sphere(DIRECTIONS)
-        cosine = np.maximum(normal @ self.directions.T, 0).astype(np.float32) * np.float32(4 * np.pi / DIRECTIONS)
         seen = tracer.visible(position, normal, self.directions)
+        # the inside of what is closed is seen by nobody, and must not be taken for the outside of a thin wall
+        kept = seen.any(1) | outer
+        position, normal, seen = position[kept], normal[kept], seen[kept]
+        self.mesh, self._face, self._weights = mesh[kept], face[kept], weights[kept]
+        self._tree = cKDTree(self._feature(position, normal))
+        cosine = np.maximum(normal @ self.directions.T, 0).astype(np.float32) * np.float32(4 * np.pi / DIRECTIONS)
         self.sky = cosine * seen
-        # the inside of a closed object sees no sky and is seen by nobody: no rays are spent on it
+        # no rays are spent on what sees no sky
         sample, direction = np.nonzero(seen.any(1)[:, None] & (cosine > 0) & ~seen)
         arrived, taps, weights = self.arrivals(position[sample], normal[sample], self.directions[direction])
         weights *= cosine[sample, direction][arrived, None] / np.float32(np.pi)
@@ -62,27 +71,54 @@ class Network:
         return csr_matrix((weights.ravel(), taps.ravel(), starts), (count, len(self.mesh)))
 
     def _samples(self, random, count: int):
-        """Points on all triangles that send light, by area, each with both sides: positions, normals, mesh numbers."""
+        """Points on all triangles by area, each with both sides.
+
+        Returns
+        -------
+        positions, normals, mesh numbers, faces' numbers, their corners' weights, whether it is the outer side
+        """
         meshes = self.tracer.meshes
-        senders = [i for i in range(len(meshes)) if i not in self.tracer.occluders]
-        corners = np.concatenate([meshes[i].vertices[meshes[i].faces] for i in senders])
-        owner = np.repeat(senders, [len(meshes[i].faces) for i in senders])
+        corners = np.concatenate([m.vertices[m.faces] for m in meshes])
+        owner = np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes])
+        wanted, whole, within = 1.0, np.arange(len(owner)), None
+        if self.tracer.focus is not None:
+            corners, whole, within, wanted = _seen_from(*self.tracer.focus, corners)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(cross, axis=1)
-        cumulative = np.cumsum(area) / area.sum()
-        face = np.searchsorted(cumulative, (np.arange(count) + random.random(count)) / count)
-        face = np.minimum(face, len(area) - 1)
+        cumulative = np.cumsum(wanted * area) / (wanted * area).sum()
+        piece = np.searchsorted(cumulative, (np.arange(count) + random.random(count)) / count)
+        piece = np.minimum(piece, len(area) - 1)
         a, b = random.random((2, count))
         a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-        chosen = corners[face]
+        chosen = corners[piece]
         position = (
             chosen[:, 0] + a[:, None] * (chosen[:, 1] - chosen[:, 0]) + b[:, None] * (chosen[:, 2] - chosen[:, 0])
         )
-        normal = cross[face] / np.maximum(area[face], 1e-300)[:, None]
-        return np.concatenate([position] * 2), np.concatenate([normal, -normal]), np.concatenate([owner[face]] * 2)
+        normal = cross[piece] / np.maximum(area[piece], 1e-300)[:, None]
+        face, weights = whole[piece], np.stack([1 - a - b, a, b], -1)
+        if within is not None:
+            weights = (weights[..., None] * within[piece]).sum(1)
+        outwards = np.array([_is_wound_outwards(m) for m in meshes])[owner[face]]
+        twice = [np.concatenate([each] * 2) for each in (position, owner[face], face, weights)]
+        outer = np.concatenate([outwards, ~outwards])
+        return twice[0], np.concatenate([normal, -normal]), *twice[1:], outer
 
     def _feature(self, position, normal):
         return np.concatenate([(position - self.tracer.centre) / self.tracer.radius, normal * NORMAL_SCALE], 1)
+
+    def albedos(self, of_meshes) -> np.ndarray:
+        """(s, 3) float32, of each sample; ``of_meshes`` : (3,) or an image (n, n, 3) by its UVs, of each mesh."""
+        out, first = np.empty((len(self.mesh), 3), np.float32), 0
+        for number, albedo in enumerate(of_meshes):
+            mesh, mine = self.tracer.meshes[number], self.mesh == number
+            if np.ndim(albedo) > 1:
+                n, uv = len(albedo), mesh.corner_uv[self._face[mine] - first]
+                uv = (self._weights[mine][..., None] * uv).sum(1)
+                column, row = np.floor(uv * n).astype(np.int64).T % n
+                albedo = albedo[n - 1 - row, column]
+            out[mine] = albedo
+            first += len(mesh.faces)
+        return out
 
     def arrivals(self, position, normal, omega):
         """Where rays arrive that are sent light from there.
@@ -98,7 +134,7 @@ class Network:
         """
         starts = position + OFFSET * self.tracer.radius * normal
         hits = self.tracer.nearest(starts, omega)
-        arrived = np.flatnonzero((hits.mesh >= 0) & ~np.isin(hits.mesh, self.tracer.occluders))
+        arrived = np.flatnonzero(hits.mesh >= 0)
         arrival = starts[arrived] + hits.distance[arrived, None] * omega[arrived]
         facing = np.empty_like(arrival)
         for number, mesh in enumerate(self.tracer.meshes):
@@ -111,6 +147,40 @@ class Network:
         distance, taps = self._tree.query(feature, k=NEIGHBOURS, workers=dr.thread_count())
         weights = (1 / (distance + 1e-3)).astype(np.float32)
         return arrived, taps, weights / weights.sum(1, keepdims=True)
+
+
+def _is_wound_outwards(mesh) -> bool:
+    """Whether a closed mesh's faces turn counter-clockwise, seen from outside; of an open one either."""
+    a, b, c = np.moveaxis((mesh.vertices - mesh.vertices.mean(0))[mesh.faces], 1, 0)
+    return bool((a * np.cross(b, c)).sum() >= 0)
+
+
+def _seen_from(centre, radius: float, corners):
+    """Faces ``corners : (n, 3, 3)`` cut until each is small for its distance from ``centre``.
+
+    Returns
+    -------
+    corners (m, 3, 3) of the pieces; of which face each is (m,); its corners' weights in that (m, 3, 3); how dense
+    samples are to be on it (m,): as solid angle has it, but for the cosine, and even within ``radius``
+    """
+    done, whole, within = [], np.arange(len(corners)), np.broadcast_to(np.eye(3), corners.shape)
+    for _ in range(SPLITS):
+        edge = np.linalg.norm(corners - np.roll(corners, 1, 1), axis=2).max(1)
+        far = np.maximum(np.linalg.norm(corners.mean(1) - centre, axis=1) - edge, radius)
+        large = edge > COARSE * far
+        done.append([a[~large] for a in (corners, whole, within)])
+        if not large.any():
+            break
+        whole, corners, within = np.tile(whole[large], 4), _in_four(corners[large]), _in_four(within[large])
+    corners, whole, within = (np.concatenate(a) for a in zip(*done, strict=True))
+    return corners, whole, within, np.maximum(np.linalg.norm(corners.mean(1) - centre, axis=1), radius) ** -2
+
+
+def _in_four(corners) -> np.ndarray:
+    """Triangles (n, 3, 3) as the four that their edges' middles make: (4 n, 3, 3), all of the same turn."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    return np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
 _networks = weakref.WeakKeyDictionary()
@@ -130,7 +200,8 @@ class Indirect:
     Parameters
     ----------
     tracer : Tracer
-    albedos : one (3,) per mesh of the tracer; zeros for what reflects nothing or is not known
+    albedos : one (3,) per mesh of the tracer, zeros for what reflects nothing or is not known; or an image (n, n, 3) of
+        them by the mesh's UVs, one unit wide, row 0 at the top
     lightings : light.lightings.Lightings
     bounces : number of reflections between surfaces that are followed, >= 1
     samples : surface samples over the whole scene, each with two sides
@@ -138,7 +209,7 @@ class Indirect:
     """
 
     def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, samples: int | None = None, seed: int = 0):
-        self.tracer, self.albedos, self.lightings = tracer, np.asarray(albedos, np.float32), lightings
+        self.tracer, self.albedos, self.lightings = tracer, albedos, lightings
         self.bounces, self.samples, self.seed = bounces, samples or SAMPLES, seed
 
     @property
@@ -151,10 +222,11 @@ class Indirect:
         net = self._network
         light = np.moveaxis(np.asarray(self.lightings.cell_averages(net.directions), np.float32), 2, 0)
         direct = [net.sky @ np.ascontiguousarray(channel) for channel in light]
-        grey = (self.albedos == self.albedos[:, :1]).all()
+        albedos = net.albedos(self.albedos)
+        grey = (albedos == albedos[:, :1]).all()
         found = []
         for c in range(1 if grey and len(direct) == 1 else 3):
-            albedo, straight = self.albedos[net.mesh, c, None], direct[min(c, len(direct) - 1)]
+            albedo, straight = albedos[:, c, None], direct[min(c, len(direct) - 1)]
             radiosity = albedo * straight
             for _ in range(self.bounces - 1):
                 radiosity = albedo * (straight + net.gather @ radiosity)

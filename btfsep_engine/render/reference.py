@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine.btf.model import Lambertian, Material
-from btfsep_engine.job.model import Job
+from btfsep_engine.btf.surfaces import GIVEN
+from btfsep_engine.job.model import Job, Occluder
 from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.arrays import dr, mi, vector
+from btfsep_engine.render.homogeneous import homogeneous, pictured
 from btfsep_engine.render.mitsuba_bsdf import material_key
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.radiosity import diffuse_albedo
@@ -44,6 +46,15 @@ class ReferenceRadiance:
     seconds: np.ndarray
 
 
+def _occluder_material(occluder: Occluder, grey: float, millimetres_per_unit: float) -> Material:
+    surface = occluder.surface
+    if surface is None:
+        return Lambertian("grey", np.full(3, grey))
+    if surface.image is not None:
+        return pictured(surface, GIVEN, occluder.mesh, millimetres_per_unit=millimetres_per_unit)
+    return homogeneous(surface, GIVEN)
+
+
 class Reference:
     """A job as a Mitsuba scene.
 
@@ -51,28 +62,40 @@ class Reference:
     ----------
     job : Job
     tracer : Tracer of the job's meshes, in the order of `PreparedScene`; gives the scale of the scene
-    materials : one Material for each object, None: black. Occluders are black, unseen sides of depths matte
+    materials : one Material for each object, None: black. Unseen sides of depths are matte
+    grey : what occluders of which the job does not say it reflect, matte
     bounces : reflections followed; 1 is light that comes straight from outside
     textured : true: texels and tangents by the objects' charts (`surface.with_texture`); false: only of materials that
         line up; for the others, of one texel, tangents follow the world's vertical (`surface.with_any_tangent`)
     reporter : told about charts
     """
 
-    def __init__(self, job: Job, tracer: Tracer, materials, *, bounces: int = 1, textured: bool = True, reporter=None):
+    def __init__(
+        self,
+        job: Job,
+        tracer: Tracer,
+        materials,
+        *,
+        bounces: int = 1,
+        textured: bool = True,
+        grey: float = 0.0,
+        reporter=None,
+    ):
         self.job, self.tracer = job, tracer
         unseen = [
             m if m is None else Lambertian(diffuse_albedo(m))
             for m, o in zip(materials, job.objects, strict=True)
             if o.unseen is not None
         ]
-        materials = [*materials, *[None] * len(job.occluders), *unseen]
+        beside = [_occluder_material(o, grey, 1000 * job.metres_per_unit) for o in job.occluders]
+        ways = [*(o.uv for o in job.objects), *["mesh"] * len(beside)]
+        materials = [*materials, *beside, *unseen]
         self._shapes = {}
         for number, (mesh, material) in enumerate(zip(tracer.meshes, materials, strict=True)):
-            uv, laid = None, textured or (material is not None and material.lines_up)
-            if laid and material is not None and number < len(job.objects):
-                uv = physical_uv(
-                    mesh, job.objects[number].uv, millimetres_per_unit=1000 * job.metres_per_unit, reporter=reporter
-                )
+            laid = material is not None and (material.lines_up or (textured and number < len(job.objects)))
+            uv = None
+            if laid:
+                uv = physical_uv(mesh, ways[number], millimetres_per_unit=1000 * job.metres_per_unit, reporter=reporter)
             self._shapes[f"shape{number:04d}"] = self._shape(number, mesh, self._bsdf(material, laid), uv)
         depth = {"max_depth": bounces + 1, "rr_depth": bounces + 2, "hide_emitters": True}
         self.integrator = mi.load_dict({"type": "path", **depth})

@@ -41,7 +41,12 @@ class Tracer:
     Parameters
     ----------
     meshes : sequence of job.model.TriangleMesh
-    occluders : numbers of those that only cast shadows: they send no light, and may reach far beyond the objects
+    occluders : numbers of those that may reach far beyond what is looked at
+
+    Attributes
+    ----------
+    centre, radius : of all but the occluders
+    focus : both, where there are occluders; else None
     """
 
     def __init__(self, meshes, occluders=()):
@@ -54,6 +59,7 @@ class Tracer:
         high = np.max([v.max(0) for v in used], 0)
         self.centre = (low + high) / 2
         self.radius = float(np.linalg.norm(high - low) / 2) or 1.0
+        self.focus = (self.centre, self.radius) if self.occluders else None
         shapes = {f"mesh{i:04d}": self._mitsuba_mesh(i, mesh) for i, mesh in enumerate(self.meshes)}
         self.scene = mi.load_dict({"type": "scene", **shapes})
         # a hit names its shape by registry id: the table back to our mesh numbers

@@ -20,7 +20,7 @@ from tqdm import tqdm
 from scripts.cycles import studio
 
 COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object
-STANDING = ("folder", "object", "material", "seed", "variation", "thickness")  # the same of all that one scene shows
+STANDING = ("object", "material", "seed", "variation", "thickness")  # the same of all that one scene shows
 
 
 def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None) -> None:
@@ -29,8 +29,7 @@ def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None)
     bar = tqdm(total=len(missing), desc="photographs", disable=not missing)
     for key, group in groupby(missing, lambda s: [s[k] for k in STANDING]):
         told = dict(zip(STANDING, key, strict=True))
-        folder, name, material = Path(told.pop("folder")), told.pop("object"), told.pop("material")
-        folder.mkdir(parents=True, exist_ok=True)
+        name, material = told.pop("object"), told.pop("material")
         with studio.quiet():
             scene, _, base, _ = studio.make_scene(name, material, None, resolution=resolution, **told)
             scene.render.use_persistent_data = True  # the displaced mesh is the same in all photographs
@@ -39,11 +38,19 @@ def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None)
             if noise:
                 scene.cycles.adaptive_threshold = noise
         for shot in group:
+            folder = Path(shot["folder"])
+            folder.mkdir(parents=True, exist_ok=True)
             with studio.quiet():
-                _photograph(scene, shot, folder / shot["name"], samples, base)
+                added, table = _beside(shot, base)
+                _photograph(scene, shot, folder / shot["name"], samples)
+                for obj in added:
+                    bpy.data.objects.remove(obj)
                 if not _job(shot).exists():
+                    export_job(scene, folder, image_path=folder / shot["name"], objects=[base], occluders=table)
+                for obj in table:
+                    bpy.data.objects.remove(obj)
+                if not (folder / COVERAGE).exists():
                     np.save(folder / COVERAGE, studio.object_mask(scene))
-                    export_job(scene, folder, image_path=folder / shot["name"], objects=[base], occluders=[])
             bar.update()
 
 
@@ -51,21 +58,27 @@ def _job(shot) -> Path:
     return Path(shot["folder"]) / "job.json"
 
 
-def _photograph(scene, shot, path: Path, samples: int, base) -> None:
+def _beside(shot, base) -> tuple[list, list]:
+    """Puts what a shot adds beside the object; gives what the job does not know of, and what it does: the table."""
     radius = 0.5 * float(np.linalg.norm(np.ptp([v.co for v in base.data.vertices], axis=0)))
-    added = []
+    added, table = [], []
     if sun := shot["sun"]:
         added.append(studio.add_sun(sun["direction"], sun["irradiance"], degrees=sun["degrees"]))
     if ball := shot["ball"]:
         added.append(studio.add_ball(np.array(ball["place"]) * radius, ball["radius"] * radius, ball["radiance"]))
     if wall := shot["wall"]:
         added.append(studio.add_wall(np.array(wall["place"]) * radius, wall["edge"] * radius, wall["colour"]))
+    if top := shot["table"]:
+        lowest = min(v.co.z for v in base.data.vertices)
+        table.append(studio.add_table(lowest, top["edge"] * radius, top["colour"], checks=top["checks"]))
+    return added, table
+
+
+def _photograph(scene, shot, path: Path, samples: int) -> None:
     scene.world = studio.make_world(shot["light"])
     partial = path.with_name(f"partial-{os.getpid()}.exr")
     studio.render_photo(scene, partial, samples)
     os.replace(partial, path)
-    for obj in added:
-        bpy.data.objects.remove(obj)
 
 
 if __name__ == "__main__":

@@ -198,6 +198,23 @@ def add_wall(place, edge: float, colour) -> bpy.types.Object:
     return _unseen(bpy.context.object, materials.white(colour))
 
 
+def add_table(height: float, edge: float, colour, *, checks: int = 0) -> bpy.types.Object:
+    """A matte square under the object, its top at ``height``; ``checks``: a side, of it and of a quarter of it."""
+    bpy.ops.mesh.primitive_plane_add(size=edge, location=(0, 0, height))
+    table = bpy.context.object
+    table.name = "table"
+    material = materials.white(colour)
+    if checks:
+        odd = np.indices((checks, checks)).sum(0) % 2
+        paint = material.node_tree.nodes.new("ShaderNodeTexImage")
+        paint.image = materials.image("checks", np.asarray(colour) * np.where(odd, 1.0, 0.25)[..., None])
+        paint.interpolation = "Closest"
+        bsdf = next(n for n in material.node_tree.nodes if n.type == "BSDF_DIFFUSE")
+        material.node_tree.links.new(paint.outputs["Color"], bsdf.inputs["Color"])
+    table.data.materials.append(material)
+    return table
+
+
 def _unseen(obj, material):
     obj.data.materials.append(material)
     obj.visible_camera = False

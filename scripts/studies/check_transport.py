@@ -66,7 +66,7 @@ def job_of(meshes, occluders, millimetres):
 
 def compare(job, material, lights, *, textured, pixels, samples, jitter=False) -> list:
     """Cells of a row of the table."""
-    tracer, millimetres = Tracer([job.objects[0].mesh, *job.occluders]), 1000 * job.metres_per_unit
+    tracer, millimetres = Tracer([job.objects[0].mesh, *(o.mesh for o in job.occluders)]), 1000 * job.metres_per_unit
     points = surface_points(camera_view(tracer, job), job, 0)
     points = points.take(spread(points, pixels))
     points = with_texture(points, job, 0) if textured else with_any_tangent(points)

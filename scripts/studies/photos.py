@@ -39,6 +39,7 @@ class Shot:
     sun : None, or {direction, irradiance, degrees} of a Sun lamp
     ball, wall : None, or {place, radius, radiance}, {place, edge, colour} of what stands beside, in the object's radii
         (half the diagonal of its bounding box)
+    table : None, or {edge, colour, checks} of what the object stands on; the job has it as an occluder
     """
 
     folder: str
@@ -52,6 +53,7 @@ class Shot:
     sun: dict | None = None
     ball: dict | None = None
     wall: dict | None = None
+    table: dict | None = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from btfsep_engine import sh
-from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
+from btfsep_engine.job.model import Camera, Job, JobObject, Occluder, Photo, TriangleMesh
 from btfsep_engine.render import surface
 from btfsep_engine.render.sampling import spread
 from btfsep_engine.render.tracer import Tracer
@@ -35,11 +35,12 @@ def looking_down(size: int, focal: float) -> Camera:
 
 
 def job_of(meshes, camera, *, occluders=(), metres_per_unit=METRES, uv: str = "xatlas") -> Job:
-    """A job in memory, its photo black."""
+    """A job in memory, its photo black; ``occluders`` as of a job, or meshes of which nothing is known."""
     shape = camera.height, camera.width
     photo = Photo(np.zeros((*shape, 3), np.float32), np.ones(shape, bool), 0)
     objects = tuple(JobObject(f"object {i}", mesh, uv=uv) for i, mesh in enumerate(meshes))
-    return Job(Path("."), photo, camera, objects, tuple(occluders), metres_per_unit, 0.0, "")
+    beside = tuple(o if isinstance(o, Occluder) else Occluder(o) for o in occluders)
+    return Job(Path("."), photo, camera, objects, beside, metres_per_unit, 0.0, "")
 
 
 def write_job(

@@ -50,7 +50,7 @@ def test_a_whole_job(job):
     (cube,) = result.objects
     assert (cube.name, cube.uv, cube.material, cube.mask) == ("cube", "xatlas", None, None)
     assert cube.mesh.faces.shape == (12, 3) and cube.mesh.corner_uv.shape == (12, 3, 2)
-    (floor,) = result.occluders
+    floor = result.occluders[0].mesh
     np.testing.assert_array_equal(floor.vertices.min(0), [-9, -9, -4])
     assert result.camera.fx == 14 and result.metres_per_unit == 1 and result.exposure_ev == 0
     assert load_job(job.folder / "job.json").digest == result.digest

@@ -24,7 +24,8 @@ class Prepared:
         self.material, self.textured = material, use_texture
         job = job_of(meshes, camera or looking_down(), occluders=occluders, metres_per_unit=MILLIMETRES / 1000)
         self.job = replace(job, objects=tuple(replace(o, uv=uv) for o in job.objects))
-        self.tracer = Tracer([*meshes, *occluders])
+        beside = [o.mesh for o in job.occluders]
+        self.tracer = Tracer([*meshes, *beside], range(len(meshes), len(meshes) + len(beside)))
         points = surface_points(camera_view(self.tracer, self.job), self.job, 0)
         points = points.take(spread(points, count))
         self.points = with_texture(points, self.job, 0) if use_texture else with_any_tangent(points)

@@ -7,7 +7,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.job.model import Camera, Job, JobObject, Photo, TriangleMesh
+from btfsep_engine.job.model import Camera, Job, JobObject, Occluder, Photo, TriangleMesh
 
 
 def as_mesh(shape, *, flat=False) -> TriangleMesh:
@@ -25,12 +25,13 @@ def looking_down(size=96, focal=200.0, height=4.0) -> Camera:
 
 
 def job_of(meshes, camera, *, occluders=(), metres_per_unit=0.05) -> Job:
-    """A job in memory, its photo black."""
+    """A job in memory, its photo black; ``occluders`` as of a job, or meshes of which nothing is known."""
     photo = Photo(
         np.zeros((camera.height, camera.width, 3), np.float32), np.ones((camera.height, camera.width), bool), 0
     )
     objects = tuple(JobObject(f"object {i}", mesh) for i, mesh in enumerate(meshes))
-    return Job(Path("."), photo, camera, objects, tuple(occluders), metres_per_unit, 0.0, "")
+    beside = tuple(o if isinstance(o, Occluder) else Occluder(o) for o in occluders)
+    return Job(Path("."), photo, camera, objects, beside, metres_per_unit, 0.0, "")
 
 
 def off_as_seen(x, truth) -> float:

@@ -11,8 +11,9 @@ import pytest
 import trimesh
 
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.cli import main
-from btfsep_engine.job.model import Photo
+from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline import interreflection
@@ -111,7 +112,8 @@ def test_a_bright_neighbour_counts_and_a_black_one_does_not():
     wall = trimesh.creation.box([0.1, 4, 4]).apply_translation([1.3, 0, 0])
     beside = photographed([ball(), as_mesh(wall, flat=True)], [BRIGHT, BRIGHT])
     assert answer(beside, [BRIGHT, BRIGHT])[0].modelled
-    occluded = photographed([ball()], [BRIGHT], occluders=[as_mesh(wall, flat=True)])
+    black = Occluder(as_mesh(wall, flat=True), Surface((0.0,) * 3, specular=0.0))
+    occluded = photographed([ball()], [BRIGHT], occluders=[black])
     found, _ = answer(occluded, [BRIGHT])
     assert found.bound > interreflection.NEGLIGIBLE  # it cannot be told from the rays alone
     assert not found.modelled and found.share < 0.01

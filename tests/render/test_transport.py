@@ -24,7 +24,7 @@ WHITE = Lambertian("white", np.full(3, 0.8))
 def prepared(meshes, camera, *, count=600, directions=1024, textured=False, occluders=()):
     """Tracer, points and kernel of the first object."""
     job = job_of(meshes, camera, occluders=occluders)
-    tracer = Tracer([*meshes, *occluders])
+    tracer = Tracer([*meshes, *(o.mesh for o in job.occluders)])
     points = surface_points(camera_view(tracer, job), job, 0)
     points = points.take(spread(points, count))
     points = with_texture(points, job, 0) if textured else with_any_tangent(points)
