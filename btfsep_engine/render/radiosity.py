@@ -81,8 +81,8 @@ class Network:
         corners = np.concatenate([m.vertices[m.faces] for m in meshes])
         owner = np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes])
         wanted, whole, within = 1.0, np.arange(len(owner)), None
-        if self.tracer.focus is not None:
-            corners, whole, within, wanted = _seen_from(*self.tracer.focus, corners)
+        if self.tracer.occluders:
+            corners, whole, within, wanted = _seen_from(self.tracer.centre, self.tracer.radius, corners)
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         area = np.linalg.norm(cross, axis=1)
         cumulative = np.cumsum(wanted * area) / (wanted * area).sum()

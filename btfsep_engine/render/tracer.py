@@ -46,7 +46,6 @@ class Tracer:
     Attributes
     ----------
     centre, radius : of all but the occluders
-    focus : both, where there are occluders; else None
     """
 
     def __init__(self, meshes, occluders=()):
@@ -59,7 +58,6 @@ class Tracer:
         high = np.max([v.max(0) for v in used], 0)
         self.centre = (low + high) / 2
         self.radius = float(np.linalg.norm(high - low) / 2) or 1.0
-        self.focus = (self.centre, self.radius) if self.occluders else None
         shapes = {f"mesh{i:04d}": self._mitsuba_mesh(i, mesh) for i, mesh in enumerate(self.meshes)}
         self.scene = mi.load_dict({"type": "scene", **shapes})
         # a hit names its shape by registry id: the table back to our mesh numbers
