@@ -71,7 +71,7 @@ def bake_material(
                     f"node '{node.name}' looks at the object; the square that is measured has nothing there"
                 )
         for name in NOT_MEASURED:
-            if _source(shader.inputs[name]) is not None or shader.inputs[name].default_value > 0.01:
+            if source_of(shader.inputs[name]) is not None or shader.inputs[name].default_value > 0.01:
                 warnings.append(
                     f"{name} is not measured: the material is taken as opaque, with a base and a gloss alone"
                 )
@@ -133,7 +133,7 @@ class _Stage:
 
     def value(self, socket) -> np.ndarray:
         """(n, n, 4) float32: what arrives at an input, or what is set there; row 0 is the smallest v."""
-        source = _source(socket)
+        source = source_of(socket)
         if source is not None:
             return self.bake(source)
         value = socket.default_value
@@ -166,7 +166,7 @@ class _Stage:
                 target.default_value = given
             elif given.is_output:
                 self.tree.links.new(given, target)
-            elif (source := _source(given)) is not None:
+            elif (source := source_of(given)) is not None:
                 self.tree.links.new(source, target)
             else:
                 target.default_value = given.default_value
@@ -202,7 +202,7 @@ def _stage(material, size: float, resolution: int, uv_names):
         yield stage
 
 
-def _source(socket):
+def source_of(socket):
     """The output socket that feeds an input, past reroutes; None where nothing does."""
     for _ in range(1000):
         link = next((link for link in socket.links if not link.is_muted), None)
@@ -215,7 +215,7 @@ def _source(socket):
 
 
 def _principled(stage):
-    source = _source(stage.output.inputs["Surface"])
+    source = source_of(stage.output.inputs["Surface"])
     what = f"material '{stage.name}'"
     if source is None:
         raise InputError(what, "nothing is at its Surface", DO)
@@ -231,7 +231,7 @@ def _principled(stage):
 def _f0(shader, warnings) -> float:
     """Schlick's reflectance of the layer; 0.04 where a map decides it."""
     ior, level = shader.inputs["IOR"], shader.inputs["Specular IOR Level"]
-    if _source(ior) is not None or _source(level) is not None:
+    if source_of(ior) is not None or source_of(level) is not None:
         warnings.append("IOR or specular level is not constant; a reflectance of 0.04 is taken")
         return 0.04
     f0 = ((ior.default_value - 1) / (ior.default_value + 1)) ** 2 * 2 * level.default_value
@@ -243,12 +243,12 @@ def _f0(shader, warnings) -> float:
 def _relief(stage, shader, scale: float, warnings):
     """(height in Blender units, None), or (None, normals)."""
     heights = []
-    source = _source(stage.output.inputs["Displacement"])
+    source = source_of(stage.output.inputs["Displacement"])
     if source is not None:
         heights.append(_displacement(stage, source, scale))
-    source = _source(shader.inputs["Normal"])
+    source = source_of(shader.inputs["Normal"])
     if source is not None:
-        bump = source.node if source.node.type == "BUMP" and _source(source.node.inputs["Normal"]) is None else None
+        bump = source.node if source.node.type == "BUMP" and source_of(source.node.inputs["Normal"]) is None else None
         if bump is not None:
             rise = stage.combined("MULTIPLY", bump.inputs["Height"], bump.inputs["Distance"])
             rise = stage.combined("MULTIPLY", rise, bump.inputs["Strength"])

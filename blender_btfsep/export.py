@@ -6,8 +6,9 @@ import re
 from pathlib import Path
 
 import bpy
+import numpy as np
 
-from . import atomic, meshes, photo, ply, unwrap
+from . import atomic, meshes, photo, ply, surroundings, unwrap
 from . import camera as pinhole
 from .errors import InputError
 
@@ -29,6 +30,7 @@ def export_job(
     exposure_ev=0.0,
     mapping="CHARTS",
     curve="auto",
+    warn=lambda sentence: None,
 ) -> Path:
     """Writes a job.
 
@@ -39,7 +41,8 @@ def export_job(
     image_path : path of the photo, or a bpy.types.Image
     camera : camera object, None for the scene's
     objects : list of objects to fit; empty with ``depth``
-    occluders : list of objects that only cast shadows; None for all others that the render shows
+    occluders : list of objects that cast shadows and reflect; None for all others that the render shows. Of what their
+        materials say the job has the mean colour, roughness and metal
     materials : dict, object name -> name in the library; what is absent is to be recognised
     masks : dict, object name -> bpy.types.Image of the photo's size, not black where the object may be used
     depth : path of an EXR of z-depth, or its bpy.types.Image, instead of objects; its surface is named `SURFACE`
@@ -47,6 +50,7 @@ def export_job(
     mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
         unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
     curve : the photo's tone curve, "auto", "srgb", "linear" or "unknown"; a photo of floats is linear anyway
+    warn : called with a sentence for each thing of the occluders that the job does not have
 
     Returns
     -------
@@ -110,11 +114,25 @@ def export_job(
                 "uv": "xatlas" if mapping == "CHARTS" or depth is not None else "mesh",
             }
         )
-    casting = [
-        {"mesh": _write(folder, names.of(thing.name), gathered[thing.name_full]), "to_world": None}
-        for thing in shadowing
-        if thing.name_full in gathered
-    ]
+    corners = [gathered[thing.name_full]["positions"] for thing in objects if thing.name_full in gathered]
+    middle = [np.concatenate(corners).mean((0, 1))] if corners else []
+    casting = []
+    for thing in shadowing:
+        part = gathered.get(thing.name_full)
+        if part is None:
+            continue
+        if surroundings.encloses(part["positions"], np.array(lens["to_world"])[:3, 3], *middle):
+            warn(f"occluder '{thing.name}' stands around objects and camera, as a sky or a room does: it is left out")
+            continue
+        try:
+            surface = surroundings.surface_of(
+                part["areas"], lambda text, of=thing.name: warn(f"occluder '{of}': {text}")
+            )
+        except surroundings.Clear as error:
+            warn(f"occluder '{thing.name}': {error}: it is left out")
+            continue
+        given = {} if surface is None else {"surface": surface}
+        casting.append({"mesh": _write(folder, names.of(thing.name), part), "to_world": None, **given})
     units = scene.unit_settings
     job = {
         "format": "btfsep-job",

@@ -70,9 +70,28 @@ def joined(parts: list[dict]) -> dict:
         offset += int(part["vertex"].max()) + 1
     whole = {key: np.concatenate([part[key] for part in parts]) for key in ("positions", "normals")}
     whole["vertex"] = np.concatenate(vertex)
+    whole["areas"] = {}
+    for part in parts:
+        for material, area in part["areas"].items():
+            whole["areas"][material] = whole["areas"].get(material, 0.0) + area
     has_uv = all(part["uv"] is not None for part in parts)
     whole["uv"] = np.concatenate([part["uv"] for part in parts]) if has_uv else None
     return whole
+
+
+def _areas(positions, mesh, slots) -> dict:
+    """Material (the original one, or None) -> the area of the triangles ``positions`` that it has."""
+    slot = np.empty(len(mesh.loop_triangles), np.int32)
+    mesh.loop_triangles.foreach_get("material_index", slot)
+    area = np.linalg.norm(np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0]), axis=1) / 2
+    out = {}
+    for number, total in enumerate(np.bincount(slot, area)):
+        # a number beyond the last slot stands for the last one
+        material = slots[min(number, len(slots) - 1)].material if len(slots) else None
+        material = material and material.original
+        if total > 0:
+            out[material] = out.get(material, 0.0) + float(total)
+    return out
 
 
 def gather(depsgraph, owners) -> dict:
@@ -80,7 +99,8 @@ def gather(depsgraph, owners) -> dict:
 
     Returns
     -------
-    dict, object name -> dict as triangles_of_mesh gives; objects without faces are absent
+    dict, object name -> dict as triangles_of_mesh gives, and "areas", {Material or None: area}; objects without faces
+    are absent
     """
     wanted = {owner.name_full for owner in owners}
     parts: dict[str, list] = {}
@@ -95,6 +115,8 @@ def gather(depsgraph, owners) -> dict:
         if mesh is None:
             continue
         part = triangles_of_mesh(mesh, instance.matrix_world)
+        if part is not None:
+            part["areas"] = _areas(part["positions"], mesh, evaluated.material_slots)
         evaluated.to_mesh_clear()
         if part is not None:
             parts.setdefault(owner.name_full, []).append(part)

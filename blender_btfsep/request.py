@@ -99,6 +99,7 @@ def write_job(
         exposure_ev=settings.exposure_ev if exposure_ev is None else exposure_ev,
         mapping=settings.mapping,
         curve=curve or settings.curve,
+        warn=runs.warn,
     )
     return path.parent
 

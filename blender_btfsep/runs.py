@@ -175,6 +175,12 @@ class EngineOperator:
         return scene
 
 
+def warn(sentence: str) -> None:
+    """A warning that is not the engine's: in the panel's box, and on the terminal."""
+    run_state().warnings.add().name = sentence
+    sys.stderr.write(f"warning: {sentence}\n")
+
+
 def redraw() -> None:
     """Has the panels drawn again."""
     for window in bpy.context.window_manager.windows:

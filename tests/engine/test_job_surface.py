@@ -75,15 +75,15 @@ def test_a_surface_from_depth_takes_numbers(job):
     fails(job, "the mesh has no UV map", "objects.0.surface", {"base_color": "paint.png"})
 
 
-def test_those_of_occluders_are_checked_and_a_warning_says_that_they_are_not_used(job):
+def test_those_of_occluders_are_read_and_a_warning_says_that_emission_is_left_out(job):
     job.tree["occluders"].append({"mesh": "cube.obj"})
     job.tree["occluders"][0]["surface"] = {"base_color": [0.7, 0.1, 0.1], "emission": [5, 4, 3]}
     result = load_job(job.write())
     (warning,) = result.warnings
-    assert "occluders[0]" in warning and "not used yet" in warning and "its emission is left out" in warning
+    assert "occluders[0]" in warning and "emission, which is left out" in warning
+    assert result.occluders[0].surface.base_color == (0.7, 0.1, 0.1) and result.occluders[1].surface is None
     del job.tree["occluders"][0]["surface"]["emission"]
-    (warning,) = load_job(job.write()).warnings
-    assert "emission" not in warning
+    assert load_job(job.write()).warnings == ()
     fails(job, "no file 'none.png'", "occluders.0.surface.base_color", "none.png")
 
 

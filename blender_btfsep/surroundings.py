@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What stands around the objects, as a job has it: of what it is made, and what is no occluder at all."""
+
+import numpy as np
+from mathutils import Vector
+from mathutils.bvhtree import BVHTree
+
+from .bake import source_of
+
+DEFAULT = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0, "metallic": 0.0, "specular": 0.0}  # Cycles', of no material
+BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
+CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"}
+LITTLE = 0.01  # of an input: no more than that is nothing
+MOST_OF = 0.9  # of the upper hemisphere: what hides so much of it from objects and camera is a dome or a room
+RAYS = 256
+
+
+class Clear(Exception):
+    """Light goes through it, or it has no surface at all; says how, in words."""
+
+
+def surface_of(areas: dict, warn) -> dict | None:
+    """The ``surface`` of what is made of several materials: the mean of their numbers by area.
+
+    Parameters
+    ----------
+    areas : bpy.types.Material or None -> its area
+    warn : called with a sentence about what is left out
+
+    Returns
+    -------
+    as in a job; None where none of the materials can be read
+
+    Raises
+    ------
+    Clear
+        Light goes through all of it.
+    """
+    read, clear = [], ""
+    for material, area in areas.items():
+        try:
+            numbers = _numbers(material, warn)
+        except Clear as error:
+            clear = str(error)
+            continue
+        if numbers is not None:
+            read.append((numbers, area))
+    if not read:
+        if clear and len(areas) == 1:
+            raise Clear(clear)
+        return None
+    if clear:
+        warn(f"{clear}: that part of it is left out")
+    weights = [area for _, area in read]
+    # rounded: a mean of ones must not be more than one
+    return {key: np.average([n[key] for n, _ in read], axis=0, weights=weights).round(6).tolist() for key in DEFAULT}
+
+
+def _numbers(material, warn) -> dict | None:
+    """The numbers of one material, None where they cannot be read."""
+    if material is None:
+        return DEFAULT
+    what, unknown = f"material '{material.name}'", "what it reflects is not known"
+    output = material.node_tree.get_output_node("CYCLES") if material.use_nodes and material.node_tree else None
+    if output is None:
+        warn(f"{what} has no Material Output; {unknown}")
+        return None
+    if source_of(output.inputs["Volume"]) is not None:
+        warn(f"{what} has a volume, which is left out")
+    source = source_of(output.inputs["Surface"])
+    if source is None:
+        raise Clear(f"{what} has no surface")
+    node = source.node
+    if node.type in CLEAR:
+        raise Clear(f"light goes through {what}")
+    if node.type == "EMISSION":
+        warn(f"{what} shines, which is left out")
+        return BLACK
+    if node.type == "BSDF_PRINCIPLED":
+        if _up_to(node.inputs["Transmission Weight"]) > LITTLE or _up_to(node.inputs["Alpha"], least=True) < 1 - LITTLE:
+            raise Clear(f"light goes through {what}")
+        if _up_to(node.inputs["Emission Strength"]) > 0 and _up_to(node.inputs["Emission Color"]) > 0:
+            warn(f"{what} shines, which is left out")
+        ior = _mean(node.inputs["IOR"], 1.5)
+        f0 = ((ior - 1) / (ior + 1)) ** 2 * 2 * _mean(node.inputs["Specular IOR Level"], 0.5)
+        more = {"metallic": _mean(node.inputs["Metallic"], 0.0), "specular": min(f0 / 0.08, 1.0)}
+        colour, roughness = node.inputs["Base Color"], _mean(node.inputs["Roughness"], 0.5)
+    elif node.type == "BSDF_DIFFUSE":
+        colour, roughness, more = node.inputs["Color"], 1.0, {"metallic": 0.0, "specular": 0.0}
+    elif node.type in ("BSDF_GLOSSY", "BSDF_METALLIC"):
+        colour = node.inputs.get("Color") or node.inputs["Base Color"]
+        roughness, more = _mean(node.inputs["Roughness"], 0.5), {"metallic": 1.0, "specular": 0.5}
+    else:
+        warn(f"the surface of {what} is '{node.name}'; {unknown}")
+        return None
+    base = _colour(colour)
+    if base is None:
+        warn(f"the colour of {what} is neither a number nor an image; {unknown}")
+        return None
+    return {"base_color": np.clip(base, 0, 1), "roughness": float(np.clip(roughness, 0, 1)), **more}
+
+
+def _up_to(socket, *, least: bool = False) -> float:
+    """The largest value (or the least) that an input is set to; what feeds it may be anything: 1 (or the input's)."""
+    value = np.atleast_1d(socket.default_value)[:3]
+    if source_of(socket) is not None:
+        return float(value.min()) if least else 1.0
+    return float(value.min() if least else value.max())
+
+
+def _mean(socket, otherwise: float) -> float:
+    """A number, or the mean of its image; ``otherwise`` where something else says it."""
+    if source_of(socket) is None:
+        return float(socket.default_value)
+    colour = _colour(socket)
+    return otherwise if colour is None else float(colour.mean())
+
+
+def _colour(socket):
+    """(3,) linear, the mean of an image; None where neither a number nor an image says it."""
+    source = source_of(socket)
+    if source is None:
+        return np.array(socket.default_value[:3])
+    image = source.node.image if source.node.type == "TEX_IMAGE" and source.name == "Color" else None
+    return None if image is None else mean_of_image(image)
+
+
+def mean_of_image(image):
+    """(3,) linear mean of an image's colours; None where it cannot be read."""
+    count = image.size[0] * image.size[1] * image.channels
+    coded = image.colorspace_settings.name == "sRGB" and not image.is_float
+    if not count or not (coded or image.is_float or image.colorspace_settings.is_data):
+        return None
+    flat = np.empty(count, np.float32)
+    image.pixels.foreach_get(flat)
+    colours = flat.reshape(-1, image.channels)
+    colours = colours[:, :3] if image.channels > 2 else np.repeat(colours[:, :1], 3, 1)
+    if coded:
+        colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return colours.mean(0, dtype=np.float64)
+
+
+def encloses(positions, *places) -> bool:
+    """Whether triangles (f, 3, 3) stand around all ``places`` (3,): above each they hide nearly all of the sky."""
+    flat = np.asarray(positions).reshape(-1, 3)
+    low, high = flat.min(0), flat.max(0)
+    if any((p <= low).any() or (p >= high).any() for p in places):
+        return False
+    tree = BVHTree.FromPolygons(flat.tolist(), np.arange(len(flat)).reshape(-1, 3).tolist())
+    z = (np.arange(RAYS) + 0.5) / RAYS
+    turn = np.arange(RAYS) * np.pi * (3 - np.sqrt(5))  # the golden angle
+    s = np.sqrt(1 - z**2)
+    rays = [Vector(ray) for ray in np.stack([s * np.cos(turn), s * np.sin(turn), z], -1)]
+    hidden = [np.mean([tree.ray_cast(Vector(place), ray)[0] is not None for ray in rays]) for place in places]
+    return min(hidden) > MOST_OF

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the job says of the surfaces that stand around the objects, and what of the scene is no occluder at all."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_btfsep import export, surroundings
+from tests.blender.test_export import add_cube, make_photo
+
+
+@pytest.fixture
+def exported(scene, tmp_path, add_camera):
+    """exported() -> (surface by the mesh's file name, warnings) of all that stands beside a cube."""
+    camera = add_camera(scene, (0, -6, 2))
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    thing, photo = add_cube("Thing"), make_photo(tmp_path)
+
+    def run():
+        warnings = []
+        bpy.context.view_layer.update()
+        given = {"image_path": photo, "camera": camera, "objects": [thing], "warn": warnings.append}
+        job = json.loads(export.export_job(scene, tmp_path / "job", **given).read_text())
+        return {o["mesh"]: o.get("surface") for o in job["occluders"]}, warnings
+
+    return run
+
+
+def material(name, kind="ShaderNodeBsdfPrincipled", **inputs):
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new(kind), tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    for socket, value in inputs.items():
+        shader.inputs[socket.replace("_", " ")].default_value = value
+    return made
+
+
+def floor(*materials, name="Floor", **transform):
+    thing = add_cube(name, **{"location": (0, 0, -2), **transform})
+    for each in materials:
+        thing.data.materials.append(each)
+    return thing
+
+
+def image_of(colours, colorspace="sRGB"):
+    made = bpy.data.images.new("Paint", 4, 2)
+    made.colorspace_settings.name = colorspace
+    rgba = np.ones((2, 4, 4), np.float32)
+    rgba[:, :2, :3], rgba[:, 2:, :3] = colours
+    made.pixels.foreach_set(rgba.ravel())
+    return made
+
+
+def test_numbers_of_principled_and_of_no_material(exported):
+    paint = material("Paint", Base_Color=(0.6, 0.3, 0.1, 1), Roughness=0.4, Metallic=0.2, Specular_IOR_Level=0.25)
+    paint.diffuse_color = (0, 1, 0, 1)  # of the viewport: not looked at
+    floor(paint)
+    add_cube("Bare", location=(3, 0, 0))
+    surfaces, warnings = exported()
+    found = surfaces["Floor.ply"]
+    assert found["base_color"] == pytest.approx([0.6, 0.3, 0.1]) and found["roughness"] == pytest.approx(0.4)
+    assert found["metallic"] == pytest.approx(0.2) and found["specular"] == pytest.approx(0.25)
+    assert surfaces["Bare.ply"]["base_color"] == [0.8] * 3 and surfaces["Bare.ply"]["specular"] == 0
+    assert not warnings
+
+
+@pytest.mark.parametrize(("colorspace", "mean"), [("sRGB", 0.5 * (0.2140411 + 0.0512695)), ("Non-Color", 0.375)])
+def test_the_mean_of_an_image_is_that_of_its_light(exported, colorspace, mean):
+    painted = material("Painted")
+    tree = painted.node_tree
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = image_of((0.5, 0.25), colorspace)
+    shader = next(n for n in tree.nodes if n.type == "BSDF_PRINCIPLED")
+    tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    floor(painted)
+    surfaces, warnings = exported()
+    assert surfaces["Floor.ply"]["base_color"] == pytest.approx([mean] * 3, abs=0.003) and not warnings
+
+
+def test_several_materials_are_weighed_by_area(exported):
+    red, white = material("Red", Base_Color=(0.8, 0, 0, 1)), material("White", Base_Color=(0.4, 0.4, 0.4, 1))
+    thing = floor(red, white, scale=(2, 1, 1))  # faces of 4 along z and y, of 2 along x; units of area
+    normals = np.array([p.normal[:] for p in thing.data.polygons])
+    for face, normal in zip(thing.data.polygons, normals, strict=True):
+        face.material_index = int(normal[2] > 0.5)  # the top: 8 of 40
+    surfaces, _ = exported()
+    assert surfaces["Floor.ply"]["base_color"] == pytest.approx([0.8 * 0.8 + 0.2 * 0.4, 0.08, 0.08])
+
+
+def test_what_shines_is_clear_or_is_not_understood_is_named(exported):
+    lamp = material("Lamp", Emission_Strength=5.0, Base_Color=(0.5, 0.5, 0.5, 1), Emission_Color=(1, 1, 1, 1))
+    floor(lamp, name="Shining")
+    floor(material("Tube", "ShaderNodeEmission"), name="Tube", location=(0, 3, 0))
+    floor(material("Pane", "ShaderNodeBsdfGlass"), name="Window", location=(3, 0, 0))
+    floor(material("Clear", Transmission_Weight=1.0), name="Bottle", location=(-3, 0, 0))
+    floor(material("Hair", "ShaderNodeBsdfHair"), name="Wig", location=(0, 0, 3))
+    surfaces, warnings = exported()
+    assert sorted(surfaces) == ["Shining.ply", "Tube.ply", "Wig.ply"]  # light goes through the others
+    assert surfaces["Wig.ply"] is None  # not known, not guessed
+    assert surfaces["Shining.ply"]["base_color"] == pytest.approx([0.5] * 3)
+    assert surfaces["Tube.ply"]["base_color"] == [0, 0, 0]
+    for name, word in (("Shining", "shines"), ("Tube", "shines"), ("Window", "left out"), ("Bottle", "left out")):
+        assert any(f"'{name}'" in w and word in w for w in warnings), (name, warnings)
+    assert any("'Wig'" in w and "not known" in w for w in warnings) and len(warnings) == 5
+
+
+def test_a_dome_and_a_room_are_left_out_and_a_floor_and_a_box_beside_stay(exported):
+    floor(scale=(20, 20, 0.1))
+    add_cube("Room", scale=(30, 30, 30))
+    add_cube("Beside", location=(3, 0, 0))
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=40, location=(0, 0, -2.5))
+    dome = bpy.context.object
+    dome.name = "Dome"
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.bisect(plane_co=(0, 0, -2.5), plane_no=(0, 0, 1), clear_inner=True)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    surfaces, warnings = exported()
+    assert sorted(surfaces) == ["Beside.ply", "Floor.ply"]
+    assert len(warnings) == 2 and all("'Room'" in w or "'Dome'" in w for w in warnings)
+
+
+def test_a_roof_over_the_objects_alone_is_no_room():
+    roof = np.array([[[-9, -9, 2], [9, -9, 2], [9, 9, 2]], [[-9, -9, 2], [9, 9, 2], [-9, 9, 2]]], float)
+    walls = np.concatenate([roof, roof - [0, 0, 4]])
+    assert not surroundings.encloses(walls, (0, 0, 0), (0, 0, 1))  # light comes in from the sides
+    assert not surroundings.encloses(walls, (0, 0, 0), (20, 0, 1))
