@@ -125,7 +125,8 @@ def test_how_far_the_ground_goes_on_does_not_matter(sphere_job_folder):
     def on_ground(half):
         ground = trimesh.creation.box([2 * half, 2 * half, 0.02])
         ground.apply_translation([0, 0, -1.2]).export(folder / "ground.ply")
-        edited(folder, lambda job: job.update(occluders=[{"mesh": "ground.ply"}]))
+        black = {"base_color": [0.0, 0.0, 0.0], "specular": 0.0}
+        edited(folder, lambda job: job.update(occluders=[{"mesh": "ground.ply", "surface": black}]))
 
     on_ground(3)
     shown = ["--lighting", str(folder / "light.json"), "--material", "reference/white-diffuse", "--directions", "4096"]
