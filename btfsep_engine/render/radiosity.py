@@ -71,7 +71,7 @@ class Network:
         return csr_matrix((weights.ravel(), taps.ravel(), starts), (count, len(self.mesh)))
 
     def _samples(self, random, count: int):
-        """Points on all triangles by area, each with both sides.
+        """Points on all triangles, each with both sides: ``count`` on the objects, and as many on what is beside them.
 
         Returns
         -------
@@ -80,24 +80,13 @@ class Network:
         meshes = self.tracer.meshes
         corners = np.concatenate([m.vertices[m.faces] for m in meshes])
         owner = np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes])
-        wanted, whole, within = 1.0, np.arange(len(owner)), None
-        if self.tracer.occluders:
-            corners, whole, within, wanted = _seen_from(self.tracer.centre, self.tracer.radius, corners)
-        cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(cross, axis=1)
-        cumulative = np.cumsum(wanted * area) / (wanted * area).sum()
-        piece = np.searchsorted(cumulative, (np.arange(count) + random.random(count)) / count)
-        piece = np.minimum(piece, len(area) - 1)
-        a, b = random.random((2, count))
-        a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-        chosen = corners[piece]
-        position = (
-            chosen[:, 0] + a[:, None] * (chosen[:, 1] - chosen[:, 0]) + b[:, None] * (chosen[:, 2] - chosen[:, 0])
-        )
-        normal = cross[piece] / np.maximum(area[piece], 1e-300)[:, None]
-        face, weights = whole[piece], np.stack([1 - a - b, a, b], -1)
-        if within is not None:
-            weights = (weights[..., None] * within[piece]).sum(1)
+        beside = np.isin(owner, self.tracer.occluders)
+        own = np.flatnonzero(~beside)
+        drawn = [_drawn(random, count, corners[own], own, np.broadcast_to(np.eye(3), (len(own), 3, 3)), 1.0)]
+        if beside.any():
+            pieces, face, within, wanted = _seen_from(self.tracer.centre, self.tracer.radius, corners[beside])
+            drawn.append(_drawn(random, count, pieces, np.flatnonzero(beside)[face], within, wanted))
+        position, normal, face, weights = (np.concatenate(each) for each in zip(*drawn, strict=True))
         outwards = np.array([_is_wound_outwards(m) for m in meshes])[owner[face]]
         twice = [np.concatenate([each] * 2) for each in (position, owner[face], face, weights)]
         outer = np.concatenate([outwards, ~outwards])
@@ -153,6 +142,25 @@ def _is_wound_outwards(mesh) -> bool:
     """Whether a closed mesh's faces turn counter-clockwise, seen from outside; of an open one either."""
     a, b, c = np.moveaxis((mesh.vertices - mesh.vertices.mean(0))[mesh.faces], 1, 0)
     return bool((a * np.cross(b, c)).sum() >= 0)
+
+
+def _drawn(random, count: int, corners, face, within, wanted):
+    """Points on pieces ``corners : (n, 3, 3)`` of faces, by area times ``wanted``, stratified.
+
+    Returns
+    -------
+    positions, normals (count, 3), faces' numbers (count,), their corners' weights (count, 3)
+    """
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    cumulative = np.cumsum(wanted * area) / (wanted * area).sum()
+    piece = np.searchsorted(cumulative, (np.arange(count) + random.random(count)) / count)
+    piece = np.minimum(piece, len(area) - 1)
+    a, b = random.random((2, count))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    weights = np.stack([1 - a - b, a, b], -1)[..., None]
+    normal = cross[piece] / np.maximum(area[piece], 1e-300)[:, None]
+    return (weights * corners[piece]).sum(1), normal, face[piece], (weights * within[piece]).sum(1)
 
 
 def _seen_from(centre, radius: float, corners):
