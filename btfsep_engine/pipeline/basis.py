@@ -2,7 +2,7 @@
 """The basis images A of the fit, by the kernel or by the reference.
 
 How many light directions: on photographs by Cycles estimates with the usual count err as little as with any larger
-number (docs/sampling.md), because what the model misses of a photo is several times as large as what they miss.
+number (docs/results/sampling.md), because what the model misses of a photo is several times as large as what they miss.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.reference import Reference
 
-USUAL = 256  # directions; with fewer estimates err more, with more as much (docs/speed-accuracy.md)
+USUAL = 256  # directions; with fewer estimates err more, with more as much (docs/results/speed-accuracy.md)
 
 
 def basis_images(scene, materials, chosen, lights, settings: TransportSettings) -> tuple[list, dict]:

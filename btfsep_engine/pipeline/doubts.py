@@ -2,7 +2,7 @@
 """Warnings about an estimate, in words, and every threshold at which one is given.
 
 The thresholds of structure were set above what a dozen photographs by Cycles with the right material and geometry show,
-and well under what a lamp at four radii shows; docs/fit.md has how often each doubt is raised on others.
+and well under what a lamp at four radii shows; docs/results/fit.md has how often each doubt is raised on others.
 """
 
 from dataclasses import dataclass

@@ -3,7 +3,7 @@
 
 scripts/study photo-flaws PHOTOS --work FOLDER    jobs OBJECT_MATERIAL_LIGHT, as scripts/study photos leaves them
 
-Each flaw is laid over photographs by Cycles at five severities; prints the tables and draws docs/photo-flaws.png.
+Each flaw is laid over photographs by Cycles at five severities; prints the tables and draws docs/results/images/photo-flaws.png.
 Errors are relative, of the coefficients up to order 2 with one free scale (dyes: with none), medians over the photos,
 each object in two materials under one light (--all: in all, under two). --only AXIS … prints some of the tables, and
 draws no chart. Every photo's numbers are kept in --work: a run that was stopped goes on where it was.
@@ -362,7 +362,7 @@ def main(arguments) -> int:
     options.add_argument("--lights", nargs="+", default=list(LIGHTS), metavar="LIGHT")
     options.add_argument("--all", action="store_true", help="all materials, under all of the lights")
     options.add_argument("--only", nargs="+", choices=list(AXES), default=list(AXES), metavar="AXIS")
-    options.add_argument("--chart", type=Path, default=ROOT / "docs" / "photo-flaws.png")
+    options.add_argument("--chart", type=Path, default=ROOT / "docs" / "results" / "images" / "photo-flaws.png")
     given = options.parse_args(arguments)
     views = chosen(photos.found(given.photos, lights=given.lights), every=given.all)
     found = {name: rows for name, rows in answers(views, open_library(None), given).items() if rows}

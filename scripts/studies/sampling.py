@@ -5,7 +5,7 @@ scripts/study sampling PHOTOS            the photos that scripts/study photos le
 scripts/study sampling PHOTOS --quick    one object of each material; --all four, not two
 
 Photographs by Cycles of displaced objects under Blender's own studio lights, which nothing was trained on; the
-material given. Prints tables and draws docs/images/sampling.png; docs/sampling.md has them in words. The table with a
+material given. Prints tables and draws docs/results/images/sampling.png; docs/results/sampling.md has them in words. The table with a
 small ball is synthetic (our own transport, 10 % noise): it only says which pixels tell more.
 """
 
@@ -242,7 +242,7 @@ def main(arguments) -> int:
     options.add_argument("photos", type=Path, help="folder in which the photos and jobs are kept")
     options.add_argument("--quick", action="store_true", help="one object of each material")
     options.add_argument("--all", action="store_true", help="four objects of each material, not two")
-    options.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "sampling.png")
+    options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "images" / "sampling.png")
     given = options.parse_args(arguments)
     study, library = Study(), open_library(None)
     # two objects of each material, so that each object is met twice

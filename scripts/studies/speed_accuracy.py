@@ -5,8 +5,8 @@ scripts/study speed-accuracy PHOTOS --work FOLDER   jobs OBJECT_MATERIAL_LIGHT, 
 --paper 8     on so many of them the paper's way, too, at 8 to 64 paths a pixel, which takes minutes for each
 --work FOLDER every photo's numbers are kept there: a run that was stopped goes on where it was
 
-What `btfsep chart` measures of one job against its true light, summed up: writes docs/speed-accuracy.md and
-docs/images/speed-accuracy.png. Every way of one photo is timed in one process, warm, one after the other. Ratios of
+What `btfsep chart` measures of one job against its true light, summed up: writes docs/results/speed-accuracy.md and
+docs/results/images/speed-accuracy.png. Every way of one photo is timed in one process, warm, one after the other. Ratios of
 seconds and errors are of the same photo and process; they and the means are geometric.
 """
 
@@ -238,7 +238,7 @@ def main(arguments) -> int:
     options.add_argument("--traced", type=int, nargs="+", default=TRACED, help="paths a pixel of the paper's way")
     options.add_argument("--repeats", type=int, default=1, help="timed runs of each way")
     options.add_argument("--quick", action="store_true", help="fewer settings")
-    options.add_argument("--out", type=Path, default=ROOT / "docs" / "speed-accuracy.md")
+    options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "speed-accuracy.md")
     given = options.parse_args(arguments)
     library, warm, found, shown = open_library(None), set(), [], photos.found(given.photos)
     total = len(shown)

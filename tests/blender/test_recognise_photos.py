@@ -60,7 +60,7 @@ def test_materials_are_recognised_in_photos_of_another_renderer(photographed, re
 
 
 def test_a_material_left_out_is_taken_for_the_nearest_and_is_less_like_it(photographed, recognise):
-    """Whether it is said to be unknown is another matter (docs/recognition.md): the rule seldom says so."""
+    """Whether it is said to be unknown is another matter (docs/results/recognition.md): the rule seldom says so."""
     with_it = recognise(photographed[ALONE], FOUR)
     without = recognise(photographed[ALONE], [name for name in FOUR if name != ALONE])
     assert without.material != ALONE and ALONE not in dict(without.candidates)

@@ -11,7 +11,7 @@ from tests.engine.half_sphere import half_sphere, shown, side_light
 
 PIXELS = 90
 NOISE = np.array([0.004, 0.006, 0.01])
-SIZES = (0.02, 0.08)  # of the discrepancy: as good as exact, and nearly right (docs/fit.md)
+SIZES = (0.02, 0.08)  # of the discrepancy: as good as exact, and nearly right (docs/results/fit.md)
 
 
 @pytest.fixture(params=[False, True], ids=["alike", "weighted"])

@@ -2,7 +2,7 @@
 """What the transport costs, every speed with the accuracy reached beside it.
 
 scripts/study bench-transport                         everything, a few minutes on a quiet machine
-scripts/study bench-transport --write                 and puts the tables into docs/speed.md, the charts beside it
+scripts/study bench-transport --write                 and puts the tables into docs/results/speed.md, the charts beside it
 scripts/study bench-transport --only reference rays   some of: reference, rays, warm, between, cold, lookups, growth
 scripts/study bench-transport --quick                 each part in small, within a minute: only to see that it runs
 
@@ -37,7 +37,7 @@ def main(arguments) -> None:
     options.add_argument("--only", nargs="*", choices=parts, default=list(parts))
     options.add_argument("--library", type=Path)
     options.add_argument("--images", type=Path, default=Path("bench"), help="folder for the charts  [default: bench]")
-    options.add_argument("--write", action="store_true", help="tables into docs/speed.md, charts into docs/images")
+    options.add_argument("--write", action="store_true", help="tables into docs/results/speed.md, charts into docs/results/images")
     options.add_argument("--quick", action="store_true")
     options.add_argument("--low-samples", type=int, default=2, help="of the reference's timed render")
     for name, value in FULL.items():
@@ -52,7 +52,7 @@ def main(arguments) -> None:
             setattr(given, name, value)
     given.materials = MATERIALS[: 1 if given.quick else None]
     if given.write:
-        given.images = ROOT / "docs" / "images"
+        given.images = ROOT / "docs" / "results" / "images"
     for name in given.only:
         load = os.getloadavg()[0]
         print(f"{name} …", flush=True)
@@ -61,4 +61,4 @@ def main(arguments) -> None:
         text = f"{text}\n\n{machine}; `scripts/study bench-transport --only {name}`."
         print(f"\n{text}\n\n{name} took {seconds[0]:.0f} s\n", flush=True)
         if given.write:
-            tables.fill(ROOT / "docs" / "speed.md", f"bench-transport {name}", text)
+            tables.fill(ROOT / "docs" / "results" / "speed.md", f"bench-transport {name}", text)

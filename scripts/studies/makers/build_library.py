@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rebuilds the shipped material library and its contact sheet, docs/library.png.
+"""Rebuilds the shipped material library and its contact sheet, docs/images/library.png.
 
 scripts/build_library                    the shipped materials that are not there with the same settings
 scripts/build_library --all --into FOLDER --sheet-to FILE    all 42
@@ -54,7 +54,7 @@ def main(arguments) -> None:
     options.add_argument("--all", action="store_true", help="all procedural materials, not only the shipped")
     options.add_argument("--into", type=Path, default=ROOT / "btfsep_engine" / "data" / "library")
     options.add_argument("--sheet", action="store_true", help="only draw the contact sheet")
-    options.add_argument("--sheet-to", type=Path, default=ROOT / "docs" / "library.png")
+    options.add_argument("--sheet-to", type=Path, default=ROOT / "docs" / "images" / "library.png")
     for key, value in measuring.DEFAULT_SETTINGS.items():
         options.add_argument(f"--{key}", type=int, default=value)
     given = options.parse_args(arguments)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Draws all procedural materials from their maps, docs/materials.png: a row for each class.
+"""Draws all procedural materials from their maps, docs/images/materials.png: a row for each class.
 
 scripts/study draw-materials                   all 42
 scripts/study draw-materials stone/ wood/pine  those whose names begin so
@@ -53,7 +53,7 @@ def picture(name, side, samples):
 def main(arguments) -> None:
     options = parser("draw-materials", __doc__)
     options.add_argument("names", nargs="*", help="beginnings of names; none: all")
-    options.add_argument("--to", type=Path, default=ROOT / "docs" / "materials.png")
+    options.add_argument("--to", type=Path, default=ROOT / "docs" / "images" / "materials.png")
     options.add_argument("--side", type=int, default=128, help="pixels of a material's edge")
     options.add_argument("--samples", type=int, default=16, help="paths a pixel")
     given = options.parse_args(arguments)

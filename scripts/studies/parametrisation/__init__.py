@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surface parametrisations compared: distortion, charts, borders, seconds, and what a material with a grain loses.
 
-scripts/study parametrisation                            seven meshes, the page docs/parametrisation.md, its pictures
+scripts/study parametrisation                            seven meshes, the page docs/results/parametrisation.md, its pictures
 scripts/study parametrisation --material fabric/satin-crimson --library FOLDER
 scripts/study parametrisation --without-light            distortion and picture only
 """
@@ -36,7 +36,7 @@ def main(arguments) -> None:
     options.add_argument("--library", type=Path, help="material library; the one that comes with BTFsep")
     options.add_argument("--lights", nargs="+", default=["forest", "studio"], help="Blender's studio lights, or maps")
     options.add_argument("--without-light", action="store_true", help="leave out what a material with a grain loses")
-    options.add_argument("--out", type=Path, default=ROOT / "docs" / "parametrisation.md")
+    options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "parametrisation.md")
     given = options.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         photos.in_blender("scripts.studies.parametrisation.meshes", {"folder": folder})

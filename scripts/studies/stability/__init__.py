@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where the estimate and eight other methods fail: photographs by Cycles, disturbed in fifteen ways.
 
-scripts/study stability --work FOLDER          photographs, estimates, docs/stability.md and its charts
+scripts/study stability --work FOLDER          photographs, estimates, docs/results/stability.md and its charts
 scripts/study stability --work FOLDER --half   each object under one of the two lights: half the time
 scripts/study stability --work FOLDER --quick  two objects, each under one light
 scripts/study stability --work FOLDER --axes noise clipping --methods ours paper-mean
@@ -35,7 +35,7 @@ def main(arguments) -> int:
     options.add_argument("--samples", type=int, default=64)
     options.add_argument("--threads", type=int, default=2, help="of a rendering")
     options.add_argument("--shard", default="0/1", help="I/N: every N-th estimate from the I-th, for several processes")
-    options.add_argument("--out", type=Path, default=ROOT / "docs" / "stability.md")
+    options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "stability.md")
     given = options.parse_args(arguments)
     given.work, given.half = given.work.resolve(), given.half or given.quick
     chosen = (scenes.SCENES[0], scenes.SCENES[2]) if given.quick else scenes.SCENES

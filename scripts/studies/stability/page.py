@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes docs/stability.md and its charts from the answers."""
+"""Writes docs/results/stability.md and its charts from the answers."""
 
 import numpy as np
 
