@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES += [*sorted((ROOT / "btfsep_engine").rglob("README.md")), *sorted((ROOT / "scripts").rglob("*.py"))]
 COMMAND = re.compile(r"\bscripts/([A-Za-z0-9_./-]+)((?:[ \t]+(?:\\\n\s*)?[^\s`#\\]+)*)")
 OPTION = re.compile(r"(?<=\s)--[a-z][a-z-]*")
@@ -76,3 +76,15 @@ def test_help_has_a_line_of_each_study():
     assert re.search(r"^  real +Photographs of real objects", asked.stdout, re.M)
     wrong = subprocess.run([sys.executable, ROOT / "scripts" / "study", "none"], capture_output=True, check=False)
     assert wrong.returncode == 2
+
+
+def test_links_between_pages_lead_somewhere():
+    """Of README, CONTRIBUTING and docs: files and pictures; links to the web are not asked."""
+    broken = [
+        f"{page.relative_to(ROOT)}: {target}"
+        for page in PAGES
+        if page.suffix == ".md"
+        for target in re.findall(r"(?:\]\(|src=\")([^)#\"\s]+)[^)\"]*[)\"]", page.read_text(encoding="utf-8"))
+        if "://" not in target and not (page.parent / target).exists()
+    ]
+    assert not broken
