@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which pixels enter the fit, chosen before a ray is traced.
 
-The rule (docs/results/sampling.md has the figures behind it), inside the object's region, whose edge is left out already:
+The rule (figures behind it: docs/results/sampling.md), inside the object's region, whose edge is left out already:
 
 1. Stratified over position and normal: along a space-filling (Morton) curve through six coordinates, place in the
    scene and normal; every stretch of it gives one pixel, at a random place in it.

@@ -5,8 +5,8 @@ scripts/study sampling PHOTOS            the photos that scripts/study photos le
 scripts/study sampling PHOTOS --quick    one object of each material; --all four, not two
 
 Photographs by Cycles of displaced objects under Blender's own studio lights, which nothing was trained on; the
-material given. Prints tables and draws docs/results/images/sampling.png; docs/results/sampling.md has them in words. The table with a
-small ball is synthetic (our own transport, 10 % noise): it only says which pixels tell more.
+material given. Prints tables and draws docs/results/images/sampling.png; docs/results/sampling.md has them in words. The table with
+a small ball is synthetic (our own transport, 10 % noise): it only says which pixels tell more.
 """
 
 from collections import defaultdict

@@ -2,7 +2,7 @@
 """What the transport costs, every speed with the accuracy reached beside it.
 
 scripts/study bench-transport                         everything, a few minutes on a quiet machine
-scripts/study bench-transport --write                 and puts the tables into docs/results/speed.md, the charts beside it
+scripts/study bench-transport --write                 and puts the tables into docs/results/speed.md, with charts
 scripts/study bench-transport --only reference rays   some of: reference, rays, warm, between, cold, lookups, growth
 scripts/study bench-transport --quick                 each part in small, within a minute: only to see that it runs
 
@@ -37,7 +37,7 @@ def main(arguments) -> None:
     options.add_argument("--only", nargs="*", choices=parts, default=list(parts))
     options.add_argument("--library", type=Path)
     options.add_argument("--images", type=Path, default=Path("bench"), help="folder for the charts  [default: bench]")
-    options.add_argument("--write", action="store_true", help="tables into docs/results/speed.md, charts into docs/results/images")
+    options.add_argument("--write", action="store_true", help="tables into docs/results/speed.md, with charts")
     options.add_argument("--quick", action="store_true")
     options.add_argument("--low-samples", type=int, default=2, help="of the reference's timed render")
     for name, value in FULL.items():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surface parametrisations compared: distortion, charts, borders, seconds, and what a material with a grain loses.
 
-scripts/study parametrisation                            seven meshes, the page docs/results/parametrisation.md, its pictures
+scripts/study parametrisation                            seven meshes: docs/results/parametrisation.md, its pictures
 scripts/study parametrisation --material fabric/satin-crimson --library FOLDER
 scripts/study parametrisation --without-light            distortion and picture only
 """
