@@ -54,10 +54,6 @@ def filled(fill) -> bpy.types.Mesh:
     return mesh
 
 
-def _suzanne(_rng) -> bpy.types.Mesh:
-    return subdivided(filled(bmesh.ops.create_monkey), 3)
-
-
 def _ball(cuts: int):
     """A quad ball of radius 1, its faces of even size: mesh and its vertices (v, 3)."""
 
@@ -149,16 +145,12 @@ def _vase(_rng) -> bpy.types.Mesh:
     points = np.vstack([wall.reshape(-1, 3), foot, floor])
     first = wall.size // 3
     mesh = _mesh("vase", points, np.vstack([quads, disk[:, ::-1] + first, disk + first + len(flat)]))
-    _weld(mesh)
-    return mesh
 
+    def welded(bm):
+        bm.from_mesh(mesh)
+        bmesh.ops.remove_doubles(bm, verts=bm.verts, dist=1e-5)
 
-def _weld(mesh) -> None:
-    bm = bmesh.new()
-    bm.from_mesh(mesh)
-    bmesh.ops.remove_doubles(bm, verts=bm.verts, dist=1e-5)
-    bm.to_mesh(mesh)
-    bm.free()
+    return filled(welded)
 
 
 def _cloth(rng) -> bpy.types.Mesh:
@@ -174,11 +166,6 @@ def _cloth(rng) -> bpy.types.Mesh:
     out = ball * np.sin(theta) + hang * np.cos(end) * np.exp(-0.6 * hang) + depth * fold
     up = ball * np.cos(theta) - hang * np.sin(end) + 0.1 * depth * np.cos(3 * phi + phase[1])
     return _mesh("cloth", np.stack([out * np.cos(phi), out * np.sin(phi), up], -1), quads)
-
-
-def _sphere(_rng) -> bpy.types.Mesh:
-    """A ball, fine enough that its facets do not show: for the tests of conventions."""
-    return filled(lambda bm: bmesh.ops.create_icosphere(bm, subdivisions=6, radius=1.0))
 
 
 def _pebble(rng) -> bpy.types.Mesh:
@@ -212,9 +199,10 @@ def _cushion(rng) -> bpy.types.Mesh:
     return mesh
 
 
-BUILDERS = {
-    "suzanne": _suzanne, "blob": _blob, "knot": _knot, "vase": _vase, "cloth": _cloth, "sphere": _sphere,
-    "pebble": _pebble, "cushion": _cushion,
+BUILDERS = {  # the sphere is so fine that its facets do not show: for the tests of conventions
+    "suzanne": lambda rng: subdivided(filled(bmesh.ops.create_monkey), 3),
+    "blob": _blob, "knot": _knot, "vase": _vase, "cloth": _cloth, "pebble": _pebble, "cushion": _cushion,
+    "sphere": lambda rng: filled(lambda bm: bmesh.ops.create_icosphere(bm, subdivisions=6, radius=1.0)),
 }  # fmt: skip
 NAMES = tuple(BUILDERS)
 

@@ -58,13 +58,8 @@ def _mesh(m):
     a = (j * edge + i).ravel()
     faces = np.concatenate([np.stack([a, a + 1, a + edge + 1], 1), np.stack([a, a + edge + 1, a + edge], 1)])
     mesh = bpy.data.meshes.new("patch")
-    mesh.vertices.add(len(points))
-    mesh.loops.add(faces.size)
-    mesh.polygons.add(len(faces))
-    mesh.vertices.foreach_set("co", points.astype(np.float32).ravel())
-    mesh.loops.foreach_set("vertex_index", faces.astype(np.int32).ravel())
-    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
-    mesh.polygons.foreach_set("use_smooth", np.zeros(len(faces), bool))
+    mesh.from_pydata(points, [], faces)
+    mesh.shade_flat()
     colour = mesh.attributes.new("base", "FLOAT_COLOR", "POINT")
     rgba = np.ones((edge, edge, 4), np.float32)
     rgba[..., :3] = np.tile(m.base_colour, (3, 3, 1))
@@ -73,7 +68,6 @@ def _mesh(m):
     for name, values in (("rough", m.roughness), ("metallic", metallic)):
         attribute = mesh.attributes.new(name, "FLOAT", "POINT")
         attribute.data.foreach_set("value", np.tile(values, (3, 3)).astype(np.float32).ravel())
-    mesh.update(calc_edges=True)
     return mesh
 
 

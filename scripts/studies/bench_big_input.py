@@ -48,12 +48,12 @@ def ring(side: int) -> trimesh.Trimesh:
     return shape
 
 
-def make_job(folder: str, size: int, side: int, suffix: str, material: str | None) -> None:
+def make_job(folder: str, size: int, side: int, suffix: str) -> None:
     """Writes a job of one ring, seen from above and aside."""
     folder, aside = Path(folder), trimesh.transformations.rotation_matrix(np.radians(50), [1, 0, 0])
     camera = looking_down(size, 1.55 * size)
     camera = replace(camera, to_world=aside @ camera.to_world)
-    write_job(folder, ring(side), camera, image=f"photo.{suffix}", metres=METRES, material=material)
+    write_job(folder, ring(side), camera, image=f"photo.{suffix}", metres=METRES, material=MATERIAL)
     scene = PreparedScene(load_job(folder, with_photo=False), Reporter())
     region = scene.view.mesh == 0
     rows, columns = np.nonzero(region)
@@ -87,7 +87,6 @@ def main(arguments) -> None:
     options.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
     options.add_argument("--size", type=int, default=4096, help="edge of the large photographs, pixels")
     options.add_argument("--side", type=int, default=1000, help="the fine mesh has 2 SIDE^2 triangles")
-    options.add_argument("--recognise", action="store_true", help="let the material be recognised (minutes: it trains)")
     given = options.parse_args(arguments)
     wanted = {
         "small": (SMALL, COARSE, "exr"),
@@ -96,13 +95,12 @@ def main(arguments) -> None:
         "mesh": (SMALL, given.side, "exr"),
     }
     print(f"{'':28}{'peak GB':>9}{'seconds':>9}{'of processor':>14}  stages")
-    material = None if given.recognise else MATERIAL
     with tempfile.TemporaryDirectory() as scratch:
         for case in (c for c in wanted if c in given.only):
             size, side, suffix = wanted[case]
             folder = Path(scratch) / case
             # made by a child: what this process held would count as the memory of those that it starts
-            call = f"make_job{(str(folder), size, side, suffix, material)}"
+            call = f"make_job{(str(folder), size, side, suffix)}"
             code = f"from {__name__} import make_job; {call}"
             subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
             # the fine mesh's charts are made, whatever the photo asks for

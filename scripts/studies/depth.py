@@ -34,15 +34,10 @@ from scripts.studies.measures import judged
 SOME = ("white", "leather-brown-grain")
 
 
-def coarse(levels):
-    """Depths as one of ``levels`` numbers between the nearest and the farthest."""
-
-    def change(z, rng):
-        seen = z > 0
-        low, high = z[seen].min(), z[seen].max()
-        return np.where(seen, low + np.round((z - low) / (high - low) * (levels - 1)) * (high - low) / (levels - 1), 0)
-
-    return change
+def coarse(z, rng):
+    """Depths as one of 256 numbers between the nearest and the farthest."""
+    low, step = z[z > 0].min(), np.ptp(z[z > 0]) / 255
+    return np.where(z > 0, low + np.round((z - low) / step) * step, 0)
 
 
 def noisy(share):
@@ -77,7 +72,7 @@ VARIANTS = {  # what is done to the depth; None: no depth
     "depth": lambda z, rng: z,
     "depth, one side only": lambda z, rng: z,
     "half floats": lambda z, rng: z.astype(np.float16),
-    "8 bits": coarse(256),
+    "8 bits": coarse,
     "noise 0.03 %": noisy(0.0003),
     "noise 0.1 %": noisy(0.001),
     "noise 0.3 %": noisy(0.003),

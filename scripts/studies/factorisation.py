@@ -26,7 +26,6 @@ from tqdm import tqdm
 from btfsep_engine.btf import procedural
 from btfsep_engine.btf.directions import light_projection, ubo2014_directions
 from btfsep_engine.btf.factorise import StreamingFactoriser
-from btfsep_engine.errors import InputError
 from btfsep_engine.light.lightings import EnvironmentMaps, shrink
 from btfsep_engine.light.maps import normalised, read_map
 from btfsep_engine.pipeline import measuring
@@ -42,13 +41,13 @@ TOLERANCE = 1.03  # more components stop paying where the errors are so near the
 GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
-def light_columns(paths, directions) -> np.ndarray:
+def light_columns(directions) -> np.ndarray:
     """(lights, pictures, 3): f @ this is the patch's radiance under each natural light, for f without the cosine."""
     stack = []
-    for path in paths:
+    for path in studio_lights().values():
         pixels = normalised(read_map(path))
         stack.append(shrink(pixels, max(1, len(pixels) // 64)))
-    maps = EnvironmentMaps(np.stack(stack), tuple(p.stem for p in paths))
+    maps = EnvironmentMaps(np.stack(stack), tuple(studio_lights()))
 
     def seen(nodes):
         parts = []
@@ -150,14 +149,10 @@ def main(arguments) -> None:
     options = parser("factorisation", __doc__)
     options.add_argument("--materials", nargs="*", default=MATERIALS)
     options.add_argument("--texels", type=int, default=measuring.DEFAULT_SETTINGS["texels"])
-    options.add_argument("--lights", type=Path, help="folder of environment maps.  [default: Blender's studio lights]")
     options.add_argument("--to", type=Path, default=ROOT / "docs" / "images" / "factorisation.png")
     given = options.parse_args(arguments)
-    paths = sorted(given.lights.glob("*.exr")) if given.lights else list(studio_lights().values())
-    if not paths:
-        raise InputError(str(given.lights), "it holds no .exr files", "give another --lights FOLDER")
     directions = ubo2014_directions()
-    columns = light_columns(paths, directions)
+    columns = light_columns(directions)
     chosen, side = measuring.DEFAULT_SETTINGS["components"], measuring.DEFAULT_SETTINGS["texels"]
     found = {name: study(name, given.texels, columns, directions) for name in tqdm(given.materials)}
     for name, each in found.items():

@@ -73,11 +73,6 @@ class View:
     photos: dict
     truths: dict
 
-    @property
-    def blocks(self) -> np.ndarray:
-        """(p,) int."""
-        return block_labels(self.pixels)
-
     def at(self, image) -> np.ndarray:
         """The pixels' values of an image (h, w, …)."""
         return image[self.pixels[:, 0], self.pixels[:, 1]]
@@ -178,23 +173,13 @@ def coded_photo(image, region, how: str) -> np.ndarray:
 
 
 def coding(view, light, rng) -> dict:
-    """Errors of 8-bit photographs of unknown exposure: codes decoded alone, and with a noise floor for the codes."""
+    """Errors of 8-bit photographs of unknown exposure."""
     image, truth, keep = view.photos[light], view.truths[light], inner(view)
-    rows = {"as decoded": [], "floor for the codes": []}
-    first = error(plain(view, view.at(image).astype(np.float64), keep), truth)
-    for row in rows.values():
-        row.append(first)
+    row = [error(plain(view, view.at(image).astype(np.float64), keep), truth)]
     for how in CODED:
         codes = view.at(coded_photo(image, view.region, how))
-        b = srgb_to_linear(codes / 255)
-        chosen = keep & (codes < 255).all(1)
-        rows["as decoded"].append(error(plain(view, b, chosen), truth))
-        step = srgb_to_linear((codes + 0.5) / 255) - srgb_to_linear((codes - 0.5) / 255)
-        noise = np.square(0.05 * b).mean() + np.square(step) / 12
-        weights = (noise.min() / noise)[chosen]
-        fit = solver_of(view, chosen).solve(b[chosen], weights=weights)
-        rows["floor for the codes"].append(error(fit, truth))
-    return rows
+        row.append(error(plain(view, srgb_to_linear(codes / 255), keep & (codes < 255).all(1)), truth))
+    return {"as decoded": row}
 
 
 def edges(view, light, rng) -> dict:
@@ -227,10 +212,9 @@ def specks(view, light, rng) -> dict:
     covered, image = np.zeros_like(view.region), image.copy()
     for share in (0, *SPECKS):
         while covered[view.region].mean() < share:
-            i = rng.integers(len(rows_at))
-            radius = rng.uniform(2, 7)
-            y, x = np.ogrid[: image.shape[0], : image.shape[1]]
-            disc = (y - rows_at[i]) ** 2 + (x - columns_at[i]) ** 2 <= radius**2
+            i, disc = rng.integers(len(rows_at)), np.zeros(covered.shape, np.uint8)
+            cv2.circle(disc, (int(columns_at[i]), int(rows_at[i])), int(rng.integers(2, 8)), 1, thickness=-1)
+            disc = disc > 0
             image[disc] = level * 2 ** rng.uniform(-3, 2, 3)
             covered |= disc
         for name, fit in robust_fits(view, view.at(image).astype(np.float64), keep):
@@ -260,7 +244,7 @@ def shades(view, other, light, rng) -> dict:
     basis = [v.basis["mean"][k] for v, k in zip((view, other), keep, strict=True)]
     normals = [v.normals[k] for v, k in zip((view, other), keep, strict=True)]
     photos = [v.at(v.photos[light]).astype(np.float64)[k] for v, k in zip((view, other), keep, strict=True)]
-    blocks = [view.blocks[keep[0]], other.blocks[keep[1]] + (1 << 20)]
+    blocks = [block_labels(view.pixels)[keep[0]], block_labels(other.pixels)[keep[1]] + (1 << 20)]
     rows = {"the known object alone": [], "both as in the library": [], "the second one's scale free": []}
     alone = error_of_colour(LightSolver(basis[0], normals=normals[0], order=ORDER).solve(photos[0]), truth)
     for ratio in (1, *SHADES):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Photographs of real objects whose light is known, beside three plain fits of the same pixels.
 
-scripts/study real FOLDER [--only GLOB] [--chart FILE] [--json FILE]
+scripts/study real FOLDER [--only GLOB] [--chart FILE]
 
 FOLDER: job folders, each with a `truth.json`: {"coefficients": (order + 1)^2 rows of 1 or 3 numbers}, order 2 or more,
 the light's spherical harmonics in the world of the job, in any scale (docs/conventions.md has axes and signs). The
@@ -26,7 +26,6 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine import sh
-from btfsep_engine.atomic import write_text
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
@@ -91,8 +90,6 @@ def study(folder: Path, library) -> dict:
         "over": ours["order2"] / ours["stated2"],
         **{key: 100 * ours[key] for key in MEANS},
         "warned": len(reporter.warnings),
-        "suns": len(found.lighting.suns),
-        "residual": found.fit.residual,
         "warnings": reporter.warnings,
     }
     for name, grey in plain_fits(*facing(scene)).items():
@@ -166,18 +163,14 @@ def main(arguments) -> int:
     options = parser("real", __doc__)
     options.add_argument("folder", type=Path, help="of jobs, each with a truth.json")
     options.add_argument("--only", default="*", metavar="GLOB", help="of the jobs' names")
-    options.add_argument("--library", type=Path)
     options.add_argument("--chart", type=Path, default=ROOT / "docs" / "images" / "accuracy-real.png")
-    options.add_argument("--json", type=Path, help="every number, and the warnings in words")
     given = options.parse_args(arguments)
     truths = given.folder.glob(f"{given.only}/truth.json")
     folders = sorted(p.parent for p in truths if (p.parent / "job.json").exists())
     if not folders:
         options.error(f"{given.folder} has no jobs with a truth.json")
-    library = open_library(given.library)
+    library = open_library(None)
     rows = [study(folder, library) for folder in tqdm(folders)]
-    if given.json:
-        write_text(given.json, json.dumps(rows, indent=1) + "\n")
     print(by_job(rows) + "\n\nMedians (worst); of shares means (least):\n\n" + summary(rows))
     said = Counter(words for r in rows for words in {kind(w) for w in r["warnings"]})
     print("\nWarned of, numbers left out:\n")

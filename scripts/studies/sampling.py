@@ -11,6 +11,7 @@ a small ball is synthetic (our own transport, 10 % noise): it only says which pi
 
 from collections import defaultdict
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,20 +44,10 @@ OF_THE_POOL = 256  # directions of the study of pixels
 MODELLED = choose(bounces=MODELLED_BOUNCES)
 
 
-def at_random(points, count, *, seed):
-    """Indices of ``count`` points, drawn evenly."""
-    return np.sort(np.random.default_rng(seed).permutation(len(points))[:count])
-
-
-def by_surface(points, count, *, seed):
-    """Stratified over position and normal, without leverage."""
-    return sampling.choose_pixels(points, count, seed=seed, leverage_share=0)
-
-
-RULES = {
-    "at random": at_random,
+RULES = {  # (points, count, *, seed) -> indices
+    "at random": lambda points, n, *, seed: np.sort(np.random.default_rng(seed).permutation(len(points))[:n]),
     "even over the picture": sampling.spread,
-    "even over place and normal": by_surface,
+    "even over place and normal": partial(sampling.choose_pixels, leverage_share=0),
     "by information": sampling.choose_pixels,
 }
 DEFAULT, BASE = "by information", "even over the picture"

@@ -28,7 +28,6 @@ from btfsep_engine.progress import Reporter
 from scripts.studies import ROOT, parser, photos, tables
 
 BALANCED, SAME = ("preset", "balanced"), ("preset", "paper")  # SAME: the paper's estimator by the kernel
-PRESETS = ("draft", "balanced", "accurate")
 TRACED = (8, 16, 32, 64)  # paths a pixel and basis light of the paper's way
 FIRM = 1.0  # standard errors: by so much must a way be faster, and more accurate, to beat another for certain
 
@@ -189,7 +188,7 @@ def page(points, equal, *, count: int, total: int, lights, paper: int) -> str:
         error = f"{p.error:.3f} / {p.worst:.2f}"
         rows.append((p.axis, name, f"{p.seconds:.3f}", error, over, f"{p.direction:.0f}", ratio, front))
     heads = ("what is changed", "how", "seconds", "error: mean / worst", "over balanced", "direction °", "paper's time")
-    out += [tables.table((*heads, "front"), rows), presets_words(points)]
+    out += [tables.table((*heads, "front"), rows)]
     if equal:
         rows = []
         for r in equal:
@@ -201,19 +200,6 @@ def page(points, equal, *, count: int, total: int, lights, paper: int) -> str:
         out += ["## The paper's way at equal error of the light", equal_words(equal)]
         out.append(tables.table(("path tracing", "seconds", "error", *heads), rows))
     return "\n\n".join(out) + "\n"
-
-
-def presets_words(points) -> str:
-    """The presets in a sentence."""
-    presets = {p.name: p for p in points if p.axis == "preset"}
-    base = presets["balanced"]
-    said = [
-        f"{name} {presets[name].seconds:.2f} s, error {presets[name].error:.3f} "
-        f"({presets[name].ratio:.2f} ± {presets[name].ratio * presets[name].spread:.2f} of balanced's, "
-        f"{presets[name].seconds / base.seconds:.2f} of its time)"
-        for name in PRESETS
-    ]
-    return f"The presets: {'; '.join(said)}."
 
 
 def measured(photo, library, warm_up: bool, traced, given) -> list[dict]:

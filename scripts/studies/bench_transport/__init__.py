@@ -19,11 +19,11 @@ from scripts.studies.measures import timed
 
 FULL = {
     "size": 512, "directions": [128, 512], "judged": 200, "judge_samples": 1024, "pairs": 9, "repeats": 5,
-    "photo_directions": 2048, "between_truth": (12000, 1024, 1024),
+    "photo_directions": 2048, "low_samples": 2, "between_truth": (12000, 1024, 1024),
 }  # fmt: skip
 QUICK = {
     "size": 96, "directions": [128], "judged": 40, "judge_samples": 16, "pairs": 2, "repeats": 1,
-    "photo_directions": 128, "between_truth": (4000, 128, 128),
+    "photo_directions": 128, "low_samples": 2, "between_truth": (4000, 128, 128),
 }  # fmt: skip
 
 
@@ -35,22 +35,13 @@ def main(arguments) -> None:
     parts = {f.__name__: f for f in each}
     options = parser("bench-transport", __doc__)
     options.add_argument("--only", nargs="*", choices=parts, default=list(parts))
-    options.add_argument("--library", type=Path)
     options.add_argument("--images", type=Path, default=Path("bench"), help="folder for the charts  [default: bench]")
     options.add_argument("--write", action="store_true", help="tables into docs/results/speed.md, with charts")
     options.add_argument("--quick", action="store_true")
-    options.add_argument("--low-samples", type=int, default=2, help="of the reference's timed render")
-    for name, value in FULL.items():
-        if isinstance(value, int):
-            options.add_argument("--" + name.replace("_", "-"), type=int, help=f"[default: {value}]")
-    options.add_argument("--directions", type=int, nargs="*", help="of the equal-error comparison  [default: 128 512]")
     given = options.parse_args(arguments)
     if given.quick and given.write:
         options.error("--quick only shows that the parts run: its figures are not for the page")
-    for name, value in (QUICK if given.quick else FULL).items():
-        if getattr(given, name, None) is None:
-            setattr(given, name, value)
-    given.materials = MATERIALS[: 1 if given.quick else None]
+    vars(given).update(QUICK if given.quick else FULL, materials=MATERIALS[: 1 if given.quick else None])
     if given.write:
         given.images = ROOT / "docs" / "results" / "images"
     for name in given.only:

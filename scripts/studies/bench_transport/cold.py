@@ -42,7 +42,7 @@ def photograph(folder: Path, material, *, directions: int) -> np.ndarray:
 
 def cold(options) -> str:
     """Seconds of whole processes, with a home and caches of their own that are empty at first."""
-    library, rows = open_library(options.library), []
+    library, rows = open_library(None), []
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         (folder / "home").mkdir()
@@ -51,11 +51,10 @@ def cold(options) -> str:
             for name in (WHITE, MATERIALS[0])
         }
         own = {"HOME": str(folder / "home"), "BTFSEP_CACHE": str(folder / "cache")}
-        own_library = ["--library", options.library] if options.library else []
         for label, name, more, quick in CASES:
             if quick or not options.quick:
                 job = folder / name.replace("/", "-")
-                result, seconds = engine.measured("estimate", job, "--material", name, more, *own_library, **own)
+                result, seconds = engine.measured("estimate", job, "--material", name, more, **own)
                 stages = ", ".join(f"{k} {v:.2f}" for k, v in result["seconds"].items())
                 off = errors(engine.coefficients(result["lighting"]), lights[name], (3,))["order3_absolute"]
                 rows.append((label, f"{seconds[0]:.2f}", f"{seconds[1]:.2f}", stages, f"{off:.3f}"))

@@ -28,7 +28,7 @@ HEAD = (
 
 def reference(options) -> str:
     """Basis images of order 4 for textured materials with self-shadowing; draws transport.png."""
-    lights, library = SHBasis(ORDER), open_library(options.library)
+    lights, library = SHBasis(ORDER), open_library(None)
     stage = Stage(size=options.size)
     count = len(stage.points)
     some = np.sort(np.random.default_rng(0).choice(count, min(options.judged, count), replace=False))

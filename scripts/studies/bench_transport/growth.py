@@ -2,9 +2,10 @@
 """Time and memory of the transport against each size, the others held."""
 
 import gc
-import time
+from contextlib import suppress
 from pathlib import Path
 
+import drjit
 import numpy as np
 
 from btfsep_engine.btf.library import open_library
@@ -20,7 +21,7 @@ ORDER, DIRECTIONS = 9, 512
 def growth(options) -> str:
     """A table for each of pixels, directions, order, triangles, materials; draws transport_growth.png."""
     stage = Stage(size=400)
-    library = open_library(options.library)
+    library = open_library(None)
     material = library.load(MATERIALS[0])
     loaded = [library.load(n) for n in library.names() if not n.startswith("reference/")][:16]
 
@@ -65,27 +66,21 @@ def growth(options) -> str:
 
 
 def _measured(call, repeats: int):
-    """Least seconds by the clock and of processors, and the most megabytes, of a few calls after one not counted."""
+    """Least seconds by the clock and of processors, and the most megabytes by which the process grew meanwhile (Linux;
+    else nan), of a few calls after one that is not counted."""
     call()
-    found = [peak_of(call) for _ in range(repeats)]
+    found = []
+    for _ in range(repeats):
+        gc.collect()
+        drjit.flush_malloc_cache()
+        before = np.nan
+        with suppress(OSError):  # not Linux: no memory is told
+            Path("/proc/self/clear_refs").write_text("5")  # forgets the peak so far
+            before = memory("VmRSS")
+        seconds, _ = timed(call)
+        found.append((*seconds, memory("VmHWM") - before if np.isfinite(before) else np.nan))
     clock, work, grown = zip(*found, strict=True)
     return min(clock), min(work), max(grown)
-
-
-def peak_of(function):
-    """Seconds of a call (clock, processors) and the megabytes by which the process grew meanwhile (Linux; else nan)."""
-    import drjit
-
-    gc.collect()
-    drjit.flush_malloc_cache()
-    before = np.nan
-    try:
-        Path("/proc/self/clear_refs").write_text("5")  # forgets the peak so far
-        before = memory("VmRSS")
-    except OSError:
-        time.sleep(0)  # not Linux: no memory is told
-    seconds, _ = timed(function)
-    return *seconds, (memory("VmHWM") - before if np.isfinite(before) else np.nan)
 
 
 def memory(field: str) -> float:

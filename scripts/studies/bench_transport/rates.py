@@ -3,7 +3,8 @@
 
 import time
 from collections import defaultdict
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from unittest import mock
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def rays(options) -> str:
     """Rays a second inside the kernel against a bare loop of the same rays, called in turn."""
     stage, lights = Stage(), SHBasis(9)
     points, tracer = stage.some(), stage.tracer
-    material = open_library(options.library).load(MATERIALS[0])
+    material = open_library(None).load(MATERIALS[0])
     directions = stage.transport(points, DIRECTIONS).directions
     point, direction = np.nonzero(points.flat_normal @ directions.T > 0)
     start = tracer.to_local(points.position) + OFFSET * points.flat_normal
@@ -70,7 +71,7 @@ def rays(options) -> str:
 @contextmanager
 def steps(dr):
     """Inside, the processor seconds of each of `STEPS` are added up in the dict that is given."""
-    spent, running, kept = defaultdict(float), [], [(cls, name, getattr(cls, name)) for _, cls, name in STEPS]
+    spent, running = defaultdict(float), []
 
     def watched(label, method):
         def call(*arguments, **named):
@@ -87,19 +88,16 @@ def steps(dr):
 
         return call
 
-    try:
-        for (label, cls, name), (_, _, method) in zip(STEPS, kept, strict=True):
-            setattr(cls, name, watched(label, method))
+    with ExitStack() as stack:
+        for label, cls, name in STEPS:
+            stack.enter_context(mock.patch.object(cls, name, watched(label, getattr(cls, name))))
         yield spent
-    finally:
-        for cls, name, method in kept:
-            setattr(cls, name, method)
 
 
 def warm(options) -> str:
     """The transport of an estimate when everything is compiled, whole and by step."""
     stage, lights = Stage(), SHBasis(9)
-    points, material = stage.some(), open_library(options.library).load(MATERIALS[0])
+    points, material = stage.some(), open_library(None).load(MATERIALS[0])
     albedo, rows, parts = [radiosity.diffuse_albedo(material)], [], []
     for label, used in (("mean ABRDF", material.mean_material()), (f"BTF {MATERIALS[0]}", material)):
         truth = stage.transport(points, TRUE).radiance(used, lights)
@@ -152,21 +150,15 @@ def between(options) -> str:
     direct = np.linalg.norm(stage.transport(points, 512).radiance(white, lights))
 
     def run(samples, gathered, directions):
-        radiosity.SAMPLES, radiosity.DIRECTIONS = samples, gathered
         radiosity._networks.clear()
-        indirect = radiosity.Indirect(stage.tracer, [white.albedo], lights, bounces=3)
-        return timed(lambda: indirect.reflected(stage.transport(points, directions), white))
+        with mock.patch.object(radiosity, "DIRECTIONS", gathered):
+            indirect = radiosity.Indirect(stage.tracer, [white.albedo], lights, bounces=3, samples=samples)
+            return timed(lambda: indirect.reflected(stage.transport(points, directions), white))
 
-    kept = radiosity.SAMPLES, radiosity.DIRECTIONS
-    try:
-        truth = run(*options.between_truth)[1]
-        rows = []
-        for setting in ((3000, 256, 128), (3000, 64, 128), (6000, 64, 128), (1500, 64, 128), (3000, 64, 512)):
-            seconds, got = run(*setting)
-            rows.append((*setting, f"{np.linalg.norm(got - truth) / direct:.4f}", *_both(seconds)))
-    finally:
-        radiosity.SAMPLES, radiosity.DIRECTIONS = kept
-        radiosity._networks.clear()
+    truth, rows = run(*options.between_truth)[1], []
+    for setting in ((3000, 256, 128), (3000, 64, 128), (6000, 64, 128), (1500, 64, 128), (3000, 64, 512)):
+        seconds, got = run(*setting)
+        rows.append((*setting, f"{np.linalg.norm(got - truth) / direct:.4f}", *_both(seconds)))
     return (
         f"Light between white surfaces, {np.linalg.norm(truth) / direct:.1%} of the direct light; errors, relative to "
         "the direct light, against {} samples, {} directions of each and {} of a pixel.\n\n".format(
@@ -191,7 +183,7 @@ def lookups(options) -> str:
         dr.sync_thread()
 
     bare = seconds_of(gathers, 5, of=np.min)[0][0]
-    rows, library = [("bare gathers, one float each", f"{n / bare / 1e6:.0f}", "")], open_library(options.library)
+    rows, library = [("bare gathers, one float each", f"{n / bare / 1e6:.0f}", "")], open_library(None)
     for name in options.materials:
         material = library.load(name)
         for label, which in (("BTF", material), ("mean ABRDF", material.mean_material())):

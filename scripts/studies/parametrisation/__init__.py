@@ -111,10 +111,10 @@ def light_table(meshes, lights, given) -> str:
         chosen = mappings | {"own": grains[grain](mappings["own"])}
         chosen["crosswise"] = light.turned(chosen["own"])
         result = light.losses(mesh, {k: chosen[k] for k in names if k in chosen}, material, lights)
-        for k, (which, loss) in enumerate(result.items()):
-            near = "–" if np.isnan(loss.near) else f"{loss.near:.3f}"
-            errors = (", ".join(f"{e:.2f}" for e in loss.errors[kind]) for kind in light.KINDS)
-            rows.append((f"{shape}, {grain}" if k == 0 else "", names[which], f"{loss.away:.3f}", near, *errors))
+        for k, (which, (away, near, off)) in enumerate(result.items()):
+            near = "–" if np.isnan(near) else f"{near:.3f}"
+            errors = (", ".join(f"{e:.2f}" for e in off[kind]) for kind in light.KINDS)
+            rows.append((f"{shape}, {grain}" if k == 0 else "", names[which], f"{away:.3f}", near, *errors))
     heads = ("shape, grain", "", "radiance off, away from borders", "within 3 mm of one", "error by the frames alone")
     words = f"Material {given.material}; errors are of the estimated light up to order 2, one number for each light."
     return f"{words}\n\n{tables.table((*heads, 'with the texels'), rows)}"

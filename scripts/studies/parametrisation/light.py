@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a material with a grain loses by its parametrisation: radiance, and the light that is estimated from it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,24 +29,6 @@ KINDS = ("frames", "texels")
 MEAN = "mean ABRDF"  # no charts at all: what the engine takes where the texture explains nothing
 
 
-@dataclass(frozen=True)
-class Loss:
-    """Of one parametrisation, on one shape with a grain in one direction.
-
-    Attributes
-    ----------
-    away, near : relative root mean square difference of the mean ABRDF's radiance from that with the true grain,
-        over the pixels more than `NEAR` from a border, and the others (nan: there are none)
-    errors : of the estimated light, order 2, relative L2 with one free scale: for "frames", where photograph and fit
-        have the mean ABRDF and nothing but the grain's direction differs, and "texels", where both have the textured
-        BTF; each a list of one for each light
-    """
-
-    away: float
-    near: float
-    errors: dict
-
-
 def camera(size: int = SIZE) -> Camera:
     """Looks at the origin from `VIEW`, 0.6 m away; ``size`` x ``size`` pixels."""
     back = VIEW / np.linalg.norm(VIEW)
@@ -70,7 +52,7 @@ def turned(uv) -> np.ndarray:
 
 
 def losses(mesh: TriangleMesh, mappings: dict, material, lights, *, kinds=KINDS) -> dict:
-    """A Loss for each mapping and for `MEAN`.
+    """What each mapping costs, and `MEAN`, on one shape with a grain in one direction.
 
     Parameters
     ----------
@@ -78,7 +60,14 @@ def losses(mesh: TriangleMesh, mappings: dict, material, lights, *, kinds=KINDS)
     mappings : name -> (f, 3, 2); "own" is how the material lies in the photograph
     material : btf.model.Material
     lights : paths of environment maps
-    kinds : of "frames", "texels"
+    kinds : of "frames", where photograph and fit have the mean ABRDF and nothing but the grain's direction differs, and
+        "texels", where both have the textured BTF
+
+    Returns
+    -------
+    {name: (away, near, {kind: errors of the estimated light up to order 2, one for each light})}; away, near : relative
+    root mean square difference of the mean ABRDF's radiance from that with the true grain, over the pixels more than
+    `NEAR` from a border, and the others (nan: there are none)
     """
     scenes = {name: PreparedScene(job_with(mesh, uv), Reporter()) for name, uv in mappings.items()}
     maps = [EnvironmentMaps(read_map(path)[None], ("light",)) for path in lights]
@@ -115,7 +104,7 @@ def losses(mesh: TriangleMesh, mappings: dict, material, lights, *, kinds=KINDS)
                 posed = PreparedScene(replace(scene.job, photo=photo), Reporter())
                 found = estimate(posed, held, settings, material=material.name).lighting.coefficients
                 errors[kind].append(order2(found, light.coefficients(2)[0]))
-        out[name] = Loss(*parts, errors)
+        out[name] = *parts, errors
     return out
 
 

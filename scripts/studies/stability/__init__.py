@@ -7,8 +7,8 @@ scripts/study stability --work FOLDER --quick  two objects, each under one light
 scripts/study stability --work FOLDER --axes noise clipping --methods ours paper-mean
 
 Every photograph and every estimate is kept in --work: a run that was stopped goes on where it was. After a change of
-the estimator, --anew ours (or any methods) forgets what these methods gave and keeps the photographs (say it once: a
-stopped run goes on without it). Two processes share the work with --stages estimates --shard 0/2 and 1/2.
+the estimator take away WORK/estimates/*/*-ours.json, and keep the photographs. Two processes share the work with
+--stages estimates --shard 0/2 and 1/2.
 """
 
 from pathlib import Path
@@ -30,7 +30,6 @@ def main(arguments) -> int:
     options.add_argument("--methods", nargs="+", choices=list(methods.METHODS), default=list(methods.METHODS))
     options.add_argument("--lights", nargs="+", default=list(scenes.LIGHTS), help="Blender's studio lights, or maps")
     options.add_argument("--stages", nargs="+", choices=STAGES, default=list(STAGES))
-    options.add_argument("--anew", nargs="+", choices=list(methods.METHODS), default=[], help="forget their estimates")
     options.add_argument("--resolution", type=int, default=160, help="edge of a photograph, pixels")
     options.add_argument("--samples", type=int, default=64)
     options.add_argument("--threads", type=int, default=2, help="of a rendering")

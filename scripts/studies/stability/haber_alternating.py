@@ -47,17 +47,10 @@ def haar_levels() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _haar(n: int):
-    basis, level = np.full((1, n), n**-0.5), [0]
-    number, width = 1, n
-    while width > 1:
-        for k in range(2 ** (number - 1)):
-            wave = np.zeros(n)
-            wave[k * width : k * width + width // 2] = 1
-            wave[k * width + width // 2 : (k + 1) * width] = -1
-            basis = np.vstack([basis, wave / width**0.5])
-            level.append(number)
-        number, width = number + 1, width // 2
-    return basis, np.array(level)
+    basis = np.ones((1, 1))
+    while len(basis) < n:
+        basis = np.concatenate([np.kron(basis, [1, 1]), np.kron(np.eye(len(basis)), [1, -1])])
+    return basis / np.linalg.norm(basis, axis=1, keepdims=True), np.ceil(np.log2(np.arange(n) + 1)).astype(int)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # small products: more threads wait for each other

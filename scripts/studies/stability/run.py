@@ -84,9 +84,6 @@ def run(chosen, given) -> None:
     todo = tasks(scenes.pairs(chosen, given.lights, half=given.half), given.axes)
     shard, shards = (int(n) for n in given.shard.split("/"))
     todo = todo[shard::shards]
-    for method in given.anew:
-        for task in todo:
-            task.path(given.work, method).unlink(missing_ok=True)
     missing = {t: [m for m in given.methods if source(t, m) == t and not t.path(given.work, m).exists()] for t in todo}
     for task, names in tqdm([each for each in missing.items() if each[1]], desc="photographs"):
         solve(task, names, given, library)
