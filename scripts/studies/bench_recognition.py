@@ -67,10 +67,6 @@ def share(right) -> str:
     return f"{np.mean(right):.1%} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-def same_class(answers) -> str:
-    return share(a[0].split("/")[0] == a[2].split("/")[0] for a in answers)
-
-
 def answers_of(recogniser, region, images, *, library, verification):
     """For ``images``, (material, light, image): (material, light, answer, rank of the right one, unknown_score)."""
     answers, window = [], recognition.bounding_window(region)
@@ -86,17 +82,18 @@ def answers_of(recogniser, region, images, *, library, verification):
 def judge(answers, title, seconds, *, hidden: bool):
     """Prints what came out, and gives it as JSON; ``hidden``: of materials that the training had not."""
     unknown, scores = [a[4] > 1 for a in answers], [a[4] for a in answers]
+    same_class = share(a[0].split("/")[0] == a[2].split("/")[0] for a in answers)
     if hidden:
         print(
             f"\n## {title} of a material left out: {sum(unknown)} of {len(answers)} judged unknown, {share(unknown)}; "
             f"median score {np.median(scores):.2f}, highest {max(scores):.2f}"
         )
-        print(f"answered with one of its class: {same_class(answers)}")
+        print(f"answered with one of its class: {same_class}")
     else:
         print(f"\n## {title}: {len(answers)} photos, {seconds / len(answers):.2f} s each")
         print(
             f"material {share(a[0] == a[2] for a in answers)}, among the first two {share(a[3] < 2 for a in answers)}, "
-            f"three {share(a[3] < 3 for a in answers)}; class {same_class(answers)}; "
+            f"three {share(a[3] < 3 for a in answers)}; class {same_class}; "
             f"judged unknown {share(unknown)}, median score {np.median(scores):.2f}"
         )
         for light in sorted({a[1] for a in answers}):

@@ -45,7 +45,7 @@ ORDER = 4
 
 def row_of(shot, given) -> list:
     """Estimates and re-renders one photograph; gives the five (picture, words below it)."""
-    folder, told = Path(shot.folder), ["--order", ORDER, "--appearance", "mean", "--preset", given.preset]
+    folder, told = Path(shot.folder), ["--order", ORDER, "--appearance", "mean"]
     found = engine.run("estimate", folder, *told, "--no-report")
     name = found["objects"][0]["material"]
     again = folder / "again.exr"
@@ -77,7 +77,6 @@ def main(arguments) -> None:
     options = parser("figures", __doc__)
     options.add_argument("--to", type=Path, default=ROOT / "docs" / "images", help="folder for the two figures")
     options.add_argument("--photos", type=Path, help="folder in which photos and jobs are kept")
-    options.add_argument("--preset", default="balanced")
     options.add_argument("--resolution", type=int, default=320)
     options.add_argument("--samples", type=int, default=96)
     options.add_argument("--quick", action="store_true", help="one row of each figure")

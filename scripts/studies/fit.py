@@ -11,15 +11,13 @@ material, a wrong one, a photo shifted by pixels, a light nearby (brightness by 
 lamp at 4 radii, laid over the photo) and without reflections. Photos under the lights of --tuned, on which constants of
 the fit were looked at, stand apart from all others.
 
---cost: milliseconds, warm, on one thread (--threads 0: on as many as there are), medians over the views of the median
-of --repeats runs, in turns so that a busy machine is busy for all. "preparing": the products of the basis images;
-"photo": the election of a model, its light and its posterior's samples; "further": another photograph under much the
-same light (a frame of a sequence), with the model of the one before, from its light on. The floor is A^T A
-(3,000 x 300) in double precision by the same linear algebra.
+--cost: milliseconds, warm, on one thread, medians over the views of the median of --repeats runs, in turns so that a
+busy machine is busy for all. "preparing": the products of the basis images; "photo": the election of a model, its light
+and its posterior's samples; "further": another photograph under much the same light (a frame of a sequence), with the
+model of the one before, from its light on. The floor is A^T A (3,000 x 300) in double precision.
 """
 
 from collections import defaultdict
-from contextlib import nullcontext
 from itertools import count
 from pathlib import Path
 
@@ -165,7 +163,7 @@ def cost(shown: list, library, repeats: int) -> dict:
 def of_cost(views: list, library, given):
     """Medians of some of the views, and over the floor's."""
     chosen = np.linspace(0, len(views) - 1, min(given.views, len(views))).round().astype(int)
-    with threadpool_limits(given.threads) if given.threads else nullcontext():
+    with threadpool_limits(1):
         found = [cost(views[i], library, given.repeats) for i in tqdm(chosen)]
     for what in found[0]:
         ms, ratio = np.median([(times[what], times[what] / times["floor"]) for times in found], 0)
@@ -232,7 +230,6 @@ def main(arguments) -> int:
     options.add_argument("--cost", action="store_true", help="milliseconds alone")
     options.add_argument("--repeats", type=int, default=15, help="of --cost")
     options.add_argument("--views", type=int, default=6, help="of --cost, spread over the objects and materials")
-    options.add_argument("--threads", type=int, default=1, help="of the linear algebra with --cost; 0: as it comes")
     given = options.parse_args(arguments)
     library, rows, raised = open_library(None), [], []
     views = list(photos.views(photos.found(given.photos, objects=given.objects)).values())

@@ -128,7 +128,6 @@ def main(arguments) -> int:
     options = parser("lamps", __doc__)
     options.add_argument("photos", type=Path, nargs="*")
     options.add_argument("--make", type=Path, metavar="FOLDER", help="photograph what the study is made of")
-    options.add_argument("--objects", nargs="+", help="some of the objects")
     options.add_argument("--lights", nargs="+", help="some of the lights")
     given = options.parse_args(arguments)
     if not (given.photos or given.make):
@@ -137,6 +136,6 @@ def main(arguments) -> int:
         make(given.make.resolve())
     library = open_library(None)
     for root in [*([given.make] if given.make else []), *given.photos]:
-        shown = photos.found(root, objects=given.objects, lights=given.lights)
+        shown = photos.found(root, lights=given.lights)
         print(tables.table(HEADS, lines([study(p, library) for p in tqdm(shown)])) + "\n")
     return 0

@@ -103,11 +103,6 @@ def error(fit, truth) -> float:
     return order2(fit.coefficients, truth)
 
 
-def error_of_colour(fit, truth) -> float:
-    """The same without a free scale."""
-    return errors(fit.coefficients, truth)["order2_absolute"]
-
-
 def solver_of(view, chosen, key="mean", *, coarsening=1.0) -> LightSolver:
     """The basis images of the chosen pixels, (p,) bool or numbers, made ready."""
     return LightSolver(view.basis[key][chosen], normals=view.normals[chosen], order=ORDER, coarsening=coarsening)
@@ -246,7 +241,8 @@ def shades(view, other, light, rng) -> dict:
     photos = [v.at(v.photos[light]).astype(np.float64)[k] for v, k in zip((view, other), keep, strict=True)]
     blocks = [block_labels(view.pixels)[keep[0]], block_labels(other.pixels)[keep[1]] + (1 << 20)]
     rows = {"the known object alone": [], "both as in the library": [], "the second one's scale free": []}
-    alone = error_of_colour(LightSolver(basis[0], normals=normals[0], order=ORDER).solve(photos[0]), truth)
+    alone = LightSolver(basis[0], normals=normals[0], order=ORDER).solve(photos[0])
+    alone = errors(alone.coefficients, truth)["order2_absolute"]
     for ratio in (1, *SHADES):
         seen = [photos[0], photos[1] * np.array([ratio, 1, 1 / ratio])]
         scales = free_scales(basis, seen, normals=normals, blocks=blocks, free=[False, True])
@@ -254,7 +250,7 @@ def shades(view, other, light, rng) -> dict:
         for name, factor in (("both as in the library", 1.0), ("the second one's scale free", scales[1])):
             a = np.concatenate([basis[0], basis[1] * np.asarray(factor, np.float32)])
             fit = LightSolver(a, normals=np.concatenate(normals), order=ORDER).solve(np.concatenate(seen))
-            rows[name].append(error_of_colour(fit, truth))
+            rows[name].append(errors(fit.coefficients, truth)["order2_absolute"])
     return rows
 
 

@@ -2,11 +2,11 @@
 """How the estimate's error depends on which and how many pixels, on directions, and on light between surfaces.
 
 scripts/study sampling PHOTOS            the photos that scripts/study photos leaves; what lacks is made
-scripts/study sampling PHOTOS --quick    one object of each material; --all four, not two
+scripts/study sampling PHOTOS --quick    one object of each material, not two
 
 Photographs by Cycles of displaced objects under Blender's own studio lights, which nothing was trained on; the
-material given. Prints tables and draws docs/results/images/sampling.png; docs/results/sampling.md has them in words. The table with
-a small ball is synthetic (our own transport, 10 % noise): it only says which pixels tell more.
+material given. Prints tables and draws docs/results/images/sampling.png; docs/results/sampling.md has them in words.
+The table with a small ball is synthetic (our own transport, 10 % noise): it only says which pixels tell more.
 """
 
 from collections import defaultdict
@@ -232,12 +232,11 @@ def main(arguments) -> int:
     options = parser("sampling", __doc__)
     options.add_argument("photos", type=Path, help="folder in which the photos and jobs are kept")
     options.add_argument("--quick", action="store_true", help="one object of each material")
-    options.add_argument("--all", action="store_true", help="four objects of each material, not two")
     options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "images" / "sampling.png")
     given = options.parse_args(arguments)
     study, library = Study(), open_library(None)
     # two objects of each material, so that each object is met twice
-    grid = [(i, j) for i in range(4) for j in range(4) if (j - i) % 4 < (4 if given.all else 1 if given.quick else 2)]
+    grid = [(i, j) for i in range(4) for j in range(4) if (j - i) % 4 < (1 if given.quick else 2)]
     kept = given.photos.resolve()
     views = [[photos.shot(kept, OBJECTS[j], MATERIALS[i], LIGHTS[(i + j + k) % 4]) for k in (0, 1)] for i, j in grid]
     photos.take([s for v in views for s in v])

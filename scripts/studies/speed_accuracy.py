@@ -206,7 +206,7 @@ def measured(photo, library, warm_up: bool, traced, given) -> list[dict]:
     """Every way of one photograph, and the paper's with each number of paths."""
     scene, truth = PreparedScene(load_job(photo.folder), Reporter()), photo.truth(4)
     told = {"material": photo.material, "truth": truth, "quick": given.quick}
-    runs = [{"paper_samples": 0, "repeats": given.repeats, "warm_up": warm_up}]
+    runs = [{"paper_samples": 0, "repeats": 1, "warm_up": warm_up}]
     runs += [{"only": (), "paper_samples": n} for n in traced]
     points = [p for run in runs for p in measure(scene, library, **told, **run)["points"]]
     return [
@@ -222,7 +222,6 @@ def main(arguments) -> int:
     options.add_argument("--work", type=Path, required=True, help="folder in which each photo's numbers are kept")
     options.add_argument("--paper", type=int, default=8, help="photos that the paper's way is tried on, too")
     options.add_argument("--traced", type=int, nargs="+", default=TRACED, help="paths a pixel of the paper's way")
-    options.add_argument("--repeats", type=int, default=1, help="timed runs of each way")
     options.add_argument("--quick", action="store_true", help="fewer settings")
     options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "speed-accuracy.md")
     given = options.parse_args(arguments)

@@ -7,7 +7,6 @@ scripts/build_library leather/brown-grain --into FOLDER --samples 1 --texels 48
 scripts/build_library --sheet            only the contact sheet
 """
 
-import time
 from pathlib import Path
 
 import cv2
@@ -16,25 +15,17 @@ import numpy as np
 from btfsep_engine.btf import library, procedural, thumbnail
 from btfsep_engine.images import linear_to_srgb
 from btfsep_engine.pipeline import measuring
-from btfsep_engine.progress import Reporter
 from scripts.studies import ROOT, parser
 from scripts.studies.makers import BACKGROUND, mosaic
 
 SIDE = 184  # pixels of one picture of the sheet
 
 
-class Lines(Reporter):
-    """Tells progress as lines of text."""
-
-    def progress(self, stage, fraction, message=""):
-        if stage == "library":
-            print(f"{time.strftime('%T')} {fraction:4.0%} {message}", flush=True)
-
-
 def tell_speed(measured):
     """Prints what a material took."""
     million = measured["rays"] / 1e6, measured["rays_per_second"] / 1e6
-    print(f"  {measured['seconds']:.1f} s, {million[0]:.0f} M rays, {million[1]:.1f} M rays/s", flush=True)
+    told = f"{measured['seconds']:.1f} s, {million[0]:.0f} M rays, {million[1]:.1f} M rays/s"
+    print(f"{measured['name']:28s} {told}", flush=True)
 
 
 def sheet(shown, path):
@@ -61,7 +52,7 @@ def main(arguments) -> None:
     settings = {key: getattr(given, key) for key in measuring.DEFAULT_SETTINGS}
     if not given.sheet:
         names = given.names or (procedural.NAMES if given.all else list(library.open_library().entries))
-        measuring.build(given.into, names=names, reporter=Lines(), on_measured=tell_speed, **settings)
+        measuring.build(given.into, names=names, on_measured=tell_speed, **settings)
     made = library.open_library(given.into)
     sheet(made, given.sheet_to)
     for entry in made.entries.values():

@@ -51,7 +51,7 @@ def turned(uv) -> np.ndarray:
     return np.stack([-uv[..., 1], uv[..., 0]], -1)
 
 
-def losses(mesh: TriangleMesh, mappings: dict, material, lights, *, kinds=KINDS) -> dict:
+def losses(mesh: TriangleMesh, mappings: dict, material, lights) -> dict:
     """What each mapping costs, and `MEAN`, on one shape with a grain in one direction.
 
     Parameters
@@ -60,14 +60,13 @@ def losses(mesh: TriangleMesh, mappings: dict, material, lights, *, kinds=KINDS)
     mappings : name -> (f, 3, 2); "own" is how the material lies in the photograph
     material : btf.model.Material
     lights : paths of environment maps
-    kinds : of "frames", where photograph and fit have the mean ABRDF and nothing but the grain's direction differs, and
-        "texels", where both have the textured BTF
 
     Returns
     -------
-    {name: (away, near, {kind: errors of the estimated light up to order 2, one for each light})}; away, near : relative
-    root mean square difference of the mean ABRDF's radiance from that with the true grain, over the pixels more than
-    `NEAR` from a border, and the others (nan: there are none)
+    {name: (away, near, {kind: errors of the estimated light up to order 2, one for each light})}; kinds: "frames",
+    where photograph and fit have the mean ABRDF and nothing but the grain's direction differs, and "texels", where both
+    have the textured BTF; away, near: relative root mean square difference of the mean ABRDF's radiance from that with
+    the true grain, over the pixels more than `NEAR` from a border, and the others (nan: there are none)
     """
     scenes = {name: PreparedScene(job_with(mesh, uv), Reporter()) for name, uv in mappings.items()}
     maps = [EnvironmentMaps(read_map(path)[None], ("light",)) for path in lights]
@@ -82,8 +81,7 @@ def losses(mesh: TriangleMesh, mappings: dict, material, lights, *, kinds=KINDS)
     wanted = shown(true)
     photos = {
         kind: [photograph(true, points, laid, light) for light in maps]
-        for kind, laid in (("frames", mean), ("texels", material))
-        if kind in kinds
+        for kind, laid in zip(KINDS, (mean, material), strict=True)
     }
     out = {}
     for name in [*mappings, MEAN]:

@@ -32,7 +32,6 @@ def main(arguments) -> int:
     options.add_argument("--stages", nargs="+", choices=STAGES, default=list(STAGES))
     options.add_argument("--resolution", type=int, default=160, help="edge of a photograph, pixels")
     options.add_argument("--samples", type=int, default=64)
-    options.add_argument("--threads", type=int, default=2, help="of a rendering")
     options.add_argument("--shard", default="0/1", help="I/N: every N-th estimate from the I-th, for several processes")
     options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "stability.md")
     given = options.parse_args(arguments)
@@ -44,7 +43,7 @@ def main(arguments) -> int:
             under = [light for s, light in pairs if s == scene]
             wanted += scenes.shots(given.work, scene, given.lights, given.axes, under=under)
         wanted.sort(key=lambda s: s.folder)  # photographs of one geometry follow each other
-        photos.take(wanted, resolution=given.resolution, samples=given.samples, threads=given.threads, noise=NOISE)
+        photos.take(wanted, resolution=given.resolution, samples=given.samples, threads=2, noise=NOISE)
     if "estimates" in given.stages:
         run.run(chosen, given)
     if "page" in given.stages:
