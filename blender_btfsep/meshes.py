@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+VIEWPORT = ("hide_viewport", "show_instancer_for_viewport", "show_viewport", ".levels")  # what a render has of its own
 
 
 def triangles_of_mesh(mesh, matrix) -> dict | None:
@@ -178,6 +179,10 @@ def as_rendered(view_layer, objects, *, chosen=()):
 
     hidden = [thing for thing in view_layer.objects if thing.hide_get(view_layer=view_layer)]
     try:
+        for thing in bpy.data.objects:
+            for driver in thing.animation_data.drivers if thing.animation_data else ():
+                if driver.data_path.endswith(VIEWPORT):  # it would have the last word
+                    put(driver, "mute", True)
         for collection in bpy.data.collections:  # all of them: instances show those that the scene has not
             put(collection, "hide_viewport", collection.hide_render)
         for thing in bpy.data.objects:

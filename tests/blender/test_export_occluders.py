@@ -39,6 +39,36 @@ def test_occluders_are_what_the_render_shows(scene, tmp_path, add_camera):
     assert np.allclose(trimesh.load(path.parent / "Instancer.ply").centroid, (5, 0, 7))
 
 
+def test_what_animation_and_drivers_hide_in_the_viewport_only_is_there(scene, tmp_path, add_camera):
+    """And what they hide in the render is not; all of it stands as before afterwards."""
+    camera, fitted = add_camera(scene, (0, -9, 0)), add_cube("Fitted")
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    for number, name in enumerate(("hide_viewport", "hide_render", "hide_viewport driven", "hide_render driven")):
+        thing, path = add_cube(name, location=(3 * number + 3, 0, 0)), name.split()[0]
+        if name.endswith("driven"):
+            thing.driver_add(path).driver.expression = "frame < 5"
+        else:
+            for frame in (1, 10):
+                setattr(thing, path, frame < 5)
+                thing.keyframe_insert(path, frame=frame)
+    array = add_cube("array", location=(0, 0, 9)).modifiers.new("Array", "ARRAY")
+    array.count = 3
+    array.driver_add("show_viewport").driver.expression = "0"
+    for frame in (1, 10, 1):
+        scene.frame_set(frame)
+        before = visibility(bpy.context.view_layer)
+        job = export.export_job(
+            scene, tmp_path / "job", image_path=make_photo(tmp_path), camera=camera, objects=[fitted]
+        )
+        found = {o["mesh"].removesuffix(".ply") for o in json.loads(job.read_text())["occluders"]}
+        rendered = {"hide_viewport", "hide_viewport_driven", "array"}
+        assert found == (rendered if frame < 5 else rendered | {"hide_render", "hide_render_driven"})
+        assert len(trimesh.load(job.parent / "array.ply").faces) == 36
+        bpy.context.view_layer.update()
+        assert visibility(bpy.context.view_layer) == before
+        assert not any(d.mute for o in bpy.data.objects if o.animation_data for d in o.animation_data.drivers)
+
+
 def visibility(view_layer):
     """All that hides something, as it stands."""
     layers = [view_layer.layer_collection, *view_layer.layer_collection.children]
