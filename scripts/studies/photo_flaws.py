@@ -3,7 +3,7 @@
 
 scripts/study photo-flaws PHOTOS --work FOLDER    jobs OBJECT_MATERIAL_LIGHT, as scripts/study photos leaves them
 
-Each flaw is laid over photographs by Cycles at five severities; prints tables, draws docs/results/images/photo-flaws.png.
+Each flaw is laid over photographs by Cycles at five severities: tables, and docs/results/images/photo-flaws.png.
 Errors are relative, of the coefficients up to order 2 with one free scale (dyes: with none), medians over the photos,
 each object in two materials under one light (--all: in all, under two). --only AXIS … prints some of the tables, and
 draws no chart. Every photo's numbers are kept in --work: a run that was stopped goes on where it was.

@@ -6,7 +6,7 @@ scripts/study speed-accuracy PHOTOS --work FOLDER   jobs OBJECT_MATERIAL_LIGHT, 
 --work FOLDER every photo's numbers are kept there: a run that was stopped goes on where it was
 
 What `btfsep chart` measures of one job against its true light, summed up: writes docs/results/speed-accuracy.md and
-docs/results/images/speed-accuracy.png. Every way of one photo is timed in one process, warm, one after the other. Ratios
+docs/results/images/speed-accuracy.png. Every way of one photo is timed in one process, warm, in turn. Ratios
 of seconds and errors are of the same photo and process; they and the means are geometric.
 """
 
