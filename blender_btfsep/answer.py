@@ -4,9 +4,12 @@
 from . import lighting_file, request, sun_lamp, world
 
 
-def take_materials(scene, objects: list) -> list:
-    """Puts the engine's word on each object's material into the list; gives sentences about them."""
-    by_name = request.fitted(scene.btfsep)
+def take_materials(scene, objects: list, ids=None) -> list:
+    """Puts the engine's word on each object's material into the list; gives sentences about them.
+
+    ``ids`` : of :func:`request.ids_of` when the job was written, where the user may have named objects anew since.
+    """
+    by_name = request.fitted(scene.btfsep, ids)
     sentences = []
     for found in objects or []:
         name, material, unknown = found.get("name"), str(found.get("material") or ""), bool(found.get("unknown"))
@@ -22,14 +25,14 @@ def take_materials(scene, objects: list) -> list:
     return sentences
 
 
-def take_estimate(scene, result: dict, *, mode: str | None = None, lamp: bool | None = None) -> list:
+def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lamp: bool | None = None) -> list:
     """Puts the engine's estimate into the scene; gives sentences about it.
 
-    ``mode``, ``lamp`` : as of :func:`apply_light`. Raises InputError where the lighting cannot be read; nothing is
+    ``ids`` : as of :func:`take_materials`; ``mode``, ``lamp`` : as of :func:`apply_light`. Raises InputError where the lighting cannot be read; nothing is
     changed then.
     """
     lighting = lighting_file.read(result["lighting"])
-    sentences = take_materials(scene, result.get("objects")) + findings(result)
+    sentences = take_materials(scene, result.get("objects"), ids) + findings(result)
     if (mode or scene.btfsep.world_mode) != "NONE":
         sentences.append(apply_light(scene, lighting, mode=mode, lamp=lamp))
     return sentences

@@ -29,10 +29,11 @@ class BTFSEP_OT_recognise(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     task = "Recognising"
 
     def begin(self, context):
+        self._ids = request.ids_of(context.scene.btfsep)
         return request.engine_arguments("recognise", request.write_job(context), context.scene)
 
     def finish(self, context, result):
-        return ", ".join(take_materials(self.scene(), result.get("objects"))) or "Nothing was recognised"
+        return ", ".join(take_materials(self.scene(), result.get("objects"), self._ids)) or "Nothing was recognised"
 
 
 class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
@@ -44,13 +45,13 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     task = "Estimating"
 
     def begin(self, context):
-        folder = request.write_job(context)
+        folder, self._ids = request.write_job(context), request.ids_of(context.scene.btfsep)
         run = runs.run_state()
         run.folder, run.report = str(folder), ""
         return request.engine_arguments("estimate", folder, context.scene, "--out", folder / "result")
 
     def finish(self, context, result):
-        sentences = take_estimate(self.scene(), result)
+        sentences = take_estimate(self.scene(), result, self._ids)
         report = os.path.join(result["out"], "report.png")
         runs.run_state().report = report if os.path.isfile(report) else ""
         return "\n".join(sentences)

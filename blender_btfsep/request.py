@@ -14,11 +14,20 @@ def listed(settings) -> list:
     return [entry for entry in settings.objects if entry.object is not None]
 
 
-def fitted(settings) -> dict:
-    """Name in the job -> entry of what is fitted: the objects, or the one surface of a depth."""
+def fitted(settings, ids=None) -> dict:
+    """Name in the job -> entry of what is fitted: the objects, or the one surface of a depth.
+
+    ``ids`` : of :func:`ids_of` when the job was written: the objects may have other names by now.
+    """
     if settings.depth is not None:
         return {export.SURFACE: settings.surface}
-    return {entry.object.name: entry for entry in listed(settings)}
+    names = {number: name for name, number in (ids or {}).items()}
+    return {names.get(entry.object.session_uid, entry.object.name): entry for entry in listed(settings)}
+
+
+def ids_of(settings) -> dict:
+    """Name -> number of the objects that are fitted; unlike its name, an object's number never changes."""
+    return {entry.object.name: entry.object.session_uid for entry in listed(settings)}
 
 
 def active_entry(settings):

@@ -124,12 +124,12 @@ class BTFSEP_OT_estimate_sequence(NeedsScene, runs.EngineOperator, bpy.types.Ope
         start = self.frame_start if self.properties.is_property_set("frame_start") else None
         camera = settings.camera or context.scene.camera
         self._files, self._start = photos(settings.image, camera, pattern, start)
-        folder = request.write_job(context, image=self._files[0])
+        folder, self._ids = request.write_job(context, image=self._files[0]), request.ids_of(settings)
         return engine_arguments(folder, context.scene, self._files, folder / OUT, pattern=pattern)
 
     def finish(self, context, result):
         scene = self.scene()
-        words = take_materials(scene, result.get("objects"))
+        words = take_materials(scene, result.get("objects"), self._ids)
         apply, interpolation = scene.btfsep.world_mode != "NONE", scene.btfsep.interpolation
         words.append(write_world(scene, result, self._files, self._start, apply=apply, interpolation=interpolation))
         return "\n".join(words)

@@ -43,6 +43,25 @@ def test_a_scene_renamed_or_undone_during_the_run_gets_the_light(photographed, f
     assert coefficients(renamed.world) == [tuple(row) for row in LIGHTING["coefficients"]] and other.world is None
 
 
+def test_objects_that_change_names_during_the_run_get_their_own_materials(photographed, fake_engine, monkeypatch):
+    entries = photographed.btfsep.objects
+    one = entries[0].object
+    two = one.copy()
+    photographed.collection.objects.link(two)
+    entries.add().object = two
+    found = [{"name": one.name, "material": "of/one"}, {"name": two.name, "material": "of/two"}]
+
+    def change():
+        one.name, two.name = "Between", one.name
+        one.name = found[1]["name"]
+        entries.move(0, 1)
+
+    during_the_run(monkeypatch, change)
+    fake_engine(lines=[LINE, {"type": "done", "result": {"objects": found}}])
+    assert bpy.ops.btfsep.recognise() == {"FINISHED"}
+    assert {e.object: e.recognised for e in entries} == {one: "of/one", two: "of/two"}
+
+
 def test_a_scene_deleted_during_the_run_is_named(photographed, fake_engine, monkeypatch):
     photographed.name = "Mine"
     other = bpy.data.scenes.new("Other")
