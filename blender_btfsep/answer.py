@@ -28,8 +28,8 @@ def take_materials(scene, objects: list, ids=None) -> list:
 def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lamp: bool | None = None) -> list:
     """Puts the engine's estimate into the scene; gives sentences about it.
 
-    ``ids`` : as of :func:`take_materials`; ``mode``, ``lamp`` : as of :func:`apply_light`. Raises InputError where the lighting cannot be read; nothing is
-    changed then.
+    ``ids`` : as of :func:`take_materials`; ``mode``, ``lamp`` : as of :func:`apply_light`. Raises InputError where the
+    lighting cannot be read; nothing is changed then.
     """
     lighting = lighting_file.read(result["lighting"])
     sentences = take_materials(scene, result.get("objects"), ids) + findings(result)
