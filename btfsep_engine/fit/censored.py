@@ -58,7 +58,7 @@ def working_values(solver: LightSolver, radiance, clipped) -> tuple[np.ndarray, 
         weight = hazard * (hazard - z)
         weights = np.where(clipped, np.where(weight > LIGHTEST, np.minimum(weight, 1.0), 0.0), 1.0)
         values = np.where(clipped, b - s * z + s / np.maximum(hazard - z, 1e-9), b)
-        before, fit = fit.every, solver.solve(values, weights=weights, start=fit)
-        if np.linalg.norm(fit.every - before) <= SETTLED * np.linalg.norm(before):
+        before, fit = fit.all_coefficients, solver.solve(values, weights=weights, start=fit)
+        if np.linalg.norm(fit.all_coefficients - before) <= SETTLED * np.linalg.norm(before):
             break
     return values, weights

@@ -15,12 +15,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
-from btfsep_engine.fit.expected_error import expected_error
-from btfsep_engine.fit.least_squares import DETERMINED
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.linear_algebra import one_thread
-from btfsep_engine.fit.log_normal import REFLECTANCE
-from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
+from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph, one_thread
+from btfsep_engine.fit.stated import DETERMINED, REFLECTANCE, decided_unknowns, expected_error
 from btfsep_engine.light.log_field import natural_field
 
 LIGHTS = 24  # drawn from the prior, for the expected error
@@ -41,7 +38,7 @@ class Foresight:
         before the photo, without the level's own spread
     effective_degrees_of_freedom : of a channel's unknowns
     condition : of the reported orders
-    expected : as `expected_error.expected_error`
+    expected : as `stated.expected_error`
     """
 
     stddev: np.ndarray
@@ -79,14 +76,13 @@ def foresee(basis, *, normals, order: int, noise: float, seed: int = 0) -> Fores
         root = solve_triangular(factor, by_coefficient.T, lower=True).T  # (all terms * 3, unknowns)
         variance = np.square(root).sum(1).reshape(all_terms, 3)
         natural = np.square(by_coefficient).sum(1).reshape(all_terms, 3)
-        white = np.square(solve_triangular(factor, np.eye(len(factor)), lower=True)).sum()
+        unknowns = decided_unknowns(factor)
         prior = by_coefficient[: 3 * terms] @ by_coefficient[: 3 * terms].T
         expected = [_expected(ready, model, even, noise, random) for _ in range(LIGHTS)]
     varies = natural.mean(1)
     varies[0] = 4 * np.pi  # of the level squared
     share = variance.mean(1) / varies
     stddev = np.sqrt(variance + REFLECTANCE**2 * natural)
-    singular = ready.singular_values(terms)
     prior[:3, :3] = 4 * np.pi * np.eye(3)
     return Foresight(
         stddev[:terms],
@@ -95,8 +91,8 @@ def foresee(basis, *, normals, order: int, noise: float, seed: int = 0) -> Fores
         share < DETERMINED**2,
         root[: 3 * terms] @ root[: 3 * terms].T,
         prior,
-        (len(factor) - float(white)) / 3,
-        float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
+        unknowns,
+        ready.condition(order),
         {
             key: {part: float(np.median([e[key][part] for e in expected])) for part in ("median", "low", "high")}
             for key in expected[0]

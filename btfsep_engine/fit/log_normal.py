@@ -22,13 +22,11 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
-from btfsep_engine.fit.least_squares import Fit, determined
 from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
-from btfsep_engine.fit.linear_algebra import one_thread
-from btfsep_engine.fit.products import SINGLE, Basis, Photograph
+from btfsep_engine.fit.products import SINGLE, Basis, Photograph, one_thread
 from btfsep_engine.fit.search import EXACT, EXACT_COST, Solution, solve
+from btfsep_engine.fit.stated import REFLECTANCE, Fit, decided_unknowns, restated
 from btfsep_engine.light.log_field import even_field, natural_field
-from btfsep_engine.light.natural import natural_amplitude
 
 MOST_LAMPS = 3
 SEEN = (
@@ -41,9 +39,6 @@ ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alon
 SAMPLES = 200
 WIDER = 1.25  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
 CENTRINGS = 4  # steps by which samples are moved to what the photo says
-REFLECTANCE = 0.1  # of all light: a material's reflectance differs from piece to piece
-RANGE = (2.5, 97.5)  # percentiles of what is stated as the range
-MIDDLE = (15.9, 84.1)  # of a standard deviation: tails of an exponential would make the mean square say anything
 
 
 @dataclass(frozen=True)
@@ -102,36 +97,32 @@ class LightSolver:
         with one_thread():
             photo = Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening)
             if start is not None:
-                return self._fit(photo, *follow(photo, start.found.solution, start.found.rival))
+                return self._fit(photo, *follow(photo, start.election.solution, start.election.rival))
             return self._fit(photo, *elect(photo))
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
-        terms = sh.term_count(self.order)
         tint = colour.split(best.x[:, 0] * photo.level)
         unit = photo.level * tint.gain
-        x = best.x.T * unit
         samples, lamps = self._samples(best, rival, unit, tint)
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
         energy = photo.mean_square * photo.level**2 * self.basis.response**2
-        inverse = solve_triangular(best.factor, np.eye(len(best.factor)), lower=True)
-        singular = self.basis.singular_values(terms)
         fit = Fit(
-            x[:terms],
-            np.zeros((terms, 3)),
-            float(np.sqrt(left.sum() / energy.sum())),
-            np.sqrt(left / np.maximum(energy, 1e-300)),
-            float(singular[0] / max(singular[-1], singular[0] * 1e-15)),
-            singular,
-            self.basis.pixels,
-            (len(inverse) - float(np.square(inverse).sum())) / 3,
-            all_coefficients=x,
+            order=self.order,
+            all_coefficients=best.x.T * unit,
+            residual=float(np.sqrt(left.sum() / energy.sum())),
+            residual_per_channel=np.sqrt(left / np.maximum(energy, 1e-300)),
+            condition=self.basis.condition(self.order),
+            effective_degrees_of_freedom=decided_unknowns(best.factor),
             noise=float(np.sqrt(best.v.sum() / photo.mean_square.sum())),
             lamps=lamps,
             tint=tint,
-            evidence=best.evidence,
-            found=Found(best, rival, photo, unit),
+            election=Election(best, rival, photo, unit),
         )
         return restated(fit, samples)
+
+    def reported_up_to(self, fit: Fit, order: int) -> Fit:
+        """The same fit with fewer orders reported."""
+        return replace(fit, order=order, condition=self.basis.condition(order))
 
     def _samples(self, best: Solution, rival: Solution | None, unit, tint):
         """(samples, terms, 3) of all of the light, and its lamps."""
@@ -164,7 +155,7 @@ class LightSolver:
 
         The derivative of the fit by the photograph: with J of the unknowns, b - A J_x (I + J^T J)^-1 J_x^T A^T N^-1 b.
         """
-        best, photo = fit.found.solution, fit.found.photo
+        best, photo = fit.election.solution, fit.election.photo
         terms = self.basis.terms
         by_light = best.model.jacobian(best.white, best.radiance, [np.eye(terms)] * 3)  # (3 terms, unknowns)
 
@@ -179,8 +170,8 @@ class LightSolver:
 
 
 @dataclass(frozen=True)
-class Found:
-    """How a fit was found.
+class Election:
+    """Which model was elected, of which photo.
 
     ``solution``; ``rival``, the rich model's where the plain one was elected, else None; the ``photo`` (its products);
     the ``unit`` (3,) of its light.
@@ -251,22 +242,6 @@ def hidden_lamps(basis: Basis, count: int, random) -> np.ndarray:
         irradiance = 2 * np.pi * np.exp(BRIGHTNESS / 2 * random.standard_normal(len(d)))
         out[lit] = (sh.evaluate(sh.order_of(basis.terms), d) * irradiance[:, None])[..., None]
     return out
-
-
-def restated(fit: Fit, samples) -> Fit:
-    """The fit with what ``samples`` (n, all terms, 3) of its posterior say: spread, range, what is determined."""
-    x, terms = fit.every, len(fit.coefficients)
-    low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
-    spread = np.maximum(np.maximum(above - x, x - below), 0)
-    known = determined(x, _without_scale(spread, x), natural_amplitude(sh.order_of(len(x))))
-    return replace(
-        fit,
-        stddev=spread[:terms],
-        determined=known[:terms],
-        all_determined=known,
-        samples=samples,
-        interval=np.stack([low, high])[:, :terms],
-    )
 
 
 def elect(photo: Photograph) -> tuple[Solution, Solution | None]:
@@ -350,8 +325,3 @@ def most_explained(best: Solution, photo: Photograph) -> np.ndarray:
     rest = np.maximum(own - np.square(imitated).sum(0), 1e-6 * own + 1e-300)
     gain = np.where(score > 0, score**2 / rest, 0.0)
     return field.directions[np.where(reaches(photo, field), gain, 0.0).argmax()]
-
-
-def _without_scale(spread, x) -> np.ndarray:
-    """The part of ``spread`` that is not the reflectance's scale."""
-    return np.sqrt(np.maximum(spread**2 - (REFLECTANCE * x) ** 2, 0))

@@ -22,9 +22,11 @@ there are): n pixels in channels whose misfits go together as `effective` indepe
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from threadpoolctl import ThreadpoolController
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
@@ -36,6 +38,14 @@ NEARLY_RIGHT = 0.08  # D, root mean square over the normals, of a material that 
 NEGLIGIBLE = 1e-2  # an eigenvalue of A^T N^-1 A, where the prior of the light has variances of some 1
 CHUNK = 1 << 13  # pixels: the basis images of a large photo are never copied whole
 SINGLE = np.sqrt(4 * np.pi)  # the first coefficient of light of radiance 1
+
+_controller = lru_cache(maxsize=1)(ThreadpoolController)
+
+
+def one_thread():
+    """A context in which a product takes one thread: those of 300 rows gain nothing from several, and lose much where
+    others run."""
+    return _controller().limit(limits=1, user_api="blas")
 
 
 class Basis:
@@ -96,13 +106,12 @@ class Basis:
             out[:, c] = self.images[:, : len(x), c] @ (x[:, c] / unit).astype(self.images.dtype)
         return out * unit
 
-    def singular_values(self, terms: int) -> np.ndarray:
-        """Of A's first ``terms`` columns, descending, of the channel with the worst condition: (terms,)."""
-        each = [
-            np.linalg.eigvalsh(g[:terms, :terms])[::-1] * r**2 for g, r in zip(self.grams, self.response, strict=True)
-        ]
-        worst = min(each, key=lambda values: values[-1] / values[0])
-        return np.sqrt(np.maximum(worst, 0))
+    def condition(self, order: int) -> float:
+        """Condition number of A up to an order, of the worst channel."""
+        n = sh.term_count(order)
+        each = [np.linalg.eigvalsh(g[:n, :n])[::-1] * r**2 for g, r in zip(self.grams, self.response, strict=True)]
+        worst = np.sqrt(np.maximum(min(each, key=lambda values: values[-1] / values[0]), 0))
+        return float(worst[0] / max(worst[-1], worst[0] * 1e-15))
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def log_probability(fit, log_slopes, weights) -> float:
     log_slopes : (p, 3), logarithm of the derivative of what was fitted by the codes
     weights : (p, 3)
     """
-    photo, solution = fit.found.photo, fit.found.solution
+    photo, solution = fit.election.photo, fit.election.solution
     slopes = float((weights * (log_slopes - np.log(photo.level))).sum())
     left = np.maximum(photo.noise(solution.x, solution.v, solution.discrepancy), LEAST_NOISE**2 * photo.mean_square)
     over = np.maximum(solution.v / left, 1.0)

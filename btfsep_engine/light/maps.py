@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import images
+from btfsep_engine import images, sh
 from btfsep_engine.conventions import pixel_solid_angles
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.lightings import EnvironmentMaps, turned
@@ -79,3 +79,23 @@ def training_lights(rotations: int = 4) -> EnvironmentMaps:
     stacked = np.stack(maps)
     stacked.setflags(write=False)  # it is cached and shared
     return EnvironmentMaps(stacked, tuple(names))
+
+
+@lru_cache(maxsize=10)
+def natural_amplitude(order: int) -> np.ndarray:
+    """Typical size of each coefficient of natural light, relative to the first.
+
+    The root mean square over the training lights, all channels and each band's terms; a band's terms share one value,
+    as if light could be turned about any axis.
+
+    Returns
+    -------
+    ((order + 1)^2,) float64, the first is 1
+    """
+    x = np.moveaxis(training_lights().coefficients(order), 1, 0)
+    relative = x / x[0].mean(-1, keepdims=True)
+    out = np.ones(sh.term_count(order))
+    for l in range(1, order + 1):
+        band = slice(l * l, (l + 1) ** 2)
+        out[band] = np.sqrt((relative[band] ** 2).mean())
+    return out

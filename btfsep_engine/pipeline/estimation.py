@@ -10,12 +10,10 @@ import numpy as np
 from btfsep_engine import report, sh
 from btfsep_engine.btf.model import Material
 from btfsep_engine.fit.diagnose import diagnose
-from btfsep_engine.fit.expected_error import expected_error
-from btfsep_engine.fit.least_squares import Fit, determined
 from btfsep_engine.fit.misalignment import silhouette_shift
+from btfsep_engine.fit.stated import Fit, expected_error
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.light.natural import natural_amplitude
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
@@ -78,7 +76,7 @@ class Estimate:
     @property
     def radiance(self):
         """The sky's own radiance (`light_account.sky_radiance`); None where its series is all that is known."""
-        return None if self.fit.found is None else sky_radiance(self.fit, self.lighting)
+        return None if self.fit.election is None else sky_radiance(self.fit, self.lighting)
 
 
 @dataclass(frozen=True)
@@ -216,11 +214,14 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
             for r, c in zip(problem.by_object(left), problem.by_object(b), strict=True)
         ]
         photos.append(PhotoFit(problem.scene, exposure, residuals, [len(p) for p in problem.points]))
-    known = fit.determined
-    if known is None:
-        known = determined(fit.coefficients, fit.stddev, natural_amplitude(settings.order))
     lighting = Lighting(
-        settings.order, fit.coefficients, fit.stddev, known, scene.job.exposure_ev, suns=suns, interval=fit.interval
+        settings.order,
+        fit.coefficients,
+        fit.stddev,
+        fit.determined,
+        scene.job.exposure_ev,
+        suns=suns,
+        interval=fit.interval,
     )
     with reporter.stage("checks"):
         doubts = all_doubts(problems, photos, materials, fit, solver, measured, lighting, settings)
@@ -386,14 +387,14 @@ def result_record(found: Estimate, settings: Settings) -> dict:
     }
 
 
-def determined_words(reported, fitted=None) -> str:
+def determined_words(reported, fitted) -> str:
     """What the photo determines: "the photo determines 14 of 100 coefficients; of order 3 and above: none".
 
-    ``reported`` : (terms,) bool, of the reported orders; ``fitted`` : of all orders of the fit, None where it is those
+    ``reported`` : (terms,) bool, of the reported orders; ``fitted`` : of all orders of the fit
     """
-    known = reported if fitted is None else fitted
+    known = fitted
     text = f"the photo determines {int(np.sum(known))} of {len(known)} coefficients"
-    if fitted is not None and len(fitted) > len(reported):
+    if len(known) > len(reported):
         text += f", {int(np.sum(reported))} of the {len(reported)} that are reported"
     orders = sh.order_of(len(known))
     each = [known[l * l : (l + 1) ** 2] for l in range(orders + 1)]

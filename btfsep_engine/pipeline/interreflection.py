@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.fit.least_squares import Fit, solve
+from btfsep_engine.fit.least_squares import solve
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.pipeline.scene import BRIGHTEST, INDIRECT_DIRECTIONS, PreparedScene
 from btfsep_engine.pipeline.settings import Settings, TransportSettings

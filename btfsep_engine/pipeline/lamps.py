@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.settings import FitSettings
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.files import Lighting
 
 UNKNOWN_COLOUR = 0.5  # probability, from which on it is said that the object's colour is not known
@@ -15,7 +15,7 @@ def sky_radiance(fit: Fit, lighting: Lighting):
     kept = [lamp for lamp in fit.lamps if not any(np.allclose(lamp.direction, sun.direction) for sun in lighting.suns)]
 
     def radiance(directions):
-        out = fit.found.radiance(directions)
+        out = fit.election.radiance(directions)
         for lamp in kept:
             disc = np.exp(BROAD * (np.asarray(directions) @ lamp.direction - 1))  # of integral 2 pi / BROAD
             out = out + disc[:, None] * (lamp.irradiance * BROAD / (2 * np.pi))
@@ -38,11 +38,11 @@ def lamp_record(lamp) -> dict:
 
 def light_words(fit: Fit) -> str:
     """Which model of the light the photo asked for."""
-    if fit.found is None:
+    if fit.election is None:
         return "spherical harmonics by least squares"
     lamps = len(fit.lamps)
     beside = f" and {lamps} lamp{'s' if lamps > 1 else ''}" if lamps else ""
-    plain = fit.found.solution.model.field.order == 0
+    plain = fit.election.solution.model.field.order == 0
     return f"even light{beside}: nothing richer explains the photo better" if plain else f"a free sky{beside}"
 
 

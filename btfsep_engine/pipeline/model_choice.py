@@ -8,7 +8,8 @@ is counted over blocks of neighbouring pixels (misfit is structured, pixels are 
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from btfsep_engine.fit.least_squares import Fit, solve
+from btfsep_engine.fit.least_squares import solve
+from btfsep_engine.fit.stated import Fit
 
 VISIBLE_CONTRAST = 0.05  # of the texture as the camera resolves it: less is not worth a second transport
 FOLDS = 5

@@ -7,7 +7,6 @@ import numpy as np
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.least_squares import reported_up_to
 from btfsep_engine.pipeline.interreflection import with_own_light
 from btfsep_engine.pipeline.model_choice import (
     appearance_choice,
@@ -158,7 +157,7 @@ def chosen_fit(problems, rich, settings: Settings):
     settings = replace(settings, appearance=appearance_name)
     if automatic and settings.estimator == "map":
         order = determined_order(fit.determined)
-        fit = reported_up_to(fit, order, solver)
+        fit = solver.reported_up_to(fit, order)
         settings = replace(settings, order=order)
         choice["order"] = f"the highest order of which the photo determines something is {order}"
     return settings, fit, solver, exposures, choice

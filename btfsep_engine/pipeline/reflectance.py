@@ -16,7 +16,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.btf.departures import departures
 from btfsep_engine.fit.diagnose import effect
-from btfsep_engine.fit.least_squares import Fit
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.pipeline.problem import pose
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import fit_together, stacked
@@ -53,7 +53,7 @@ def simpler(departed: Fit, fit: Fit) -> bool:
 
     Under light without a lamp roughness only makes all of it a little brighter: nothing could tell.
     """
-    plain = departed.found.rival is not None
+    plain = departed.election.rival is not None
     fewer = departed.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
     return bool(departed.lamps) and (plain or fewer)
 

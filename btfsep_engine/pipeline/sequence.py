@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.expected_error import expected_error
-from btfsep_engine.fit.least_squares import Fit
 from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.stated import Fit, expected_error
 from btfsep_engine.images import SUFFIXES
 from btfsep_engine.job.load import load_job, read_photo
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr

@@ -8,8 +8,9 @@ images do not change, so that they are factorised once and a turn takes millisec
 
 import numpy as np
 
-from btfsep_engine.fit.least_squares import Fit, solve
+from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.settings import FitSettings
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.log_normal import restated
+from btfsep_engine.fit.stated import restated
 from btfsep_engine.fit.tone_curve import (
     CANDIDATES,
     LINEAR,
@@ -161,7 +161,7 @@ def with_other_curves(problems, fit, solver, exposures):
         return fit
     kept = known.shares > PLAUSIBLE
     counts = np.floor(known.shares * kept / known.shares[kept].sum() * len(fit.samples)).astype(int)
-    samples, x = [fit.samples[: len(fit.samples) - counts[1:].sum()]], fit.every
+    samples, x = [fit.samples[: len(fit.samples) - counts[1:].sum()]], fit.all_coefficients
     for curve, count in zip(known.curves[1:], counts[1:], strict=True):
         if not count:
             continue
@@ -170,7 +170,7 @@ def with_other_curves(problems, fit, solver, exposures):
         ]
         b = np.concatenate([m / e for m, e in zip(measured, exposures, strict=True)])
         other = solver.solve(b, weights=all_weights(problems))
-        scale = float((other.every * x).sum() / max(np.square(other.every).sum(), 1e-300))
+        scale = float((other.all_coefficients * x).sum() / max(np.square(other.all_coefficients).sum(), 1e-300))
         samples.append(scale * other.samples[:count])
     return restated(fit, np.concatenate(samples)) if len(samples) > 1 else fit
 

@@ -17,7 +17,7 @@ The fit needs no weights against the choice: it conditions on where the pixels a
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.light.maps import natural_amplitude
 
 NORMAL_WEIGHT = 0.5  # of a normal's difference against a distance in scene radii
 CANDIDATES = 1 << 16  # more pixels than these are thinned evenly first

@@ -119,7 +119,7 @@ def study(shown: list, library, given):
                 "material": shot.shown,
                 "light": shot.light,
                 "tuned": tuned,
-                "even": fit.found.solution.model.field.order == 0,
+                "even": fit.election.solution.model.field.order == 0,
                 "lamps": len(fit.lamps),
                 "by method": {
                     m: errors(x, truth, (1, 2, 4)) for m, x in zip(METHODS, (*plain, fit.coefficients), strict=True)

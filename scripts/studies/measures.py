@@ -7,7 +7,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.fit import compare
-from btfsep_engine.fit.expected_error import expected_error
+from btfsep_engine.fit.stated import expected_error
 
 ERROR_ORDER = 2
 TERMS = sh.term_count(ERROR_ORDER)

@@ -23,7 +23,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import TriangleMesh
-from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.light.maps import natural_amplitude
 from btfsep_engine.pipeline.interreflection import own_light, with_own_light
 from btfsep_engine.pipeline.problem import Problem, pose
 from btfsep_engine.pipeline.scene import PreparedScene

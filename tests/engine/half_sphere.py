@@ -57,4 +57,4 @@ def shown(basis, x, rng=None, noise=0.0):
 
 def off(fit, x) -> float:
     """Relative error up to order 2, no free scale."""
-    return float(np.linalg.norm(fit.every[:9] - x[:9]) / np.linalg.norm(x[:9]))
+    return float(np.linalg.norm(fit.all_coefficients[:9] - x[:9]) / np.linalg.norm(x[:9]))

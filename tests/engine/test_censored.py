@@ -46,7 +46,7 @@ def test_an_inequality_stops_light_that_the_clipped_pixels_contradict(photograph
 
     def bright(limited):
         working, weights = working_values(solver, limited, clipped)
-        return solver.basis.predicted(solver.solve(working, weights=weights).every)[clipped].mean(), weights
+        return solver.basis.predicted(solver.solve(working, weights=weights).all_coefficients)[clipped].mean(), weights
 
     (plain, few), (pulled, many) = bright(values), bright(np.where(clipped, 2 * values, values))
     assert pulled > 1.15 * plain and many[clipped].mean() > 2 * few[clipped].mean()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.fit.compare import relative_l2
-from btfsep_engine.fit.expected_error import expected_error
+from btfsep_engine.fit.stated import expected_error
 
 
 def test_nothing_unknown_means_no_error_and_a_free_scale_costs_nothing(rng):

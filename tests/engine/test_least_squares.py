@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.least_squares import block_labels, determined, solve
+from btfsep_engine.fit.least_squares import block_labels, solve
+from btfsep_engine.fit.stated import determined
+from btfsep_engine.light.maps import natural_amplitude
 
 
 def problem(rng, pixels=3000, terms=9):
@@ -52,7 +54,7 @@ def test_the_stated_spread_is_the_spread(rng, correlated):
 def test_the_spread_grows_where_neighbours_err_together(rng):
     """A basis that varies slowly over the picture: correlated errors do not average out, and are not taken to."""
     blocks = np.arange(1200) // 30
-    basis = rng.normal(size=(40, 3, 3))[blocks]
+    basis = rng.normal(size=(40, 4, 3))[blocks]
     noise = rng.normal(size=(40, 3))[blocks]
     together = solve(basis, noise, blocks=blocks).stddev
     apart = solve(basis, rng.permutation(noise), blocks=blocks).stddev
@@ -77,6 +79,7 @@ def test_blocks_are_squares_of_the_picture():
 
 
 def test_determined_compares_with_what_nature_varies_by():
-    coefficients = np.array([[2.0] * 3, [0.0] * 3, [0.0] * 3])
-    stddev = np.array([[0.01] * 3, [0.2] * 3, [0.8] * 3])
-    assert determined(coefficients, stddev, [1.0, 0.5, 0.5]).tolist() == [True, True, False]
+    coefficients = np.array([[2.0] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3])
+    half = 0.5 * 2 * natural_amplitude(1)
+    stddev = half[:, None] * np.array([[0.01] * 3, [0.9] * 3, [1.1] * 3, [0.9] * 3])
+    assert determined(coefficients, stddev).tolist() == [True, True, False, True]

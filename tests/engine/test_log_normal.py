@@ -10,7 +10,7 @@ from btfsep_engine.fit.log_normal import WIDER, LightSolver, hidden_lamps
 from btfsep_engine.fit.products import NEARLY_RIGHT
 from btfsep_engine.fit.search import EXACT
 from btfsep_engine.light.log_field import natural_field
-from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.light.maps import natural_amplitude
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, off, project, shown, side_light
 
 
@@ -33,7 +33,7 @@ def apart(lamp_found, direction) -> float:
 
 
 def is_plain(fit) -> bool:
-    return fit.found.solution.model.field.order == 0
+    return fit.election.solution.model.field.order == 0
 
 
 def test_one_lamp_is_found_to_a_degree_and_is_all_that_there_is(rng):
@@ -81,9 +81,9 @@ def test_a_sun_in_a_sky_is_told_from_it(rng):
 
 def test_exposure_scales_the_light_and_reflectance_its_inverse(rng):
     fit, solver, b = solved(rng, side_light(), pixels=400)
-    np.testing.assert_allclose(solver.solve(5 * b).every, 5 * fit.every, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(solver.solve(5 * b).all_coefficients, 5 * fit.all_coefficients, rtol=1e-5, atol=1e-6)
     darker = LightSolver(solver.basis.images / 2, normals=half_normals(rng, solver), order=4)
-    np.testing.assert_allclose(darker.solve(b).every, 2 * fit.every, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(darker.solve(b).all_coefficients, 2 * fit.all_coefficients, rtol=1e-5, atol=1e-6)
 
 
 def half_normals(rng, solver):
@@ -96,7 +96,9 @@ def test_red_and_blue_are_alike(rng):
     fit, solver, b = solved(rng, side_light(), pixels=400, albedo=(0.7, 0.5, 0.3))
     swapped = LightSolver(solver.basis.images[..., ::-1], normals=half_normals(rng, solver), order=4)
     found = swapped.solve(b[:, ::-1])
-    np.testing.assert_allclose(found.every[:, ::-1], fit.every, atol=0.01 * np.abs(fit.every).max())
+    np.testing.assert_allclose(
+        found.all_coefficients[:, ::-1], fit.all_coefficients, atol=0.01 * np.abs(fit.all_coefficients).max()
+    )
     assert found.evidence == pytest.approx(fit.evidence, abs=0.5)
 
 
@@ -114,7 +116,7 @@ def test_a_usual_tint_is_the_lights_and_an_unusual_one_the_objects(rng):
     # the photo is what it is: who multiplies by the object's own colour sees it again
     left = b - solver.basis.predicted(fit.shown)
     assert np.linalg.norm(left) / np.linalg.norm(b) == pytest.approx(fit.residual, rel=1e-3) and fit.residual < 0.06
-    np.testing.assert_allclose(fit.shown * fit.tint.gain, fit.every)
+    np.testing.assert_allclose(fit.shown * fit.tint.gain, fit.all_coefficients)
 
 
 def test_the_reflectance_of_a_piece_is_known_to_a_tenth(rng):
@@ -148,18 +150,18 @@ def test_the_order_that_is_reported_changes_no_number(rng):
 def test_from_its_own_light_on_a_photo_has_the_same_light(rng, light):
     fit, solver, b = solved(rng, light)
     again = solver.solve(b, start=fit)
-    assert np.linalg.norm(again.every - fit.every) < 0.01 * np.linalg.norm(fit.every)
-    assert again.found.solution.model is fit.found.solution.model
+    assert np.linalg.norm(again.all_coefficients - fit.all_coefficients) < 0.01 * np.linalg.norm(fit.all_coefficients)
+    assert again.election.solution.model is fit.election.solution.model
     doubled = solver.solve(2 * b, start=fit)
-    np.testing.assert_allclose(doubled.every, 2 * again.every, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(doubled.all_coefficients, 2 * again.all_coefficients, rtol=1e-3, atol=1e-3)
 
 
 def test_where_nothing_but_light_is_missing_the_model_is_taken_for_exact(rng):
     """And where the material reflects a tenth more or less, smoothly over the normals, it is not."""
     fit, solver, b = solved(rng, sky(), noise=0.02)
-    assert fit.found.solution.discrepancy == EXACT
+    assert fit.election.solution.discrepancy == EXACT
     misfit = solver.basis.smooth @ rng.normal(size=24)
-    assert solver.solve(b * (1 + 0.1 * misfit[:, None])).found.solution.discrepancy == NEARLY_RIGHT
+    assert solver.solve(b * (1 + 0.1 * misfit[:, None])).election.solution.discrepancy == NEARLY_RIGHT
 
 
 def test_samples_predict_what_the_photo_says(rng):
@@ -219,7 +221,7 @@ def test_samples_are_laplaces(rng):
     cap = normals @ [0.6, -0.6, 0.5] > 0.5  # a part of the sphere: its unknowns go together
     solver = LightSolver(basis[cap], normals=normals[cap], order=2)
     fit = solver.solve(shown(basis[cap], sky(), rng, 0.03))
-    best, model = fit.found.solution, fit.found.solution.model
+    best, model = fit.election.solution, fit.election.solution.model
     assert isinstance(model, LightModel) and model.field is natural_field()
     values, vectors = np.linalg.eigh(best.factor @ best.factor.T)
     drawn = best.white + (rng.normal(size=(600, len(values))) / np.sqrt(values)) @ vectors.T

@@ -82,8 +82,8 @@ def test_what_is_determined_in_words():
         "the photo determines 17 of 100 coefficients, 17 of the 25 that are reported; "
         "all up to order 3, none above order 4"
     )
-    assert "not even" in determined_words(np.zeros(4, bool))
-    assert "not all of any order" in determined_words(np.array([False, True, True, True]))
+    assert "not even" in determined_words(*np.zeros((2, 4), bool))
+    assert "not all of any order" in determined_words(*np.tile([False, True, True, True], (2, 1)))
 
 
 def test_frames_come_in_the_order_of_their_numbers(tmp_path):

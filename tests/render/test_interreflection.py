@@ -85,7 +85,7 @@ def test_a_third_of_a_stated_deviation_is_worth_it_and_a_fifth_is_not():
     fit, solver, exposures = fit_together([problem], STRAIGHT)
 
     def decided(change):
-        stated = replace(fit, stddev=fit.stddev * (moved / change))
+        stated = replace(fit, all_stddev=fit.all_stddev * (moved / change))
         return own_light([problem], [[GREY]], stated, solver, exposures, STRAIGHT, bounces=20)
 
     moved = own_light([problem], [[GREY]], fit, solver, exposures, STRAIGHT, bounces=20).change

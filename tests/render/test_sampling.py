@@ -9,7 +9,7 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.light.natural import natural_amplitude
+from btfsep_engine.light.maps import natural_amplitude
 from btfsep_engine.pipeline.basis import USUAL, basis_images
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose

@@ -32,6 +32,6 @@ def test_it_integrates_to_the_fits_coefficients(light, split):
     # lamps that are no suns are discs of 15 degrees: with K = 30, degree 1 is 1 - 1/K of a point's, degree 2 1 - 3/K
     kept = np.zeros((100, 3)) + sum(lamp(each.direction, each.irradiance) for each in fit.lamps[split:])
     broad = 1 - np.repeat([0, 1 / 30, 3 / 30 - 3 / 30**2], [1, 3, 5])
-    stated = fit.every[:9] - (1 - broad)[:, None] * kept[:9]
+    stated = fit.all_coefficients[:9] - (1 - broad)[:, None] * kept[:9]
     np.testing.assert_allclose(found[:9], stated, atol=2e-3 * np.abs(stated).max())
     assert (radiance(normals) >= 0).all()

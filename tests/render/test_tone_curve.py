@@ -11,7 +11,7 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.expected_error import expected_error
+from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.fit.tone_curve import LINEAR, SRGB, ToneCurve
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting

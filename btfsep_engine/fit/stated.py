@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is stated of a light: its coefficients, how well they are known, which the photo determines, the expected error.
+
+An error of a light x^ is |s x^ - x| / |x| with the best factor s >= 0 (one free scale), over the coefficients up to an
+order. The truth x is any of the posterior's samples, so the error has a distribution; its median and the range that
+holds 68 % of it are the expected error: what was knowable, beside what was found.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from btfsep_engine import sh
+from btfsep_engine.light.maps import natural_amplitude
+
+DETERMINED = 0.5  # of what nature varies a coefficient by: known to better than that
+REFLECTANCE = 0.1  # of all light: a material's reflectance differs from piece to piece
+RANGE = (2.5, 97.5)  # percentiles of what is stated as the range
+MIDDLE = (15.9, 84.1)  # of a standard deviation: tails of an exponential would make the mean square say anything
+ERROR_RANGE = (16, 50, 84)  # percentiles of the expected error
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A fitted lighting. What is called "all" has all orders of the fit; the same without it, those up to ``order``.
+
+    Attributes
+    ----------
+    order : that is reported
+    all_coefficients, all_stddev : (terms, 3) float64
+    all_determined : (terms,) bool
+    all_interval : (2, terms, 3), the ends of the range that holds 95 % of the samples; None without a prior
+    residual : relative root mean square of b - A x, over all pixels and channels
+    residual_per_channel : (3,)
+    condition : 2-norm condition number of A up to ``order`` (the worst channel)
+    effective_degrees_of_freedom : of a channel's unknowns, how many the photo decides (all, without a prior)
+    noise : a pixel's own misfit over the photo's root mean square; None without a prior
+    samples : (n, terms, 3), lights as probable as the posterior has them; None without a prior
+    lamps : log_normal.Lamp, the brightest first
+    tint : colour.Tint, what of the light's colour was taken to be the object's; None without a prior
+    election : log_normal.Election, which models stood and what they were given; None without a prior
+    """
+
+    order: int
+    all_coefficients: np.ndarray
+    all_stddev: np.ndarray | None = None
+    all_determined: np.ndarray | None = None
+    all_interval: np.ndarray | None = None
+    residual: float
+    residual_per_channel: np.ndarray
+    condition: float
+    effective_degrees_of_freedom: float
+    noise: float | None = None
+    samples: np.ndarray | None = None
+    lamps: tuple = ()
+    tint: object | None = None
+    election: object | None = None
+
+    @property
+    def terms(self) -> int:
+        """How many coefficients are reported."""
+        return sh.term_count(self.order)
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """(terms, 3), those that are reported."""
+        return self.all_coefficients[: self.terms]
+
+    @property
+    def stddev(self) -> np.ndarray:
+        """(terms, 3)."""
+        return self.all_stddev[: self.terms]
+
+    @property
+    def determined(self) -> np.ndarray:
+        """(terms,) bool."""
+        return self.all_determined[: self.terms]
+
+    @property
+    def interval(self) -> np.ndarray | None:
+        """(2, terms, 3)."""
+        return None if self.all_interval is None else self.all_interval[:, : self.terms]
+
+    @property
+    def shown(self) -> np.ndarray:
+        """All coefficients whose A x is the photo: in the colour that the object gives them."""
+        return self.all_coefficients if self.tint is None else self.all_coefficients / self.tint.gain
+
+    @property
+    def evidence(self) -> float | None:
+        """Logarithm of how probable the photo is under the model, comparable for the same photo alone."""
+        return None if self.election is None else self.election.solution.evidence
+
+
+def determined(coefficients, stddev) -> np.ndarray:
+    """Which coefficients the photo determines: those it knows to better than half of what nature varies them by.
+
+    (terms, 3), (terms, 3) -> (terms,) bool
+    """
+    natural = natural_amplitude(sh.order_of(len(coefficients))) * np.abs(coefficients[0]).mean()
+    return np.sqrt((np.asarray(stddev) ** 2).mean(1)) < DETERMINED * natural
+
+
+def restated(fit: Fit, samples) -> Fit:
+    """The fit with what ``samples`` (n, terms, 3) of its posterior say: spread, range, what is determined.
+
+    The reflectance's scale, which all coefficients share, is in the spread, and leaves none of them undetermined.
+    """
+    x = fit.all_coefficients
+    low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
+    spread = np.maximum(np.maximum(above - x, x - below), 0)
+    pattern = np.sqrt(np.maximum(spread**2 - (REFLECTANCE * x) ** 2, 0))
+    return replace(
+        fit,
+        all_stddev=spread,
+        all_determined=determined(x, pattern),
+        all_interval=np.stack([low, high]),
+        samples=samples,
+    )
+
+
+def decided_unknowns(factor) -> float:
+    """Of a channel's unknowns of variance 1, how many the photo decides; ``factor``: of I + J^T J, lower Cholesky."""
+    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
+    return (len(factor) - float(np.square(inverse).sum())) / 3
+
+
+def expected_error(coefficients, samples, *, orders=(1, 2)) -> dict:
+    """The expected relative error up to each order, with one free scale.
+
+    Parameters
+    ----------
+    coefficients : (terms, 3), the estimate
+    samples : (n, at least so many terms, 3), lights as probable as the posterior has them
+    orders : those of them that the terms reach are answered
+
+    Returns
+    -------
+    {"order_1": {"median", "low", "high"}, …}, relative errors with one free scale
+    """
+    x, out = np.asarray(coefficients, np.float64), {}
+    for order in orders:
+        n = sh.term_count(order)
+        if n > len(x):
+            continue
+        a, b = x[:n].ravel(), np.asarray(samples)[:, :n].reshape(len(samples), -1)
+        scale = np.maximum(b @ a / max(a @ a, 1e-300), 0)
+        error = np.linalg.norm(scale[:, None] * a - b, axis=1) / np.maximum(np.linalg.norm(b, axis=1), 1e-300)
+        low, median, high = np.percentile(error, ERROR_RANGE)
+        out[f"order_{order}"] = {"median": float(median), "low": float(low), "high": float(high)}
+    return out
