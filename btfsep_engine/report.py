@@ -87,16 +87,15 @@ def render_objects(
     return out
 
 
-def write_estimate_report(path, found, settings) -> None:
+def write_estimate_report(path, found) -> None:
     """The report of an estimate: photo, recognised material, estimated light, re-rendering, difference.
 
     Parameters
     ----------
     path : PNG
     found : pipeline.estimation.Estimate
-    settings : pipeline.settings.Settings
     """
-    scene = found.scene.at_most(SIDE)
+    scene, settings = found.scene.at_most(SIDE), found.settings
     photo = scene.job.photo.radiance.astype(np.float64)  # a photo may be in any unit, and its squares overflow
     materials = [m.material for m in found.materials]
     textured = settings.appearance == "textured"

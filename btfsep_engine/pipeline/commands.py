@@ -8,7 +8,7 @@ from btfsep_engine.fit.three_spheres import three_spheres
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_any_lighting, read_any_map
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.estimation import material_record, object_materials
+from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.recognition import trained_recogniser
 from btfsep_engine.pipeline.record import run_record
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -48,7 +48,7 @@ def run_recognise(folder, library, settings: Settings, *, reporter) -> dict:
             "the photo's tone curve is unknown: it was read as sRGB; an estimate finds it, and recognises by it"
         )
     found = object_materials(scene, library, settings, names=[None] * len(scene.job.objects))
-    objects = [{"name": o.name, **material_record(m)} for o, m in zip(scene.job.objects, found, strict=True)]
+    objects = [{"name": o.name, **m.record} for o, m in zip(scene.job.objects, found, strict=True)]
     return {"objects": objects, **run_record(settings, reporter)}
 
 

@@ -14,15 +14,13 @@ from btfsep_engine.conventions import direction_to_equirect, pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.estimation import determined_words
 from btfsep_engine.pipeline.given import given_materials
-from btfsep_engine.pipeline.model_choice import texture_contrast
-from btfsep_engine.pipeline.modelling import appearance, part_of
-from btfsep_engine.pipeline.problem import pose, shares
-from btfsep_engine.pipeline.record import run_record, write_json
+from btfsep_engine.pipeline.model import view_problem
+from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.record import determined_words, run_record, write_json
+from btfsep_engine.pipeline.refine.texture import texture_contrast
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.sampling import choose_pixels
 
 SHAPE_NOISE = 0.05  # misfit of an object without texture, over its photo: shape, noise, what the basis leaves out
 TEXTURE_SHARE = 0.6  # of a texture's contrast: so much stays a pixel's own misfit (white, leather, wood, denim alike)
@@ -58,23 +56,14 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
         names = [m.name for m in materials]
     out = Path(out) if out is not None else job.folder / "plan"
     scene = PreparedScene(job, reporter)
-    textured = settings.appearance == "textured"
     with reporter.stage("transport"):
-        counts = shares(scene, settings.pixels)
-        points = [
-            scene.points(i, region=part_of(r, n, settings), textured=textured)
-            for i, (r, n) in enumerate(zip(scene.regions, counts, strict=True))
-        ]
-        chosen = [
-            p.take(choose_pixels(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)
-        ]
-        problem = pose(scene, [appearance(m, settings) for m in materials], chosen, settings)
+        problem = view_problem(scene, materials, settings)
     if noise is None:
-        noise = max(_expected_noise(m, p, scene, textured) for m, p in zip(materials, chosen, strict=True))
+        noise = max(_expected_noise(problem, i, m) for i, m in enumerate(materials))
     with reporter.stage("plan"):
         order = min(settings.order, settings.fit_order)
         found = foresee(problem.all_basis, normals=problem.normals, order=order, noise=noise, seed=settings.seed)
-    eye = np.concatenate([p.to_eye for p in chosen]).mean(0)
+    eye = np.concatenate([p.to_eye for p in problem.points]).mean(0)
     with reporter.stage("writing"):
         draw_plan(out / "plan.png", found, eye / max(np.linalg.norm(eye), 1e-12), names)
     result = {
@@ -82,7 +71,7 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
         "version": 1,
         "objects": [
             {"name": o.name, "material": n, "pixels": len(p)}
-            for o, n, p in zip(job.objects, names, chosen, strict=True)
+            for o, n, p in zip(job.objects, names, problem.points, strict=True)
         ],
         "order": order,
         "fit_order": settings.fit_order,
@@ -102,10 +91,10 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
     return {**result, "out": str(out), "picture": str(out / "plan.png")}
 
 
-def _expected_noise(material, points, scene, textured: bool) -> float:
+def _expected_noise(problem: Problem, index: int, material) -> float:
     """Relative misfit to expect: shape and, where it is not fitted, the texture that the camera resolves."""
-    footprint = float(np.median(points.footprint)) * scene.millimetres_per_unit
-    texture = 0.0 if textured or material.lines_up else texture_contrast(material, footprint)
+    footprint = float(np.median(problem.points[index].footprint)) * problem.scene.millimetres_per_unit
+    texture = 0.0 if problem.materials[index] is material else texture_contrast(material, footprint)
     return float(np.hypot(SHAPE_NOISE, TEXTURE_SHARE * min(texture, 0.8)))
 
 

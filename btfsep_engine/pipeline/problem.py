@@ -20,6 +20,7 @@ class Problem:
     Attributes
     ----------
     scene : PreparedScene
+    materials : the Material that stands for each object in its basis images
     points : list of SurfacePoints, one for each object
     basis : list of (p, terms, 3) float32, their basis images
     transport : how the basis images were made, for ``result.json``
@@ -27,11 +28,10 @@ class Problem:
     weights : (p, 3) in [0, 1], 1 over the variance of each value; None: all 1
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
-    clipped : share of the channels of the chosen points that are saturated, 0 to 1
-    between : as ``basis``, the part of it that surfaces send each other, where that was added to the rest; or None
     """
 
     scene: object
+    materials: list
     points: list
     basis: list
     transport: dict
@@ -39,8 +39,6 @@ class Problem:
     weights: np.ndarray | None = None
     scales: np.ndarray | None = None
     left_out: int | None = None
-    clipped: float = 0.0
-    between: list | None = None
 
     @property
     def all_basis(self) -> np.ndarray:
@@ -62,35 +60,45 @@ class Problem:
         """(p, 3) unit, world, of all objects."""
         return np.concatenate([p.normal for p in self.points])
 
+    @property
+    def clipped(self) -> np.ndarray:
+        """(p, 3) bool: channels of which the photograph says a lower bound only."""
+        clipped = self.scene.job.photo.clipped
+        return np.zeros((len(self.pixels), 3), bool) if clipped is None else self.values_of(clipped)
+
+    def values_of(self, image) -> np.ndarray:
+        """(p, …), the values of an image (h, w, …) of the same view."""
+        return image[tuple(self.pixels.T)]
+
     def radiance(self, photo=None) -> np.ndarray:
         """(p, 3) float64 to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
         if photo is None and self.measured is not None:
             return self.measured
         image = self.scene.job.photo.radiance if photo is None else photo
-        pixels = self.pixels
-        return image[pixels[:, 0], pixels[:, 1]].astype(np.float64)  # floats overflow when squared
+        return self.values_of(image).astype(np.float64)  # floats overflow when squared
 
     def by_object(self, values) -> list:
-        """Rows of all points, (p, …), cut by object."""
+        """Rows of all points, (p, …), cut by object; views into them."""
         return np.split(values, np.cumsum([len(p) for p in self.points])[:-1])
 
-    def kept(self, used) -> "Problem":
-        """The same with some of its points: ``used`` (p,) bool."""
-        parts = self.by_object(used)
+    def kept(self, chosen) -> "Problem":
+        """The same with some of its points: ``chosen`` (p,) bool."""
+        parts = self.by_object(chosen)
         return replace(
             self,
             points=[p.take(np.flatnonzero(u)) for p, u in zip(self.points, parts, strict=True)],
             basis=[a[u] for a, u in zip(self.basis, parts, strict=True)],
-            measured=None if self.measured is None else self.measured[used],
-            weights=None if self.weights is None else self.weights[used],
-            between=self.between and [a[u] for a, u in zip(self.between, parts, strict=True)],
+            measured=None if self.measured is None else self.measured[chosen],
+            weights=None if self.weights is None else self.weights[chosen],
         )
+
+    def of_materials(self, materials, settings: Settings) -> "Problem":
+        """The same points, objects made of other ``materials``."""
+        return replace(self, materials=materials, basis=pose(self.scene, materials, self.points, settings).basis)
 
     def up_to(self, order: int) -> "Problem":
         """The same with fewer basis lights."""
-        terms = (order + 1) ** 2
-        between = self.between and [a[:, :terms] for a in self.between]
-        return replace(self, basis=[a[:, :terms] for a in self.basis], between=between)
+        return replace(self, basis=[a[:, : (order + 1) ** 2] for a in self.basis])
 
     def predicted(self, x) -> np.ndarray:
         """A x: (p, 3) float64, of coefficients (terms, 3), as many as there are basis lights or fewer."""
@@ -103,20 +111,7 @@ class Problem:
         return np.concatenate(out).astype(np.float64) * unit
 
 
-def shares(scene, pixels: int) -> list[int]:
-    """How many of ``pixels`` each object gets, by what of it is seen; 0: all."""
-    sizes = np.array([r.sum() for r in scene.regions], np.float64)
-    return [max(int(n), 1) for n in pixels * sizes / sizes.sum()] if pixels else [0] * len(sizes)
-
-
-def left_out_words(problems) -> str:
-    """How many pixels were not explained by the light, and left out."""
-    lost = sum(p.left_out or 0 for p in problems)
-    share = 100 * lost / max(lost + sum(len(points) for p in problems for points in p.points), 1)
-    return f"{lost} pixels ({share:.1f} %) that the light does not explain were left out"
-
-
-def pose(scene, used, points, settings: Settings) -> Problem:
-    """The basis images of ``points`` (a SurfacePoints for each object) with the materials ``used``."""
-    basis, transport = basis_images(scene, used, points, SHBasis(settings.fit_order), settings)
-    return Problem(scene, points, basis, transport)
+def pose(scene, materials, points, settings: Settings) -> Problem:
+    """The basis images of ``points`` (a SurfacePoints for each object), whose ``materials`` stand for the objects."""
+    basis, transport = basis_images(scene, materials, points, SHBasis(settings.fit_order), settings)
+    return Problem(scene, materials, points, basis, transport)

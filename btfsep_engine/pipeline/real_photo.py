@@ -13,7 +13,6 @@ import numpy as np
 from btfsep_engine.fit.censored import working_values
 from btfsep_engine.fit.robust import outliers
 from btfsep_engine.fit.white_balance import free_scales
-from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.settings import FitSettings
 from btfsep_engine.pipeline.together import light_solver
@@ -22,74 +21,34 @@ STIFF = 4.0  # times the coarsening of an estimate, where pixels are looked for 
 PHOTOS_OWN = "the light's scale is the photo's own: its exposure and white balance cannot be told from the light's"
 
 
-def clipped_channels(scene, points) -> np.ndarray:
-    """Which channels of the points' pixels are lower bounds: (p, 3) bool."""
-    clipped = scene.job.photo.clipped
-    if clipped is None:
-        return np.zeros((len(points), 3), bool)
-    return clipped[points.pixels[:, 0], points.pixels[:, 1]]
-
-
-def warn_of_clipping(scene, index: int, settings: FitSettings) -> None:
-    """Says where much of an object is saturated or transparent, and what becomes of it."""
-    region = scene.regions[index]
-    unusable = region & ~scene.job.photo.usable
-    share = unusable.sum() / max(region.sum(), 1)
-    if share <= THRESHOLDS.clipped:
-        return
-    clipped = scene.job.photo.clipped
-    bounds = settings.estimator == "map" and clipped is not None and (unusable & clipped.any(-1)).any()
-    enter = (
-        "the saturated ones count as at least as bright as they are"
-        if bounds
-        else "were left out: what they saw of the light is not in the estimate"
-    )
-    scene.reporter.warn(
-        f"{100 * share:.0f} % of the pixels of object '{scene.job.objects[index].name}' are saturated or transparent"
-        f"{'; ' if bounds else ' and '}{enter}"
-    )
-
-
-def as_real_photos(problems, rich, materials, settings: FitSettings):
-    """The problems with clipped channels and free scales settled.
+def as_real_photo(problem: Problem, settings: FitSettings, *, recognised) -> Problem:
+    """The problem with clipped channels and free scales settled.
 
     Parameters
     ----------
-    problems : list of Problem, one for each photograph; rich : the same points with textures, or None
-    materials : for each photograph the estimation.ObjectMaterial of each object
     settings : with a prior
-
-    Returns
-    -------
-    problems, rich
+    recognised : of each object, whether its material is
     """
-    out = []
-    for i, (problem, found) in enumerate(zip(problems, materials, strict=True)):
-        clipped = np.concatenate([clipped_channels(problem.scene, p) for p in problem.points])
-        used, measured, weights = np.ones(len(clipped), bool), None, None
-        solving = replace(settings, order=settings.fit_order)
-        if clipped.any():
-            measured, weights = working_values(light_solver([problem], solving), problem.radiance(), clipped)
-            used = weights.any(1)
-            for part in problem.by_object(used):  # views into it: no object may vanish from the fit
-                if not part.any():
-                    part[:] = True
-        problem = replace(problem, measured=measured, weights=weights, clipped=float(clipped.mean()))
-        one = problem.kept(used)
-        if settings.robust:
-            stiff = light_solver([one], solving, coarsening=STIFF)
-            out_of_line = outliers(stiff, one.radiance(), weights=one.weights)
-            for part in one.by_object(out_of_line):  # views into it: no object may vanish from the fit
-                part &= not part.all()
-            used[used] = ~out_of_line
-            one = replace(problem, left_out=int(out_of_line.sum())).kept(used)
-        scales = scales_of(one, [not m.given for m in found])
-        both = [one]
-        if rich is not None:
-            same = replace(rich[i], measured=measured, weights=weights, clipped=problem.clipped, left_out=one.left_out)
-            both.append(same.kept(used))
-        out.append([_divided(p, scales) for p in both])
-    return [each[0] for each in out], None if rich is None else [each[1] for each in out]
+    clipped, solving = problem.clipped, replace(settings, order=settings.fit_order)
+    if clipped.any():
+        measured, weights = working_values(light_solver([problem], solving), problem.radiance(), clipped)
+        problem = replace(problem, measured=measured, weights=weights)
+        problem = problem.kept(_some_of_each(problem, weights.any(1)))
+    if settings.robust:
+        stiff = light_solver([problem], solving, coarsening=STIFF)
+        kept = _some_of_each(problem, ~outliers(stiff, problem.radiance(), weights=problem.weights))
+        problem = replace(problem, left_out=int((~kept).sum())).kept(kept)
+    scales = scales_of(problem, recognised)
+    if scales is None:
+        return problem
+    parts = [b / s for b, s in zip(problem.by_object(problem.radiance()), scales, strict=True)]
+    return replace(problem, measured=np.concatenate(parts), scales=scales)
+
+
+def _some_of_each(problem: Problem, kept) -> np.ndarray:
+    """``kept`` (p,) bool, and all of an object of which it is nothing: none may vanish from the fit."""
+    parts = problem.by_object(kept)
+    return np.concatenate([part if part.any() else np.ones_like(part) for part in parts])
 
 
 def scales_of(problem: Problem, recognised) -> np.ndarray | None:
@@ -103,13 +62,6 @@ def scales_of(problem: Problem, recognised) -> np.ndarray | None:
         blocks=problem.by_object(problem.blocks),
         free=recognised,
     )
-
-
-def _divided(problem: Problem, scales) -> Problem:
-    if scales is None:
-        return problem
-    parts = [b / s for b, s in zip(problem.by_object(problem.radiance()), scales, strict=True)]
-    return replace(problem, measured=np.concatenate(parts), scales=scales)
 
 
 def scale_words(problems) -> str:
@@ -127,3 +79,10 @@ def scale_words(problems) -> str:
             f"{'; '.join(each)} times (red, green, blue) its material"
         )
     return " | ".join(said) or PHOTOS_OWN
+
+
+def left_out_words(problems) -> str:
+    """How many pixels were not explained by the light, and left out."""
+    lost = sum(p.left_out or 0 for p in problems)
+    share = 100 * lost / max(lost + sum(len(points) for p in problems for points in p.points), 1)
+    return f"{lost} pixels ({share:.1f} %) that the light does not explain were left out"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is kept of a run: settings, versions, time, memory."""
+"""What is kept of a run: settings, versions, time, memory; and of an estimate, all that it found."""
 
 import importlib.metadata
 import json
@@ -10,8 +10,10 @@ from dataclasses import asdict
 
 import numpy as np
 
-from btfsep_engine import __version__
+from btfsep_engine import __version__, sh
 from btfsep_engine.atomic import write_text
+from btfsep_engine.fit.stated import expected_error
+from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.backend import choose_backend
 
@@ -48,6 +50,59 @@ def run_record(settings: Settings, reporter) -> dict:
         "peak_memory_mb": peak_memory_mb(),
         "settings": asdict(settings),
         "versions": versions(),
+    }
+
+
+def determined_words(reported, fitted) -> str:
+    """What the photo determines: "the photo determines 14 of 100 coefficients; of order 3 and above: none".
+
+    ``reported`` : (terms,) bool, of the reported orders; ``fitted`` : of all orders of the fit
+    """
+    known = fitted
+    text = f"the photo determines {int(np.sum(known))} of {len(known)} coefficients"
+    if len(known) > len(reported):
+        text += f", {int(np.sum(reported))} of the {len(reported)} that are reported"
+    orders = sh.order_of(len(known))
+    each = [known[l * l : (l + 1) ** 2] for l in range(orders + 1)]
+    whole = next((l for l, band in enumerate(each) if not band.all()), orders + 1) - 1
+    highest = max((l for l, band in enumerate(each) if band.any()), default=-1)
+    if highest < 0:
+        return text + "; not even how bright the light is"
+    all_of = f"all up to order {whole}" if whole >= 0 else "not all of any order"
+    return f"{text}; {all_of}, none above order {highest}"
+
+
+def result_record(estimate) -> dict:
+    """The content of ``result.json``, of an `estimation.Estimate`."""
+    fit, settings, job = estimate.fit, estimate.settings, estimate.scene.job
+    first, reporter = estimate.photos[0], estimate.scene.reporter
+    objects = zip(job.objects, estimate.materials, first.pixels, first.residuals, strict=True)
+    return {
+        "format": "btfsep-result",
+        "version": 1,
+        "job_digest": job.digest,
+        "objects": [{"name": o.name, **m.record, "pixels": n, "residual": left} for o, m, n, left in objects],
+        "residual": fit.residual,
+        "residual_per_channel": fit.residual_per_channel,
+        "order": settings.order,
+        "estimator": settings.estimator,
+        "fit_order": settings.fit_order,
+        "effective_degrees_of_freedom": fit.effective_degrees_of_freedom,
+        "noise": fit.noise,
+        "lamps": [lamp_record(lamp) for lamp in fit.lamps],
+        "object_tint": None if fit.tint is None else fit.tint.object_tint,
+        "colour_unknown": None if fit.tint is None else fit.tint.unknown,
+        "determined": determined_words(fit.determined, fit.all_determined),
+        "expected_error": None if fit.samples is None else expected_error(fit.coefficients, fit.samples),
+        "choice": estimate.choice,
+        "photos": [
+            {"job": p.scene.job.folder.name, "exposure": p.exposure, "residuals": p.residuals, "pixels": p.pixels}
+            for p in estimate.photos
+        ],
+        "condition_number": fit.condition,
+        "transport": estimate.model.problems[0].transport,
+        "saturated_pixels": job.photo.saturated,
+        **run_record(settings, reporter),
     }
 
 

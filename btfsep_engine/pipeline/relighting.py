@@ -13,7 +13,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting, seen_lighting
 from btfsep_engine.light.lightings import EnvironmentMaps
 from btfsep_engine.light.maps import read_map
-from btfsep_engine.pipeline.estimation import object_materials
+from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.record import run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings

@@ -13,18 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import Fit, expected_error
 from btfsep_engine.images import SUFFIXES
 from btfsep_engine.job.load import load_job, read_photo
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.pipeline.estimation import determined_words, material_record, object_materials
-from btfsep_engine.pipeline.modelling import appearance, part_of
-from btfsep_engine.pipeline.problem import pose, shares
-from btfsep_engine.pipeline.record import run_record, write_json
+from btfsep_engine.pipeline.materials import object_materials
+from btfsep_engine.pipeline.model import view_problem
+from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.record import determined_words, run_record, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.render.sampling import choose_pixels
+from btfsep_engine.pipeline.together import light_solver
 
 _DIGITS = re.compile(r"([0-9]+)")
 
@@ -54,40 +53,28 @@ WORSE = 1.2  # of the last frame's residual: from there on a frame's model is lo
 
 
 class FrameSolver:
-    """Frames of one view, solved with what stands still.
+    """Frames of one view, solved with what stands still: a Problem without a photo of its own."""
 
-    Parameters
-    ----------
-    basis : (p, terms, 3); normals : (p, 3) unit; pixels : (p, 2) row and column
-    settings : Settings
-    """
-
-    def __init__(self, basis, normals, pixels, settings: Settings):
-        self.basis, self.normals, self.pixels, self.settings = basis, normals, pixels, settings
-        self.solver = self._solver(slice(None))
+    def __init__(self, problem: Problem, settings: Settings):
+        self.problem, self.settings = problem, settings
+        self.solver = light_solver([problem], settings)
         self.before: Fit | None = None
-
-    def _solver(self, chosen) -> LightSolver:
-        return LightSolver(
-            self.basis[chosen], normals=self.normals[chosen], order=int(self.settings.order), seed=self.settings.seed
-        )
 
     def solve(self, photo):
         """The Fit of a `job.model.Photo`, and how many of the pixels were saturated.
 
         A frame keeps the last one's model, from its light on, unless that explains it much worse (`WORSE`).
         """
-        rows, columns = self.pixels.T
-        usable = photo.usable[rows, columns]
-        lost = int((~usable).sum())
-        solver = self._solver(usable) if lost else self.solver
-        b = photo.radiance[rows[usable], columns[usable]]
-        before = self.before
+        usable, problem, solver = self.problem.values_of(photo.usable), self.problem, self.solver
+        if not usable.all():
+            problem = problem.kept(usable)
+            solver = light_solver([problem], self.settings)
+        b, before = problem.values_of(photo.radiance), self.before
         fit = solver.solve(b, start=before)
         if before is not None and fit.residual > WORSE * before.residual:
             fit = solver.solve(b)
         self.before = fit
-        return fit, lost
+        return fit, int((~usable).sum())
 
 
 def run_sequence(
@@ -120,19 +107,11 @@ def run_sequence(
             raise InputError("a sequence", "image_colorspace 'unknown'", "say srgb or linear in the job")
     out = Path(out) if out is not None else job.folder / "sequence"
     scene = PreparedScene(job, reporter)
-    found = object_materials(scene, library, settings, names=[material or o.material for o in job.objects])
+    materials = object_materials(scene, library, settings, names=[material or o.material for o in job.objects])
     with reporter.stage("transport"):
-        counts = shares(scene, settings.pixels)
-        points = [
-            scene.points(i, region=part_of(r, n, settings), textured=settings.appearance == "textured")
-            for i, (r, n) in enumerate(zip(scene.regions, counts, strict=True))
-        ]
-        points = [
-            p.take(choose_pixels(p, n, seed=settings.seed)) if n else p for p, n in zip(points, counts, strict=True)
-        ]
-        problem = pose(scene, [appearance(m.material, settings) for m in found], points, settings)
+        problem = view_problem(scene, [m.material for m in materials], settings)
     with reporter.stage("factorising"):
-        solver = FrameSolver(problem.all_basis, problem.normals, problem.pixels, settings)
+        solver = FrameSolver(problem, settings)
     lights, solving = [], []
     for i, file in enumerate(files):
         with reporter.timed("reading"):
@@ -161,7 +140,7 @@ def run_sequence(
     result = {
         "format": "btfsep-sequence",
         "version": 1,
-        "objects": [{"name": o.name, **material_record(m)} for o, m in zip(job.objects, found, strict=True)],
+        "objects": [{"name": o.name, **m.record} for o, m in zip(job.objects, materials, strict=True)],
         "order": settings.order,
         "frames": lights,
         "median_milliseconds_per_further_frame": round(1000 * float(np.median(solving[1:] or solving)), 2),

@@ -6,8 +6,11 @@ turns: with the light known, e_k is a projection; with the exposures known, the 
 images do not change, so that they are factorised once and a turn takes milliseconds.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from btfsep_engine import sh
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import Fit
@@ -17,6 +20,37 @@ from btfsep_engine.pipeline.settings import FitSettings
 TURNS = 30
 SETTLED = 1e-4  # relative change of an exposure
 APART = 1 << 30  # blocks' numbers of one photo
+
+
+@dataclass(frozen=True)
+class SolvedLight:
+    """The light of a list of Problems.
+
+    Attributes
+    ----------
+    fit : Fit
+    solver : its LightSolver; None for least squares
+    exposures : of each photograph over the first's
+    suns : light.sun.Sun, the lamps that are told apart from the sky, the brightest first
+    """
+
+    fit: Fit
+    solver: LightSolver | None
+    exposures: list
+    suns: tuple = ()
+
+    @property
+    def order(self) -> int:
+        """That is reported."""
+        return sh.order_of(len(self.fit.coefficients))
+
+    def radiance(self, problems: list[Problem]) -> np.ndarray:
+        """(p, 3) float64 of all photographs, in the first one's exposure: what is fitted."""
+        return np.concatenate([p.radiance() / e for p, e in zip(problems, self.exposures, strict=True)])
+
+    def left_over(self, problems: list[Problem]) -> np.ndarray:
+        """(p, 3) of all photographs, in the first one's exposure: what the light does not explain."""
+        return self.radiance(problems) - np.concatenate([p.predicted(self.fit.shown) for p in problems])
 
 
 def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: float = 1.0) -> LightSolver:
@@ -45,33 +79,23 @@ def stacked(problems: list[Problem]):
     return np.concatenate([p.all_basis for p in problems]), blocks
 
 
-def fit_together(problems: list[Problem], settings: FitSettings) -> tuple[Fit, LightSolver | None, list[float]]:
-    """The light of all photographs.
-
-    Parameters
-    ----------
-    problems : of each photograph; settings : with a number as ``order``
-
-    Returns
-    -------
-    fit, the solver (None for least squares), and the exposure of each photograph over the first's
-    """
+def fit_together(problems: list[Problem], settings: FitSettings) -> SolvedLight:
+    """The light of all photographs; ``settings`` : with a number as ``order``."""
     solver = light_solver(problems, settings) if settings.estimator == "map" else None
-    basis, blocks = (None, None) if solver else stacked(problems)
-    measured = [p.radiance().astype(np.float64) for p in problems]
-    exposures, fit, weights = [1.0] * len(problems), None, all_weights(problems)
+    basis, blocks = (None, None) if solver else stacked([p.up_to(settings.order) for p in problems])
+    light, weights = SolvedLight(None, solver, [1.0] * len(problems)), all_weights(problems)
     for _ in range(TURNS if len(problems) > 1 else 1):
-        b = np.concatenate([m / e for m, e in zip(measured, exposures, strict=True)])
-        fit = solver.solve(b, weights=weights, start=fit) if solver else solve(basis, b, blocks=blocks)
-        before, found = exposures, [exposure_of(p, m, fit) for p, m in zip(problems, measured, strict=True)]
-        exposures = [e / found[0] for e in found]  # what all photos miss alike is no exposure
-        if max(abs(a / e - 1) for a, e in zip(before, exposures, strict=True)) < SETTLED:
+        b, before = light.radiance(problems), light
+        fit = solver.solve(b, weights=weights, start=before.fit) if solver else solve(basis, b, blocks=blocks)
+        factors = [exposure_of(p, fit) for p in problems]
+        light = SolvedLight(fit, solver, [e / factors[0] for e in factors])  # what all photos miss alike is no exposure
+        if max(abs(a / e - 1) for a, e in zip(before.exposures, light.exposures, strict=True)) < SETTLED:
             break
-    return fit, solver, exposures
+    return light
 
 
-def exposure_of(problem: Problem, measured, fit: Fit) -> float:
+def exposure_of(problem: Problem, fit: Fit) -> float:
     """The factor on the light that explains a photo best, least squares, > 0."""
     predicted = problem.predicted(fit.shown)
-    factor = float((predicted * measured).sum() / max(float(np.square(predicted).sum()), 1e-300))
+    factor = float((predicted * problem.radiance()).sum() / max(float(np.square(predicted).sum()), 1e-300))
     return max(factor, 1e-6)

@@ -31,10 +31,11 @@ from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import doubts
-from btfsep_engine.pipeline.interreflection import open_share
-from btfsep_engine.pipeline.model_choice import solve_at_any_order
-from btfsep_engine.pipeline.modelling import appearance, chosen_points
+from btfsep_engine.pipeline.model import stand_ins
+from btfsep_engine.pipeline.points import chosen_points, photographed_regions
 from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.refine.interreflection import open_share
+from btfsep_engine.pipeline.refine.order import cross_validated_order
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import light_solver
@@ -58,14 +59,15 @@ class View:
     def __init__(self, shown: list, library):
         self.scene, self.library, self.name = PreparedScene(load_job(shown[0].folder), Reporter()), library, shown[0]
         self.settings = choose("balanced")
-        self.points = chosen_points(self.scene, 0, self.settings.pixels, self.settings)
+        regions = photographed_regions(self.scene, self.settings)
+        self.points = chosen_points(self.scene, self.settings, regions=regions, textured=False)[0]
         self.opened = open_share(self.scene, self.points)
         self.right = self.problem(self.name.material)
 
     def problem(self, name: str, **changes):
         """The pixels' basis images in a material."""
         how = choose("balanced", **changes)
-        return pose(self.scene, [appearance(self.library.load(name), how)], [self.points], how)
+        return pose(self.scene, stand_ins([self.library.load(name)], how.appearance), [self.points], how)
 
     def solver(self, *of, **changes):
         return light_solver([self.problem(*of, **changes)], choose("balanced", **changes))
@@ -75,7 +77,7 @@ class View:
         return photo[tuple(self.points.pixels.T)].astype(np.float64)
 
     def doubts(self, solver, b, photo) -> dict:
-        """Which doubts an estimate raises, as `pipeline.estimation.all_doubts` does."""
+        """Which doubts an estimate raises, as `pipeline.checks.all_doubts` does."""
         if doubts.alignment_doubt(silhouette_shift(photo, self.scene.view.mesh >= 0)):
             return {"raised": ["shift"]}
         p, fit = self.points, solver.solve(b)
@@ -111,8 +113,8 @@ def study(shown: list, library, given):
         photo = load_job(shot.folder).photo.radiance
         b, tuned, truth = view.at(photo), shot.light in given.tuned, shot.truth(4)
         fit, basis, blocks = solver.solve(b), view.right.all_basis, view.right.blocks
-        plain = [solve(basis[:, : (n + 1) ** 2], b, blocks=blocks).coefficients for n in ORDERS]
-        chosen = solve_at_any_order(basis, b, blocks, view.settings.fit_order)[0].coefficients[:25]
+        order, _ = cross_validated_order(basis, b, blocks, view.settings.fit_order)
+        *plain, chosen = (solve(basis[:, : (n + 1) ** 2], b, blocks=blocks).coefficients[:25] for n in (*ORDERS, order))
         plain.append(np.pad(chosen, ((0, 25 - len(chosen)), (0, 0))))  # what it left out, it took for 0
         rows.append(
             {

@@ -24,8 +24,9 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.light.maps import natural_amplitude
-from btfsep_engine.pipeline.interreflection import own_light, with_own_light
+from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import Problem, pose
+from btfsep_engine.pipeline.refine.interreflection import own_light, with_own_light
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, choose
 from btfsep_engine.pipeline.together import fit_together, light_solver
@@ -55,7 +56,7 @@ DEFAULT, BASE = "by information", "even over the picture"
 
 def part(problem: Problem, index) -> Problem:
     """The problem with some of its pixels."""
-    return Problem(problem.scene, [problem.points[0].take(index)], [problem.basis[0][index]], problem.transport)
+    return replace(problem, points=[problem.points[0].take(index)], basis=[problem.basis[0][index]])
 
 
 def errors(problem: Problem, views, settings):
@@ -77,8 +78,8 @@ class Study:
         points = points.take(np.flatnonzero(scene.usable(points)))
         pool = pose(scene, [material], [points], self.settings)
         few = part(pool, sampling.choose_pixels(points, COUNT))
-        if self.between_surfaces(f"{material_name}, {name}", few, material, views):
-            pool = with_own_light(pool, [material], MODELLED)
+        if self.between_surfaces(f"{material_name}, {name}", few, views):
+            pool = with_own_light(pool, MODELLED)
         self.pixels(material_name, pool, views)
         self.directions(material_name, few, material, views)
 
@@ -117,16 +118,16 @@ class Study:
             if 2 * n in by_count:
                 self.rows["directions", "doubling", n, material_name].append(apart(n, 2 * n))
 
-    def between_surfaces(self, name, few, material, views) -> bool:
+    def between_surfaces(self, name, few, views) -> bool:
         """What light between surfaces does to the estimates; whether any of them needs it."""
         needed = False
         off, _ = errors(few, views, self.settings)
-        on, _ = errors(with_own_light(few, [material], MODELLED), views, self.settings)
+        on, _ = errors(with_own_light(few, MODELLED), views, self.settings)
         for (photo, _), error_off, error_on in zip(views, off, on, strict=True):
             job = few.scene.job
             few.scene.job = replace(job, photo=replace(job.photo, radiance=photo))
-            fit, solver, exposures = fit_together([few], self.settings)
-            answer = own_light([few], [[material]], fit, solver, exposures, self.settings, bounces=MODELLED_BOUNCES)
+            model, light = Model(self.settings, {"mean": [few]}), fit_together([few], self.settings)
+            answer = own_light(model, light, bounces=MODELLED_BOUNCES)
             few.scene.job = job
             values = (answer.share or 0.0, answer.change or 0.0, error_off, error_on)
             for key, value in zip(("share", "change", "off", "on"), values, strict=True):

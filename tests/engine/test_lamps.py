@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from btfsep_engine.fit.log_normal import Lamp
-from btfsep_engine.pipeline.lamps import key_lights
+from btfsep_engine.pipeline.model import Model
+from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.settings import FitSettings
+from btfsep_engine.pipeline.together import SolvedLight
 from tests.engine.half_sphere import FILL, SUN
 
 MAP = FitSettings()
@@ -18,11 +20,18 @@ def of(share, degrees, direction=SUN) -> Lamp:
     return Lamp(direction, np.full(3, 5 * share), np.full(3, 0.1), degrees, share, 0.05)
 
 
+def suns_of(lamps, settings=MAP):
+    """The suns, and why."""
+    light = SolvedLight(SimpleNamespace(lamps=lamps), None, [1.0])
+    _, light, words = key_lights(Model(settings, {}), light)
+    return light.suns, words["key_light"]
+
+
 @pytest.mark.parametrize(
     ("share", "degrees", "is_sun"), [(0.21, 5, True), (0.19, 5, False), (0.9, 14, True), (0.9, 16, False)]
 )
 def test_a_sun_has_a_fifth_of_the_light_and_a_direction_that_is_known(share, degrees, is_sun):
-    suns, why = key_lights(SimpleNamespace(lamps=(of(share, degrees),)), MAP)
+    suns, why = suns_of((of(share, degrees),))
     assert len(suns) == is_sun
     assert f"{100 * share:.0f} %" in why and ("a key light is" in why) == is_sun
     if is_sun:
@@ -32,19 +41,17 @@ def test_a_sun_has_a_fifth_of_the_light_and_a_direction_that_is_known(share, deg
 
 
 def test_several_keep_their_order_and_what_is_weak_stays_behind():
-    fit = SimpleNamespace(lamps=(of(0.5, 2), of(0.3, 3, FILL), of(0.1, 3, -FILL)))
-    suns, why = key_lights(fit, MAP)
+    suns, why = suns_of((of(0.5, 2), of(0.3, 3, FILL), of(0.1, 3, -FILL)))
     assert [s.share for s in suns] == [0.5, 0.3] and why.startswith("2 key lights")
     height = np.degrees(np.arcsin(SUN[2]))
     assert f"from {height:.0f} degrees above" in why
 
 
 def test_none_where_there_is_none_or_nobody_asked():
-    assert key_lights(SimpleNamespace(lamps=()), MAP)[0] == ()
-    lamp = SimpleNamespace(lamps=(of(0.9, 1),))
+    assert suns_of(())[0] == ()
     for settings, word in (
         (FitSettings(key_light="never"), "--key-light never"),
         (FitSettings(estimator="least-squares"), "--estimator map"),
     ):
-        suns, why = key_lights(lamp, settings)
+        suns, why = suns_of((of(0.9, 1),), settings)
         assert suns == () and word in why

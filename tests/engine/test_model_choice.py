@@ -9,14 +9,9 @@ import pytest
 
 from btfsep_engine.btf.model import Lambertian, Tabulated
 from btfsep_engine.errors import InputError
-from btfsep_engine.pipeline.estimation import determined_words
-from btfsep_engine.pipeline.model_choice import (
-    appearance_choice,
-    cross_validated_order,
-    determined_order,
-    texture_contrast,
-    texture_may_help,
-)
+from btfsep_engine.pipeline.record import determined_words
+from btfsep_engine.pipeline.refine.order import cross_validated_order, determined_order
+from btfsep_engine.pipeline.refine.texture import appearance_choice, texture_contrast, texture_may_help
 from btfsep_engine.pipeline.sequence import frame_files
 
 

@@ -16,10 +16,11 @@ from btfsep_engine.cli import main
 from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.pipeline import interreflection
 from btfsep_engine.pipeline.basis import basis_images
-from btfsep_engine.pipeline.interreflection import carried_over, even_sky_bound, own_light, with_own_light
+from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.refine import interreflection
+from btfsep_engine.pipeline.refine.interreflection import carried_over, even_sky_bound, own_light, with_own_light
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
@@ -49,27 +50,26 @@ def photographed(meshes, materials, *, settings=STRAIGHT, occluders=(), count=50
     return pose(scene, materials, points, settings)
 
 
-def answer(problem, materials, settings=STRAIGHT):
-    fit, solver, exposures = fit_together([problem], settings)
-    return own_light([problem], [materials], fit, solver, exposures, settings, bounces=20), fit
+def answer(problem, settings=STRAIGHT):
+    light = fit_together([problem], settings)
+    return own_light(Model(settings, {"mean": [problem]}), light, bounces=20), light.fit
 
 
 @pytest.mark.parametrize("settings", [STRAIGHT, replace(STRAIGHT, estimator="least-squares", order=2)])
 def test_a_bright_bowl_is_modelled_and_a_dark_one_is_not(settings):
-    bright, _ = answer(photographed([bowl()], [BRIGHT], settings=settings), [BRIGHT], settings)
+    bright, _ = answer(photographed([bowl()], [BRIGHT], settings=settings), settings)
     assert bright.modelled and bright.change > 1 and bright.share > 0.1
     assert bright.why.startswith("interreflections are modelled")
-    dark, _ = answer(photographed([bowl()], [DARK], settings=settings), [DARK], settings)
+    dark, _ = answer(photographed([bowl()], [DARK], settings=settings), settings)
     assert not dark.modelled and dark.change < 0.5 and dark.share < 0.05
     assert dark.why.startswith("interreflections are left out")
 
 
 def both_ways(material):
     problem = photographed([bowl()], [material])
-    found, fit = answer(problem, [material])
+    found, fit = answer(problem)
     settings = replace(STRAIGHT, bounces=20)
-    after, _, _ = fit_together([with_own_light(problem, [material], settings)], settings)
-    return found, fit, after
+    return found, fit, fit_together([with_own_light(problem, settings)], settings).fit
 
 
 def test_what_is_foretold_is_what_modelling_does():
@@ -82,13 +82,13 @@ def test_what_is_foretold_is_what_modelling_does():
 def test_a_third_of_a_stated_deviation_is_worth_it_and_a_fifth_is_not():
     """The same scene and light, of which more or less is known beforehand."""
     problem = photographed([bowl()], [GREY])
-    fit, solver, exposures = fit_together([problem], STRAIGHT)
+    model, light = Model(STRAIGHT, {"mean": [problem]}), fit_together([problem], STRAIGHT)
 
     def decided(change):
-        stated = replace(fit, all_stddev=fit.all_stddev * (moved / change))
-        return own_light([problem], [[GREY]], stated, solver, exposures, STRAIGHT, bounces=20)
+        stated = replace(light.fit, all_stddev=light.fit.all_stddev * (moved / change))
+        return own_light(model, replace(light, fit=stated), bounces=20)
 
-    moved = own_light([problem], [[GREY]], fit, solver, exposures, STRAIGHT, bounces=20).change
+    moved = own_light(model, light, bounces=20).change
     for change, worth in ((0.2, False), (0.3, True), (0.6, True)):
         found = decided(change)
         assert found.change == pytest.approx(change) and found.modelled is worth
@@ -104,17 +104,17 @@ def test_modelling_it_takes_the_error_away():
 def test_a_ball_needs_no_light_to_be_decided(monkeypatch):
     problem = photographed([ball()], [BRIGHT])
     monkeypatch.setattr(interreflection, "carried_over", None)  # would be called if the scene's light were looked at
-    found, _ = answer(problem, [BRIGHT])
+    found, _ = answer(problem)
     assert not found.modelled and found.change is None and found.bound < interreflection.NEGLIGIBLE
 
 
 def test_a_bright_neighbour_counts_and_a_black_one_does_not():
     wall = trimesh.creation.box([0.1, 4, 4]).apply_translation([1.3, 0, 0])
     beside = photographed([ball(), as_mesh(wall, flat=True)], [BRIGHT, BRIGHT])
-    assert answer(beside, [BRIGHT, BRIGHT])[0].modelled
+    assert answer(beside)[0].modelled
     black = Occluder(as_mesh(wall, flat=True), Surface((0.0,) * 3, specular=0.0))
     occluded = photographed([ball()], [BRIGHT], occluders=[black])
-    found, _ = answer(occluded, [BRIGHT])
+    found, _ = answer(occluded)
     assert found.bound > interreflection.NEGLIGIBLE  # it cannot be told from the rays alone
     assert not found.modelled and found.share < 0.01
 

@@ -13,8 +13,9 @@ from btfsep_engine.cli import main
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate
-from btfsep_engine.pipeline.modelling import all_chosen_points, chosen_fit, posed
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.materials import ObjectMaterial
+from btfsep_engine.pipeline.model import first_model, solve_model
 from btfsep_engine.pipeline.real_photo import PHOTOS_OWN
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
@@ -61,10 +62,8 @@ def scene_of_balls(places, *, dyes=None, limit=None):
 
 def light_of(scene, materials, settings=SETTINGS):
     """The fit, the problem, and the choice."""
-    chosen = all_chosen_points([scene], settings)
-    problems, rich = posed([scene], [materials], chosen, settings, both=False)
-    _, fit, _, _, choice = chosen_fit(problems, rich, settings)
-    return fit, problems[0], choice
+    model, light, choice = solve_model(first_model([scene], [materials], settings))
+    return light.fit, model.problems[0], choice
 
 
 def off(fit) -> float:
@@ -101,11 +100,10 @@ def test_what_one_photo_clips_and_another_shows_is_not_hidden(clipped_first):
             return GREY
 
     given = [[ObjectMaterial("test/grey", GREY, True)]] * 2
-    problems, rich = posed(scenes, given, all_chosen_points(scenes, SETTINGS), SETTINGS, both=False)
-    _, _, _, exposures, _ = chosen_fit(problems, rich, SETTINGS)
-    assert sorted(p.clipped > 0.1 for p in problems) == [False, True]
+    model, light, _ = solve_model(first_model(scenes, given, SETTINGS))
+    assert sorted(p.clipped.mean() > 0.1 for p in model.problems) == [False, True]
     found = estimate(scenes[0], Library(), SETTINGS, material="test/grey", others=scenes[1:])
-    assert off(found.fit) < 0.12 and exposures[1] == pytest.approx(1, rel=0.02)
+    assert off(found.fit) < 0.12 and light.exposures[1] == pytest.approx(1, rel=0.02)
 
 
 def test_each_frame_of_a_sequence_is_clipped_as_it_is_itself(sphere_job_folder, capsys):

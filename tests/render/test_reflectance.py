@@ -10,8 +10,9 @@ from btfsep_engine.btf.departures import departures
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import pose
-from btfsep_engine.pipeline.reflectance import nearer_materials
+from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
@@ -29,7 +30,7 @@ WINDOW = (
 
 
 def found_for(material, light, noise=0.01):
-    """The fits with the grey material and with what is nearer, of a ball's photo that ``material`` made."""
+    """The fits with the grey material and with what is nearer, of a ball's photo that ``material`` made; and why."""
     scene = PreparedScene(job_of([as_mesh(trimesh.creation.icosphere(4, radius=0.45))], looking_down()), Reporter())
     points = scene.points(0, textured=False)
     values = scene.radiance(points, material, SHLighting(light), directions=512)[:, 0]
@@ -38,24 +39,25 @@ def found_for(material, light, noise=0.01):
     image[points.pixels[:, 0], points.pixels[:, 1]] = values * random.normal(1, noise, values.shape)
     scene.job = replace(scene.job, photo=Photo(image, np.ones((96, 96), bool), 0))
     problems = [pose(scene, [GREY], [points.take(np.arange(0, len(points), 3))], SETTINGS)]
-    fit, solver, exposures = fit_together(problems, SETTINGS)
-    return fit, nearer_materials(problems, [[GREY]], fit, solver, exposures, SETTINGS)
+    light = fit_together(problems, SETTINGS)
+    _, nearer, words = nearer_materials(Model(SETTINGS, {"mean": problems}), light)
+    return light.fit, nearer.fit, words["reflectance"]
 
 
 def test_a_rough_ball_is_found_to_be_rough_and_the_light_is_nearer():
     rough = departures(GREY)[2]
-    fit, near = found_for(rough.material, WINDOW)
-    assert "roughness" in near.why and "'object 0'" in near.why
-    assert near.fit.evidence > fit.evidence + 3
-    assert off_as_seen(near.fit.coefficients, WINDOW[:9]) < off_as_seen(fit.coefficients, WINDOW[:9])
+    fit, near, why = found_for(rough.material, WINDOW)
+    assert "roughness" in why and "'object 0'" in why
+    assert near.evidence > fit.evidence + 3
+    assert off_as_seen(near.coefficients, WINDOW[:9]) < off_as_seen(fit.coefficients, WINDOW[:9])
 
 
 def test_a_ball_as_lambert_has_it_is_left_as_it_is_under_a_lamp():
-    fit, near = found_for(GREY, WINDOW)
-    assert off_as_seen(near.fit.coefficients, WINDOW[:9]) < off_as_seen(fit.coefficients, WINDOW[:9]) + 0.02
+    fit, near, _ = found_for(GREY, WINDOW)
+    assert off_as_seen(near.coefficients, WINDOW[:9]) < off_as_seen(fit.coefficients, WINDOW[:9]) + 0.02
 
 
 def test_a_ball_as_lambert_has_it_errs_no_more_under_nearly_even_light():
     x = positive_light(2)
-    fit, near = found_for(GREY, x)
-    assert off_as_seen(near.fit.coefficients, x) < off_as_seen(fit.coefficients, x) + 0.02
+    fit, near, _ = found_for(GREY, x)
+    assert off_as_seen(near.coefficients, x) < off_as_seen(fit.coefficients, x) + 0.02

@@ -7,7 +7,7 @@ import pytest
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.light.files import Lighting
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline.estimation import sky_radiance
+from btfsep_engine.pipeline.light_account import sky_radiance
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, project, shown, side_light
 
 LIGHTS = {

@@ -15,13 +15,15 @@ from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.fit.tone_curve import LINEAR, SRGB, ToneCurve
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline import estimation
-from btfsep_engine.pipeline.estimation import ObjectMaterial, estimate, result_record
-from btfsep_engine.pipeline.modelling import all_chosen_points, posed
+from btfsep_engine.pipeline import materials
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.materials import ObjectMaterial
+from btfsep_engine.pipeline.model import first_model, solve_model
+from btfsep_engine.pipeline.record import result_record
+from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.pipeline.together import fit_together
-from btfsep_engine.pipeline.tone import Curves, codes_of, with_other_curves
+from btfsep_engine.pipeline.tone import Curves, codes_of
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.recogniser import Recognition
 from tests.render.scenes import as_mesh, job_of, looking_down
@@ -103,11 +105,11 @@ def test_an_unknown_curve_is_found_and_the_light_with_it(ball, curve):
 
 def test_samples_are_a_mixture_over_the_curves_that_are_nearly_as_probable(ball):
     scene, material = seen(ball, LINEAR, "linear"), ObjectMaterial("grey", Grey().load("grey"), True)
-    problems, _ = posed([scene], [[material]], all_chosen_points([scene], SETTINGS), SETTINGS, both=False)
-    fit, solver, exposures = fit_together(problems, SETTINGS)
+    model, light, _ = solve_model(first_model([scene], [[material]], SETTINGS))
+    fit = light.fit
     codes, two = codes_of(scene.job), (LINEAR, ToneCurve(0.75))
     scene.curves = Curves(codes, two, np.array([0.6, 0.4]))
-    mixed = with_other_curves(problems, fit, solver, exposures)
+    mixed = other_curves(model, light)[1].fit
     assert mixed.samples.shape == fit.samples.shape
     np.testing.assert_array_equal(mixed.samples[:120], fit.samples[:120])
     np.testing.assert_array_equal(mixed.coefficients, fit.coefficients)
@@ -115,7 +117,7 @@ def test_samples_are_a_mixture_over_the_curves_that_are_nearly_as_probable(ball)
     assert knows > 1.05 * plain
     assert mixed.stddev.mean() > fit.stddev.mean()
     scene.curves = Curves(codes, two, np.array([0.99, 0.01]))
-    assert with_other_curves(problems, fit, solver, exposures) is fit
+    assert other_curves(model, light)[1].fit is fit
 
 
 @pytest.mark.parametrize(("said", "true", "doubted"), [
@@ -137,7 +139,7 @@ def looks_like(scene, index, library, settings):
 @pytest.mark.parametrize("curve", [LINEAR, ToneCurve(0.5), SRGB])
 def test_an_object_is_recognised_by_the_curve_that_was_found(ball, monkeypatch, curve):
     """The same ball, whatever curve its photo has been through; read as sRGB a linear photo is too dark."""
-    monkeypatch.setattr(estimation, "recognise_object", looks_like)
+    monkeypatch.setattr(materials, "recognise_object", looks_like)
     scene = seen(ball, curve, "unknown")
     as_srgb = looks_like(scene, 0, None, None).material
     assert as_srgb == ("lighter" if curve is SRGB else "darker")
@@ -154,5 +156,5 @@ def test_least_squares_cannot_find_a_curve(ball):
 
 def test_what_was_chosen_is_in_the_result(ball):
     found = estimate(seen(ball, LINEAR, "linear"), Grey(), SETTINGS, material="grey")
-    record = result_record(found, found.settings)
+    record = result_record(found)
     assert json.loads(json.dumps(record["choice"]))["curve"] == "the photo's tone curve is linear, as stated"

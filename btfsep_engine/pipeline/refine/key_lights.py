@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which lamps of a light are told apart from the sky, as suns: those of a good part of it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline.settings import FitSettings
 
 LEAST = 0.2  # of the light's mean radiance: what is less stays in the sky
 NARROW = 15.0  # degrees, of a lamp's direction: what is known worse is no lamp that anybody wants to see a shadow of
 
 
-def key_lights(fit: Fit, settings: FitSettings) -> tuple[tuple, str]:
-    """The lamps of a fit that become suns, the brightest first; and why, in words.
+def key_lights(model, light):
+    """The refinement: the lamps of a fit that become suns, the brightest first.
 
     A lamp has no size here: the fit's harmonics, 20 degrees wide, cannot tell one.
     """
-    if settings.key_light == "never":
-        return (), "lamps stay in the spherical harmonics: --key-light never"
-    if settings.estimator != "map":
-        return (), "lamps were not looked for: that needs --estimator map"
+    if model.settings.key_light == "never":
+        return model, light, {"key_light": "lamps stay in the spherical harmonics: --key-light never"}
+    if model.settings.estimator != "map":
+        return model, light, {"key_light": "lamps were not looked for: that needs --estimator map"}
     suns = tuple(
         Sun(
             lamp.direction,
@@ -29,10 +30,10 @@ def key_lights(fit: Fit, settings: FitSettings) -> tuple[tuple, str]:
             share=lamp.share,
             share_stddev=lamp.share_stddev,
         )
-        for lamp in fit.lamps
+        for lamp in light.fit.lamps
         if lamp.share >= LEAST and lamp.degrees <= NARROW
     )
-    return suns, words(suns, fit)
+    return model, replace(light, suns=suns), {"key_light": words(suns, light.fit)}
 
 
 def words(suns, fit: Fit) -> str:

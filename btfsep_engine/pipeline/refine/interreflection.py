@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.lightings import SHBasis, SHLighting
+from btfsep_engine.pipeline.model import solve_model
+from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.scene import BRIGHTEST, INDIRECT_DIRECTIONS, PreparedScene
-from btfsep_engine.pipeline.settings import Settings, TransportSettings
+from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
@@ -47,14 +48,42 @@ class OwnLight:
     share : how much of the photo it is under the light that was found without it; None where the bound was enough
     change : the most that it moves a coefficient, in stated standard deviations; None where the bound was enough,
         infinite where the share left no doubt
-    why : in words
     """
 
     modelled: bool
     bound: float
     share: float | None
     change: float | None
-    why: str
+
+    @property
+    def why(self) -> str:
+        """In words."""
+        decision = f"interreflections are {'modelled' if self.modelled else 'left out'}"
+        if self.share is None:
+            return f"{decision}: they are at most {100 * self.bound:.1f} % of the light under an even sky"
+        percent = f"{100 * self.share:.0f} % of the photo"
+        if not np.isfinite(self.change):
+            return f"{decision}: without them the light found would add {percent}"
+        return f"{decision}: {percent}, which moves the estimate by up to {self.change:.1f} of its stated uncertainty"
+
+
+def light_between_surfaces(model, light):
+    """The refinement: light between surfaces, where it was left open whether it is followed.
+
+    What was chosen beside the light without it, is chosen anew.
+    """
+    if model.settings.bounces != "auto" or model.settings.transport != "kernel":
+        return model, light, {}
+    with model.reporter.stage("transport"):
+        own = own_light(model, light, bounces=MODELLED_BOUNCES)
+        if not own.modelled:
+            return model, light, {"interreflections": own.why}
+        bounced = replace(model, bounces=MODELLED_BOUNCES, appearance=next(iter(model.looks)))
+        bounced = bounced.changed(lambda problem: with_own_light(problem, bounced.modelled))
+    bounced, brighter, choice = solve_model(bounced)
+    if contradicted(brighter.fit, light.fit):
+        return model, light, {"interreflections": NOT_SO_BRIGHT}
+    return bounced, brighter, choice | {"interreflections": own.why}
 
 
 def contradicted(fit: Fit, without: Fit) -> bool:
@@ -89,67 +118,56 @@ def even_sky_bound(scene: PreparedScene, materials, points) -> float:
     return float(received.sum() / max(opened.sum(), 1e-12))
 
 
-def own_light(
-    problems, materials, fit: Fit, solver, exposures, settings: TransportSettings, *, bounces: int
-) -> OwnLight:
+def own_light(model, light, *, bounces: int) -> OwnLight:
     """Whether the scenes' own light is worth modelling.
 
     Parameters
     ----------
-    problems : list of pipeline.problem.Problem, of each photograph, their basis images without the scene's own light
-    materials : for each photograph the Material of each object, as in the fit
-    fit, solver, exposures : of `together.fit_together`
-    settings : of the samples between which the light goes
+    model : Model, its basis images without the scene's own light; light : its SolvedLight
     bounces : that would be followed, >= 2
     """
     # what is not known may be bright
-    problems = [replace(p, scene=p.scene.with_grey(BRIGHTEST)) for p in problems]
-    few = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
-    bound = max(even_sky_bound(q.scene, m, p) for q, m, p in zip(problems, materials, few, strict=True))
+    problems, fit = [replace(p, scene=p.scene.with_grey(BRIGHTEST)) for p in model.problems], light.fit
+    probes = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
+    bound = max(even_sky_bound(q.scene, q.materials, p) for q, p in zip(problems, probes, strict=True))
     if bound < NEGLIGIBLE:
-        return OwnLight(False, bound, None, None, words(False, bound, None, None))
-    x = fit.shown
-    problems = [p.up_to(sh.order_of(len(x))) for p in problems]
-    light, added = SHLighting(np.asarray(x)), []
-    for problem, own, some in zip(problems, materials, few, strict=True):
-        indirect = problem.scene.indirect(own, light, settings, bounces=bounces)
-        for material, all_points, probe in zip(own, problem.points, some, strict=True):
+        return OwnLight(False, bound, None, None)
+    lighting, added = SHLighting(np.asarray(fit.shown)), []
+    for problem, few in zip(problems, probes, strict=True):
+        indirect = problem.scene.indirect(problem.materials, lighting, model.settings, bounces=bounces)
+        for material, points, probe in zip(problem.materials, problem.points, few, strict=True):
             transport = problem.scene.transport(probe, directions=INDIRECT_DIRECTIONS)
-            added.append(carried_over(probe, indirect.reflected(transport, material)[:, 0], all_points))
-    added = np.concatenate(added).astype(np.float64)
-    measured = np.concatenate([p.radiance() / e for p, e in zip(problems, exposures, strict=True)]).astype(np.float64)
-    basis, blocks = (None, None) if solver else stacked(problems)
+            added.append(carried_over(probe, indirect.reflected(transport, material)[:, 0], points))
+    added, measured = np.concatenate(added).astype(np.float64), light.radiance(problems)
     share = float(np.linalg.norm(added) / max(np.linalg.norm(measured), 1e-300))
     rest = measured - added
     if share > MOST:  # inside a cavity more than the photo holds: nothing is left that could be fitted
-        return OwnLight(True, bound, share, np.inf, words(True, bound, share, np.inf))
-    if solver:  # of the same model, from its light on
-        again = solver.solve(rest, weights=all_weights(problems), start=fit)
+        return OwnLight(True, bound, share, np.inf)
+    if light.solver:  # of the same model, from its light on
+        again = light.solver.solve(rest, weights=all_weights(problems), start=fit)
     else:
+        basis, blocks = stacked([p.up_to(light.order) for p in problems])
         again = solve(basis, rest, blocks=blocks)
-    terms = len(fit.coefficients)  # a solver may state more than are reported
-    moved = np.abs(again.coefficients[:terms] - fit.coefficients) / np.maximum(fit.stddev, 1e-300)
+    moved = np.abs(again.coefficients[: fit.terms] - fit.coefficients) / np.maximum(fit.stddev, 1e-300)
     change = float(moved.max())
-    return OwnLight(change > WORTH, bound, share, change, words(change > WORTH, bound, share, change))
+    return OwnLight(change > WORTH, bound, share, change)
 
 
-def with_own_light(problem, materials, settings: Settings):
+def with_own_light(problem: Problem, settings: Settings) -> Problem:
     """The same problem with what the scene's surfaces send each other added to its basis images.
 
     Parameters
     ----------
-    problem : pipeline.problem.Problem, its basis images of light that comes straight from outside
-    materials : the Material of each object, as in the fit
+    problem : its basis images of light that comes straight from outside
     settings : its bounces a number >= 2
     """
     scene = problem.scene
-    indirect = scene.indirect(materials, SHBasis(settings.fit_order), settings, bounces=settings.bounces)
-    between = [
-        indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), material)
-        for material, points in zip(materials, problem.points, strict=True)
+    indirect = scene.indirect(problem.materials, SHBasis(settings.fit_order), settings, bounces=settings.bounces)
+    basis = [
+        straight + indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), material)
+        for straight, material, points in zip(problem.basis, problem.materials, problem.points, strict=True)
     ]
-    basis = [straight + added for straight, added in zip(problem.basis, between, strict=True)]
-    return replace(problem, basis=basis, between=between, transport={**problem.transport, "bounces": settings.bounces})
+    return replace(problem, basis=basis, transport={**problem.transport, "bounces": settings.bounces})
 
 
 def carried_over(probe: SurfacePoints, values, points: SurfacePoints) -> np.ndarray:
@@ -162,15 +180,3 @@ def carried_over(probe: SurfacePoints, values, points: SurfacePoints) -> np.ndar
     k = min(NEIGHBOURS, len(probe))
     taps = cKDTree(feature(probe)).query(feature(points), k=k)[1].reshape(len(points), k)
     return np.asarray(values)[taps].mean(1)
-
-
-def words(modelled: bool, bound: float, share: float | None, change: float | None) -> str:
-    """The decision for people."""
-    if share is None:
-        return f"interreflections are left out: they are at most {100 * bound:.1f} % of the light under an even sky"
-    if not np.isfinite(change):
-        return f"interreflections are modelled: without them the light found would add {100 * share:.0f} % of the photo"
-    effect = (
-        f"{100 * share:.0f} % of the photo, which moves the estimate by up to {change:.1f} of its stated uncertainty"
-    )
-    return f"interreflections are modelled: {effect}" if modelled else f"interreflections are left out: {effect}"

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Everything that speaks against an estimate, in words."""
+
+import numpy as np
+
+from btfsep_engine.fit.diagnose import diagnose
+from btfsep_engine.fit.misalignment import silhouette_shift
+from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, clamped_share, structure_doubts
+from btfsep_engine.pipeline.light_account import colour_doubts
+from btfsep_engine.pipeline.refine.curves import curve_doubts
+from btfsep_engine.pipeline.refine.interreflection import open_share
+from btfsep_engine.pipeline.scene import unseen_meshes
+from btfsep_engine.pipeline.together import stacked
+
+
+def all_doubts(estimate) -> list[str]:
+    """What is to be said of an `estimation.Estimate`."""
+    out = [doubt for problem in estimate.model.problems if (doubt := shift_doubt(problem.scene))]
+    if not out and estimate.light.solver is not None:
+        out += misfit_doubts(estimate)
+    for photo, materials in zip(estimate.photos, estimate.model.materials, strict=True):
+        for obj, m, residual in zip(photo.scene.job.objects, materials, photo.residuals, strict=True):
+            if residual > THRESHOLDS.residual:
+                out.append(
+                    f"the light explains object '{obj.name}' poorly (relative residual {residual:.2f}): the material "
+                    f"({m.name}), the geometry or the camera may be wrong"
+                )
+    out += colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
+    return out + curve_doubts(estimate.model.problems, estimate.light)
+
+
+def shift_doubt(scene) -> str | None:
+    """That the photo's outline does not lie where the geometry says."""
+    frayed = bool(unseen_meshes(scene.job))
+    return alignment_doubt(silhouette_shift(scene.job.photo.radiance, scene.view.mesh >= 0, frayed=frayed))
+
+
+def misfit_doubts(estimate) -> list[str]:
+    """What the structure of the residual speaks for."""
+    problems, light = estimate.model.problems, estimate.light
+    points = [p for problem in problems for p in problem.points]
+    effects = diagnose(
+        light.solver,
+        light.fit,
+        light.radiance(problems),
+        blocks=stacked(problems)[1],
+        position=np.concatenate([p.position for p in points]),
+        normal=np.concatenate([p.normal for p in points]),
+        open_share=np.concatenate([open_share(q.scene, p) for q in problems for p in q.points]),
+    )
+    names = [m.name for materials in estimate.model.materials for m in materials]
+    return structure_doubts(effects, residual=light.fit.residual, names=names)
+
+
+def uncertainty_doubts(estimate) -> list[str]:
+    """What the photo cannot tell."""
+    out, lighting, estimator = [], estimate.lighting, estimate.settings.estimator
+    count, terms = int(lighting.determined.sum()), len(lighting.determined)
+    if estimator == "least-squares" and estimate.fit.condition > THRESHOLDS.condition:
+        out.append(
+            f"the fit is badly conditioned (condition number {estimate.fit.condition:.0f}): {count} of {terms} "
+            "coefficients are determined by the photo; --estimator map or a lower --order is steadier"
+        )
+    if estimator == "map" and not lighting.determined[: min(terms, 4)].all():
+        out.append(
+            f"the photo determines {count} of {terms} coefficients, and not all of the first four, which hold the "
+            "main direction of the light: the others are natural light's average; see stddev in lighting.json"
+        )
+    # the log-normal light is positive itself: what its series lacks is in lighting.exr
+    clamped = 0.0 if estimator == "map" else clamped_share(lighting.sky)
+    if clamped > THRESHOLDS.clamped:
+        out.append(
+            f"the estimated light is negative in some directions ({100 * clamped:.0f} % of its power), as a series of "
+            f"order {lighting.order} can be; the World shows it dark there"
+        )
+    return out

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What each object is made of: the material that is named, or given by numbers, or as recognised."""
+
+from dataclasses import dataclass
+
+from btfsep_engine.btf.model import Material
+from btfsep_engine.pipeline.given import given_materials
+from btfsep_engine.pipeline.recognition import recognise_object
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import Settings
+
+
+@dataclass(frozen=True)
+class ObjectMaterial:
+    """The material an object is taken to have, and why."""
+
+    name: str
+    material: Material
+    given: bool
+    candidates: tuple = ()
+    unknown: bool = False
+    unknown_score: float | None = None
+
+    @property
+    def record(self) -> dict:
+        """For JSON."""
+        return {
+            "material": self.name,
+            "class": self.material.material_class,
+            "recognised": not self.given,
+            "unknown": self.unknown,
+            "unknown_score": self.unknown_score,
+            "candidates": [{"name": name, "score": score} for name, score in self.candidates],
+        }
+
+
+def object_materials(scene: PreparedScene, library, settings: Settings, *, names) -> list[ObjectMaterial]:
+    """The material of every object: the one named, or where ``names`` has None, of its surface, or as recognised."""
+    materials = []  # those that are given first: a wrong name must not cost a training
+    for index, known in enumerate(given_materials(scene.job, library, settings, names=names)):
+        if known is not None:
+            materials.append(ObjectMaterial(known.name, known, True))
+            continue
+        answer = recognise_object(scene, index, library, settings)
+        doubt = answer.candidates, answer.unknown, answer.unknown_score
+        materials.append(ObjectMaterial(answer.material, library.load(answer.material), False, *doubt))
+    return materials
+
+
+def materials_of_all(scenes, library, settings: Settings, *, name: str | None) -> list[list[ObjectMaterial]]:
+    """The materials of every photograph's objects; an object has the same in all of them.
+
+    ``name`` : of the material of all objects, or None
+    """
+    out, known = [], {}
+    for scene in scenes:
+        names = [name or o.material or (None if o.surface else known.get(o.name)) for o in scene.job.objects]
+        out.append(object_materials(scene, library, settings, names=names))
+        if not known:
+            known = {o.name: m.name for o, m in zip(scene.job.objects, out[0], strict=True)}
+    return out
+
+
+def changed_materials(scenes, before, after) -> list[str]:
+    """Where the photo's own curve showed another material than sRGB, which recognition begins with, in words."""
+    found = [
+        (o.name, old.name, new.name)
+        for scene, olds, news in zip(scenes, before, after, strict=True)
+        for o, old, new in zip(scene.job.objects, olds, news, strict=True)
+    ]
+    return [
+        f"object '{name}' was recognised as {new} with the photo read by the tone curve that was found; read as sRGB, "
+        f"it looked like {old}; state the curve or the material, if you know one of them"
+        for name, old, new in dict.fromkeys(found)
+        if old != new
+    ]

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What stands for the scene in the fit: photographs, points, materials, appearance, reflections; and its light."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from btfsep_engine.btf.model import Material
+from btfsep_engine.errors import InputError
+from btfsep_engine.pipeline.points import chosen_points, names_of, photographed_regions
+from btfsep_engine.pipeline.problem import Problem, pose
+from btfsep_engine.pipeline.real_photo import as_real_photo, left_out_words, scale_words
+from btfsep_engine.pipeline.refine import refined
+from btfsep_engine.pipeline.refine.order import cross_validated_order, reported_order
+from btfsep_engine.pipeline.refine.texture import reason_against, textures
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import LARGEST_ORDER, Settings
+from btfsep_engine.pipeline.together import fit_together, stacked
+from btfsep_engine.pipeline.tone import with_curves
+
+LEAKS = 1e-3  # of the pixels: a ray in a million slips through a closed mesh, between two triangles
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is known of the scene, without its light.
+
+    Attributes
+    ----------
+    settings : as asked for: order, appearance and bounces may be "auto"
+    looks : appearance ("mean" or "textured") -> Problem of each photograph; those that were posed
+    appearance : the one that is fitted
+    bounces : reflections in the basis images
+    materials : for each photograph the ObjectMaterial of each object
+    untried : why textures are not tried beside the mean ABRDFs, in words; None where they are
+    """
+
+    settings: Settings
+    looks: dict
+    appearance: str = "mean"
+    bounces: int = 1
+    materials: tuple = ()
+    untried: str | None = "as asked for"
+
+    @property
+    def problems(self) -> list[Problem]:
+        """Of each photograph, as fitted."""
+        return self.looks[self.appearance]
+
+    @property
+    def reporter(self):
+        """That of the first scene."""
+        return self.problems[0].scene.reporter
+
+    @property
+    def modelled(self) -> Settings:
+        """The settings with what is modelled where "auto" was asked for; the order stays."""
+        return replace(self.settings, appearance=self.appearance, bounces=self.bounces)
+
+    def changed(self, change) -> "Model":
+        """The same with ``change`` (Problem -> Problem) of every problem."""
+        return replace(self, looks={k: [change(p) for p in problems] for k, problems in self.looks.items()})
+
+
+def stand_ins(materials: list[Material], appearance: str) -> list[Material]:
+    """What stands for materials in the fit: the BTF itself (always where it lines up), or its mean ABRDF."""
+    return [m if appearance == "textured" or m.lines_up else m.mean_material() for m in materials]
+
+
+def view_problem(scene: PreparedScene, materials: list[Material], settings: Settings) -> Problem:
+    """What any photo of a view is fitted with, whatever it shows; ``materials`` : of each object."""
+    textured = settings.appearance == "textured"
+    points = chosen_points(scene, settings, regions=scene.regions, textured=textured)
+    return pose(scene, stand_ins(materials, settings.appearance), points, settings)
+
+
+def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> Model:
+    """The simplest model of photographs: mean ABRDFs and light that comes straight, unless the settings ask for more.
+
+    With a prior, unknown tone curves (`pipeline.tone`), clipped channels and the scales of recognised objects
+    (`pipeline.real_photo`) are settled here.
+
+    Raises
+    ------
+    InputError
+        Where no pixel of a photograph is usable, or no light gets to one.
+    """
+    untried = reason_against(scenes, materials, settings)
+    appearance = "textured" if settings.appearance == "textured" else "mean"
+    # path tracing has interreflections for nothing; the kernel looks first whether they are needed
+    straight = settings.bounces == "auto" and settings.transport == "kernel"
+    model = Model(settings, {}, appearance, 1 if straight else settings.reflections, materials, untried)
+    textured, points = untried is None or appearance == "textured", []
+    for scene in scenes:
+        regions = photographed_regions(scene, settings)
+        points.append(chosen_points(scene, settings, regions=regions, textured=textured))
+        if not any(len(p) for p in points[-1]):
+            raise InputError(
+                names_of(scene),
+                "every pixel that shows it is saturated or transparent",
+                "give a photo with a shorter exposure, or one that is opaque where the object is",
+            )
+    shown = [stand_ins([m.material for m in each], appearance) for each in materials]
+    problems = [pose(*each, model.modelled) for each in zip(scenes, shown, points, strict=True)]
+    for problem in problems:
+        if np.mean([basis[:, 0].any(1).mean() for basis in problem.basis if len(basis)]) <= LEAKS:
+            raise InputError(
+                names_of(problem.scene),
+                "no light from outside gets by way of it to the camera",
+                "check that the camera is not inside closed geometry, and that the material is not black",
+            )
+    if settings.estimator == "map":
+        problems = with_curves(problems, settings)
+        recognised = [[not m.given for m in each] for each in materials]
+        problems = [as_real_photo(p, settings, recognised=r) for p, r in zip(problems, recognised, strict=True)]
+    looks = {appearance: problems}
+    if untried is None:
+        how = replace(model.modelled, appearance="textured")
+        rich = [stand_ins([m.material for m in each], "textured") for each in materials]
+        looks["textured"] = [p.of_materials(each, how) for p, each in zip(problems, rich, strict=True)]
+    return replace(model, looks=looks)
+
+
+def solve_model(model: Model):
+    """The light of a model, of the appearance and the order that are asked for, or with "auto" of those that suit.
+
+    Returns
+    -------
+    Model with the appearance that was chosen, SolvedLight, and what was chosen: {what: why in words}
+    """
+    settings, problems = model.settings, model.problems
+    choice = {"scale": scale_words(problems)}
+    if settings.robust:
+        choice["robust"] = left_out_words(problems)
+    with model.reporter.stage("fit"):
+        if settings.order == "auto":
+            settings = replace(settings, order=LARGEST_ORDER)
+            if settings.estimator == "least-squares":
+                basis, blocks = stacked(problems)
+                b = np.concatenate([p.radiance() for p in problems])
+                order, choice["order"] = cross_validated_order(basis, b, blocks, LARGEST_ORDER, seed=settings.seed)
+                settings = replace(settings, order=order)
+        return refined(model, fit_together(problems, settings), choice, (textures, reported_order))

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which pixels enter a fit: those of each object that tell most of the light, and that the photo shows."""
+
+import numpy as np
+
+from btfsep_engine.pipeline.doubts import THRESHOLDS
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
+from btfsep_engine.render.surface import SurfacePoints
+
+
+def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured: bool) -> list[SurfacePoints]:
+    """The points of each object that tell most of the light.
+
+    Parameters
+    ----------
+    settings : their pixels are shared by what is seen of each object; 0: all
+    regions : (h, w) bool of each object, which of its pixels may be chosen
+    textured : whether they need a texture's place
+    """
+    sizes = np.array([r.sum() for r in scene.regions], np.float64)
+    shares = [max(int(n), 1) for n in settings.pixels * sizes / sizes.sum()] if settings.pixels else [0] * len(sizes)
+    out = []
+    for index, (region, share) in enumerate(zip(regions, shares, strict=True)):
+        if share:  # not all is worth computing at
+            region = thinned(region, max(REGION, 4 * share), seed=settings.seed)
+        points = scene.points(index, region=region, textured=textured)
+        out.append(points.take(choose_pixels(points, share, seed=settings.seed)) if share else points)
+    return out
+
+
+def photographed_regions(scene: PreparedScene, settings: Settings) -> list:
+    """(h, w) bool of each object: usable pixels, and with a prior saturated ones, too, as inequalities.
+
+    Says where much of an object is saturated or transparent, and what becomes of it.
+    """
+    photo, out = scene.job.photo, []
+    for region, obj in zip(scene.regions, scene.job.objects, strict=True):
+        unusable = region & ~photo.usable
+        bounds = np.zeros_like(region)
+        if settings.estimator == "map" and photo.clipped is not None:
+            bounds = region & photo.clipped.any(-1)
+        out.append(region & photo.usable | bounds)
+        share = unusable.sum() / max(region.sum(), 1)
+        if share > THRESHOLDS.clipped:
+            what = (
+                "; the saturated ones count as at least as bright as they are"
+                if (unusable & bounds).any()
+                else " and were left out: what they saw of the light is not in the estimate"
+            )
+            scene.reporter.warn(
+                f"{100 * share:.0f} % of the pixels of object '{obj.name}' are saturated or transparent{what}"
+            )
+    return out
+
+
+def names_of(scene: PreparedScene) -> str:
+    """The objects of a scene, for an error."""
+    names = " and ".join(f"'{o.name}'" for o in scene.job.objects)
+    return f"object{'s' if len(scene.job.objects) > 1 else ''} {names}"

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether an object is its material, or only nearly: a rougher, glossier or duller one where the evidence asks for it.
+
+Nothing is as Lambert has it, and light can imitate what a surface departs from it by: beside an ideal material those
+near it (`btf.departures`) are always tried. A measured one is doubted only where the misfit looks like shading
+(`fit.diagnose`, "diffuse"), which is what a wrong balance of matte and gloss leaves over. The material of the largest
+evidence, its prior counted, stands for the object in the fit. But roughness and a natural sky imitate each other, and
+the evidence cannot always tell: a departure is believed only where it makes the light simpler: a plain one with
+lamps, or one with lamps and far fewer effective unknowns. Objects are looked at one by one, the largest first.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine import sh
+from btfsep_engine.btf.departures import departures
+from btfsep_engine.fit.diagnose import effect
+from btfsep_engine.fit.stated import Fit
+from btfsep_engine.pipeline.together import SolvedLight, fit_together, stacked
+
+SPEAKS = 12.0  # chi^2 of the misfit's likeness to shading: half of what is warned of
+SIMPLER = 0.75  # of the effective unknowns
+CLEARLY = 3.0  # of the logarithm of the evidence: less is not worth a departure
+
+
+def shading_left(problems, light: SolvedLight) -> float:
+    """chi^2 of how much the misfit looks like what a matte surface would show."""
+    fit, solver = light.fit, light.solver
+    normals = np.concatenate([p.normals for p in problems])
+    weight = 1 / solver.basis.response
+    column = solver.smoother(fit)(sh.irradiance(fit.shown[:9], normals)) * weight
+    left = (light.radiance(problems) - solver.basis.predicted(fit.shown)) * weight
+    return effect(left, column[None], stacked(problems)[1]).chi2
+
+
+def simpler(departed: Fit, fit: Fit) -> bool:
+    """Whether a fit's light is of lamps and plain, or has far fewer effective unknowns than another's.
+
+    Under light without a lamp roughness only makes all of it a little brighter: nothing could tell.
+    """
+    plain = departed.election.rival is not None
+    fewer = departed.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
+    return bool(departed.lamps) and (plain or fewer)
+
+
+def nearer_materials(model, light):
+    """The refinement: materials near each object's, by the kernel and with mean ABRDFs."""
+    by = model.problems[0].transport["by"]
+    if model.settings.estimator != "map" or by != "kernel" or model.appearance != "mean":
+        return model, light, {}
+    with model.reporter.stage("reflectance"):
+        return _nearer(model, light)
+
+
+def _nearer(model, light):
+    problems, settings = model.problems, replace(model.modelled, order=light.order)
+    chi2 = shading_left(problems, light)
+    doubted = [chi2 > SPEAKS or m.matte_albedo is not None for m in problems[0].materials]
+    if not any(doubted):
+        return model, light, {"reflectance": "as in the library: what is left over does not look like shading"}
+    sizes, departed = np.sum([[len(p) for p in problem.points] for problem in problems], 0), []
+    for i in (i for i in np.argsort(-sizes) if doubted[i]):
+        largest, better = light.fit.evidence + CLEARLY, None
+        for near in departures(problems[0].materials[i]):
+            trial = [
+                p.of_materials([near.material if j == i else m for j, m in enumerate(p.materials)], settings)
+                for p in problems
+            ]
+            answer = fit_together(trial, settings)
+            evidence = answer.fit.evidence + near.log_prior
+            if evidence > largest and simpler(answer.fit, light.fit):
+                largest, better = evidence, (near, trial, answer)
+        if better is not None:
+            near, problems, light = better
+            departed.append(f"'{problems[0].scene.job.objects[i].name}' with {near.words}")
+    if not departed:
+        return (
+            model,
+            light,
+            {"reflectance": "as in the library: none of the materials near it explains the photo better"},
+        )
+    why = f"nearly the library's: {', '.join(departed)} (by evidence)"
+    return replace(model, looks={model.appearance: problems}), light, {"reflectance": why}
