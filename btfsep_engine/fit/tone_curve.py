@@ -24,7 +24,7 @@ from btfsep_engine.images import srgb_to_linear
 STRAIGHT = 0.04045  # codes below which sRGB is linear
 PRIOR = {0.0: 0.25, 0.25: 0.0625, 0.5: 0.0625, 0.75: 0.0625, 1.0: 0.5, 1.25: 0.0625}  # of the parameter t
 OFFSET_PRIOR = 0.2
-DOUBT = 4.0
+DOUBT = 3.0
 LARGEST_OFFSET = 0.05  # of the largest code
 SMALLEST_OFFSET = 1.5 / 255
 LEAST_NOISE = 0.01  # of the photo's root mean square: what 8 bits round
