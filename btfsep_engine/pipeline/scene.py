@@ -56,6 +56,7 @@ class PreparedScene:
     def __init__(self, job: Job, reporter):
         self.job, self.reporter = job, reporter
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
+        self.greys = None  # surroundings.Greys, where occluders were of an unknown grey and it is chosen
         self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):
             beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]

@@ -18,6 +18,7 @@ from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.pipeline.model import solve_model
 from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.refine.surroundings import by_grey
 from btfsep_engine.pipeline.scene import BRIGHTEST, INDIRECT_DIRECTIONS, PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import all_weights, stacked
@@ -78,19 +79,34 @@ def light_between_surfaces(model, light):
         own = own_light(model, light, bounces=MODELLED_BOUNCES)
         if not own.modelled:
             return model, light, {"interreflections": own.why}
-        bounced = replace(model, bounces=MODELLED_BOUNCES, appearance=next(iter(model.looks)))
-        bounced = bounced.changed(lambda problem: with_own_light(problem, bounced.modelled))
+        bounced = with_reflections(model)
     bounced, brighter, choice = solve_model(bounced)
-    if contradicted(brighter.fit, light.fit):
+    with model.reporter.stage("transport"):
+        bounced, brighter = by_grey(
+            bounced,
+            brighter,
+            lambda grey: with_reflections(model.changed(lambda p: replace(p, scene=p.scene.with_grey(grey)))),
+        )
+    if contradicted([p.scene for p in model.problems], brighter.fit, light.fit):
         return model, light, {"interreflections": NOT_SO_BRIGHT}
     return bounced, brighter, choice | {"interreflections": own.why}
 
 
-def contradicted(fit: Fit, without: Fit) -> bool:
+def with_reflections(model):
+    """The model with light between surfaces, of the appearance that is tried first."""
+    bounced = replace(model, bounces=MODELLED_BOUNCES, appearance=next(iter(model.looks)))
+    return bounced.changed(lambda problem: with_own_light(problem, bounced.modelled))
+
+
+def contradicted(scenes, fit: Fit, without: Fit) -> bool:
     """Whether the photo speaks clearly against light between surfaces: a material may be darker than it is said to be.
 
-    Two fits of one photo and of as many unknowns; their evidences can be compared (`fit.log_normal`).
+    Two fits of one photo and of as many unknowns; their evidences can be compared (`fit.log_normal`). Not where there
+    are occluders: without light between surfaces they are black, which none is, and what light from below a black table
+    would be, nothing in the photo says.
     """
+    if any(scene.job.occluders for scene in scenes):
+        return False
     return fit.evidence is not None and fit.evidence < without.evidence - AGAINST
 
 

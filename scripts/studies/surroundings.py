@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a table under the object does to an estimate, on photographs by Cycles.
+
+scripts/study surroundings --make FOLDER [--only white …]
+scripts/study surroundings FOLDER
+
+Objects alone and on matte tables, under lights with which nothing was tuned; the object's material is given. Each photo
+on a table is estimated four times: the job as it was exported (the table's surface known), without the table's surface
+(unknown), with a black table, and without any. Prints a table: medians and the worst in brackets; "over alone" is the
+error over that of the same object under the same light without a table, "stated" the error that is expected of itself,
+95 % range the share of the true coefficients up to order 2 in the stated range.
+"""
+
+import json
+import time
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.job.load import load_job
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from scripts.studies import parser, photos, tables
+from scripts.studies.measures import judged
+
+OBJECTS = (("suzanne", "white"), ("blob", "leather/brown-grain"))
+LIGHTS = ("city", "sunset")
+EDGE = 8.0  # of the table, in the object's radii
+TABLES = {  # colour and how many checks a side
+    "alone": None,
+    "0.05": ([0.05] * 3, 0),
+    "0.3": ([0.3] * 3, 0),
+    "0.8": ([0.8] * 3, 0),
+    "orange": ([0.8, 0.25, 0.05], 0),
+    "textured": ([0.8, 0.7, 0.5], 16),
+}
+BLACK = Surface((0.0,) * 3, roughness=1.0, specular=0.0)
+KNOWN, UNKNOWN, DARK, GONE = "known", "not known", "black", "left out"
+
+
+def make(folder: Path) -> None:
+    """Photographs all of it, a folder for each table; what is there stays."""
+    shots = []
+    for (name, material), light, (kind, top) in product(OBJECTS, LIGHTS, TABLES.items()):
+        table = top and {"edge": EDGE, "colour": top[0], "checks": top[1]}
+        shots.append(photos.shot(folder / kind, name, material, light, table=table))
+    photos.take(shots, resolution=192, samples=64)
+
+
+def as_told(job, way: str):
+    """The job with its table as known, not known, black, or left out."""
+    if way == GONE:
+        return replace(job, occluders=())
+    changed = {KNOWN: lambda s: s, UNKNOWN: lambda s: None, DARK: lambda s: BLACK}[way]
+    return replace(job, occluders=tuple(replace(o, surface=changed(o.surface)) for o in job.occluders))
+
+
+def study(photo, kind: str, way: str, library) -> dict:
+    """One estimate."""
+    job = as_told(load_job(photo.folder), way)
+    begun = time.perf_counter()
+    found = estimate(PreparedScene(job, Reporter()), library, choose(), material=photo.material)
+    row = {"object": photo.object, "light": photo.light, "table": kind, "way": way if kind != "alone" else "–"}
+    row |= {"seconds": time.perf_counter() - begun, "choice": found.choice}
+    return row | judged(found.lighting, found.fit.samples, photo.truth(9))
+
+
+HEADS = ("table", "way", "error", "over alone", "direction", "stated", "68 %", "95 % range", "seconds")
+
+
+def lines(rows):
+    """A line for each table and way."""
+    alone = {(r["object"], r["light"]): r["order2"] for r in rows if r["table"] == "alone"}
+    for name, some in tables.groups(rows, lambda r: (r["table"], r["way"]), every=None):
+        yield (
+            *name,
+            tables.spread([r["order2"] for r in some]),
+            tables.spread([r["order2"] / alone[r["object"], r["light"]] for r in some]),
+            tables.spread([r["direction"] for r in some], "{:.1f}°"),
+            f"{np.median([r['stated2'] for r in some]):.2f}",
+            *(tables.percent([r[key] for r in some]) for key in ("within68", "inside")),
+            f"{np.median([r['seconds'] for r in some]):.1f}",
+        )
+
+
+def main(arguments) -> int:
+    options = parser("surroundings", __doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--make", action="store_true", help="photograph what the study is made of")
+    options.add_argument(
+        "--ways", nargs="+", choices=(KNOWN, UNKNOWN, DARK, GONE), default=(KNOWN, UNKNOWN, DARK, GONE)
+    )
+    options.add_argument("--tables", nargs="+", choices=list(TABLES), default=list(TABLES))
+    options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
+    given = options.parse_args(arguments)
+    if given.make:
+        make(given.folder.resolve())
+        return 0
+    library, rows = open_library(None), []
+    todo = [(p, k, w) for k in given.tables for p in photos.found(given.folder / k) for w in given.ways]
+    for photo, kind, way in tqdm([(p, k, w) for p, k, w in todo if k != "alone" or w == given.ways[0]]):
+        rows.append(study(photo, kind, way, library))
+    if given.numbers:
+        given.numbers.write_text(json.dumps(rows, default=float))
+    print(tables.table(HEADS, lines(rows)))
+    return 0
