@@ -211,7 +211,7 @@ def test_a_lamps_share_is_of_the_light_that_it_is_in(rng, monkeypatch, bright):
 
     monkeypatch.setattr(log_normal, "posterior_samples", drawn)
     fit, _, _ = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0, 3.0, 3.0]))
-    assert is_plain(fit) and fit.found.rival is not None
+    assert is_plain(fit) and fit.election.rival is not None
     assert 0 < fit.lamps[0].share_stddev < 0.1
 
 
