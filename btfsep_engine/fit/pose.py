@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The pose in which known geometry lies as a photograph shows it: by its outlines and by its shading, together.
+
+What is seen is taken as points on the geometry, which are moved over the photo: points of the outlines belong where the
+photo changes across them (as in RAPID: Harris and Stennett, BMVC 1990), and what is left of the brightness at points of
+the surface after the best light has been taken away is to be small (variable projection: Golub and Pereyra, SIAM J.
+Numer. Anal. 10, 1973). The light's columns hang on the geometry and not on the camera, so that they are made once for a
+set of points. A weak prior about the start holds what the photo does not determine.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+DARK = 0.05  # of the object's median luminance: noise in shadows is no edge
+SATURATES = 80  # percentile of the photo's gradients about the objects, at which half an edge is found
+REACH = 16.0  # pixels, in which a shift is looked for; the prior's deviation
+TURN = np.radians(5.0)  # the prior's deviation of each turn
+STRETCH = 0.05  # the prior's deviation of distance and focal length
+PRIOR = 0.02  # of the objective, for one deviation
+OUTLINE = 3.0  # the outlines' weight in the objective; the shading's is at most one
+CAPPED = 2.0  # robust deviations of the shading's residual at which it counts less
+LEAST_LEFT = 0.03  # of the brightness: no model of the shading is better
+STEP = 0.2  # pixels, of finite differences
+PARAMETERS = 7
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A pinhole camera's numbers, in pixels, and the camera's matrix to the world (4, 4)."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    to_world: np.ndarray
+
+    def project(self, points) -> np.ndarray:
+        """Image positions (n, 2), x and y, of points (n, 3) in the world; those behind the camera lie far away."""
+        local = (np.asarray(points) - self.to_world[:3, 3]) @ self.to_world[:3, :3]
+        return self._image(local)
+
+    def _image(self, local) -> np.ndarray:
+        z = np.maximum(-local[:, 2], 1e-9 * np.abs(local).max(initial=1e-300))
+        return np.stack([self.cx + self.fx * local[:, 0] / z, self.cy - self.fy * local[:, 1] / z], -1)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The coordinates of a search: what seven numbers, each in pixels of the picture, do to a lens.
+
+    Turns about the camera's three axes through the objects' centre; shifts to the right and down; the picture's
+    scale, by the distance; the focal length, with the distance that keeps the size.
+
+    Attributes
+    ----------
+    lens : the start
+    centre : (3,) world
+    radius : of the objects, pixels
+    """
+
+    lens: Lens
+    centre: np.ndarray
+    radius: float
+
+    @property
+    def deviations(self) -> np.ndarray:
+        """(7,) of the prior, in pixels."""
+        return np.array([TURN * self.radius] * 3 + [REACH] * 2 + [STRETCH * self.radius] * 2)
+
+    def at(self, q) -> Lens:
+        """The lens for seven numbers."""
+        lens, q = self.lens, np.asarray(q, np.float64)
+        turn, scale, zoom = q[:3] / self.radius, q[5] / self.radius, q[6] / self.radius
+        world = lens.to_world
+        c = world[:3, :3].T @ (self.centre - world[:3, 3])
+        shift = -c[2] * np.array([q[3] / lens.fx, -q[4] / lens.fy, 0])
+        move = np.eye(4)
+        move[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        # a larger picture is a nearer object
+        move[:3, 3] = c * np.exp(zoom - scale) + shift - move[:3, :3] @ c
+        growth = np.exp(zoom)
+        return replace(lens, fx=lens.fx * growth, fy=lens.fy * growth, to_world=world @ np.linalg.inv(move))
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What is seen of the geometry from somewhere near.
+
+    Attributes
+    ----------
+    outline : (m, 3) world; across : (m, 2) unit, image directions (x, y) across the outline
+    surface : (n, 3) world; light : (n, k), what each of k lights gives to the surface there
+    """
+
+    outline: np.ndarray
+    across: np.ndarray
+    surface: np.ndarray
+    light: np.ndarray
+
+
+class Picture:
+    """A photograph, ready to be looked up at one scale.
+
+    Parameters
+    ----------
+    radiance : (h, w, 3) linear
+    usable : (h, w) bool
+    about : (h, w) bool, where the objects are, roughly
+    blur : pixels
+    """
+
+    def __init__(self, radiance, usable, about, *, blur: float):
+        radiance = np.maximum(np.asarray(radiance, np.float64), 0)
+        weight = gaussian_filter(usable.astype(np.float64), blur)
+        level = np.median(radiance[about & usable], 0)
+        level = np.maximum(level, 1e-3 * level.max())
+        sigmas = (blur, blur, 0)
+        known = gaussian_filter(np.where(usable[..., None], radiance / level, 0), sigmas)
+        self.radiance = known / np.maximum(weight, 1e-6)[..., None]
+        self.usable = weight > 0.5
+        logs = gaussian_filter(np.log(radiance / level + DARK), sigmas)
+        self.slopes = np.concatenate(np.gradient(logs, axis=(0, 1)), -1)  # (h, w, 2 * 3), down and right
+        size = np.sqrt((self.slopes**2).sum(-1))
+        self.half = max(float(np.percentile(size[about], SATURATES)), 1e-12)
+        self.shape = self.usable.shape
+
+    def _look(self, image, at):
+        """Bilinear, of an image (h, w, c) at image positions (n, 2): (n, c)."""
+        (h, w), cell = self.shape, at - 0.5
+        cell = np.clip(cell, 0, [w - 1.001, h - 1.001])
+        first = cell.astype(np.int64)
+        right, down = (cell - first).T[..., None]
+        flat, at_first = image.reshape(h * w, -1), first[:, 1] * w + first[:, 0]
+        above = flat[at_first] * (1 - right) + flat[at_first + 1] * right
+        below = flat[at_first + w] * (1 - right) + flat[at_first + w + 1] * right
+        return above * (1 - down) + below * down
+
+    def inside(self, at) -> np.ndarray:
+        """(n,) bool: which image positions are in the picture and usable."""
+        h, w = self.shape
+        column, row = (np.clip(np.floor(at[:, i]), 0, n - 1).astype(int) for i, n in ((0, w), (1, h)))
+        within = (at > 0.5).all(1) & (at[:, 0] < w - 0.5) & (at[:, 1] < h - 0.5)
+        return within & self.usable[row, column]
+
+    def missing(self, at, across) -> np.ndarray:
+        """How little of an edge there is at image positions (n, 2), in [0, 1]: 0 a strong one, 1 none."""
+        slopes = self._look(self.slopes, at).reshape(-1, 2, 3)
+        change = ((slopes * across[:, ::-1, None]).sum(1) ** 2).sum(1)
+        return self.half / (self.half + np.sqrt(change))
+
+    def colours(self, at) -> np.ndarray:
+        """(n, 3) at image positions, over the objects' median."""
+        return self._look(self.radiance, at)
+
+
+class Misfit:
+    """The objective of a set of marks on a picture."""
+
+    def __init__(self, picture: Picture, marks: Marks, lens: Lens, *, shading: float):
+        self.picture, self.shading = picture, shading
+        kept = picture.inside(lens.project(marks.outline))
+        self.outline, self.across = marks.outline[kept], marks.across[kept]
+        kept = picture.inside(lens.project(marks.surface))
+        self.surface, light = marks.surface[kept], marks.light[kept]
+        # the ridge holds lights that these points cannot tell apart
+        ridge = 1e-2 * np.sqrt((light**2).sum(0).mean()) * np.eye(light.shape[1])
+        self.plane = np.linalg.qr(np.concatenate([light, ridge]))[0][: len(light)]
+        left = self.left(lens)
+        self.scale = np.maximum(1.4826 * np.median(np.abs(left), 0), LEAST_LEFT)
+
+    def left(self, lens: Lens) -> np.ndarray:
+        """What no light explains, (n, 3), over the objects' median colour."""
+        b = self.picture.colours(lens.project(self.surface))
+        return b - self.plane @ (self.plane.T @ b)
+
+    def edges(self, lens: Lens) -> np.ndarray:
+        """(m,) `Picture.missing` of the outlines."""
+        return self.picture.missing(lens.project(self.outline), self.across)
+
+    def residuals(self, lens: Lens) -> np.ndarray:
+        """Of outlines and shading: the sum of their squares is the objective without the prior."""
+        edges = self.edges(lens) * np.sqrt(OUTLINE / max(len(self.outline), 1))
+        if not self.shading:
+            return edges
+        left = self.left(lens) / (CAPPED * self.scale)
+        soft = np.sign(left) * np.sqrt(2 * (np.sqrt(1 + left**2) - 1))  # soft_l1, signed: its square is the cost
+        return np.concatenate([edges, soft.ravel() * np.sqrt(self.shading / max(soft.size, 1))])
+
+    def values(self, lens: Lens) -> tuple[float, float]:
+        """What is missing of the outlines, in [0, 1], and the shading's residual over the objects' median colour."""
+        edges, left = self.edges(lens), np.abs(self.left(lens))
+        return float(edges.mean()), float(np.minimum(left, np.percentile(left, 90)).mean())
+
+
+def refined(misfit: Misfit, frame: Frame, q, *, free, rounds: int = 6) -> np.ndarray:
+    """Seven numbers of a lens near ``q`` with the least misfit; ``free`` : (7,) bool, the others stay."""
+    q, free = np.array(q, np.float64), np.asarray(free, bool)
+    deviations = frame.deviations
+
+    def residuals(moved):
+        every = q.copy()
+        every[free] = moved
+        return np.concatenate([misfit.residuals(frame.at(every)), np.sqrt(PRIOR) * every / deviations])
+
+    def slopes(moved):
+        steps = STEP * np.eye(len(moved))
+        return np.stack([(residuals(moved + s) - residuals(moved - s)) / (2 * STEP) for s in steps], -1)
+
+    found = least_squares(residuals, q[free], jac=slopes, method="lm", max_nfev=rounds, x_scale=1.0)
+    out = q.copy()
+    out[free] = found.x
+    return out
+
+
+def best_shifts(misfit: Misfit, frame: Frame, *, step: float, keep: int, apart: float) -> list[np.ndarray]:
+    """The best starts on a grid of shifts, ``apart`` pixels or more from one another, the best first."""
+    reach = np.arange(-REACH, REACH + step / 2, step)
+    grid = [np.array([0, 0, 0, x, y, 0, 0]) for x in reach for y in reach if np.hypot(x, y) <= 1.1 * REACH]
+    values = [
+        float((misfit.residuals(frame.at(q)) ** 2).sum() + PRIOR * ((q / frame.deviations) ** 2).sum()) for q in grid
+    ]
+    out: list = []
+    for i in np.argsort(values):
+        if len(out) < keep and all(np.linalg.norm(grid[i] - q) >= apart for q in out):
+            out.append(grid[i])
+    return out

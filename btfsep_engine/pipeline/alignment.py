@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Brings a job's geometry into line with its photo: the camera moves until outlines and shading go together.
+
+A turn that outlines and shading do not show stays: the prior of `fit.pose` holds it. Nothing is moved without a gain.
+"""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
+
+from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.errors import InputError
+from btfsep_engine.fit.pose import LEAST_LEFT, PARAMETERS, Frame, Lens, Marks, Misfit, Picture, best_shifts, refined
+from btfsep_engine.job.model import Camera
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.render.sampling import spread
+from btfsep_engine.render.surface import SurfacePoints, camera_view, object_region, surface_points
+
+SIDE = 256  # pixels of a photo's longer edge, at most, of what is looked at
+DIRECTIONS = fibonacci_sphere(96)  # light is smooth
+ORDER, LOBE_ORDER = 2, 3  # of the light by its cosine, and from the mirror direction
+DEEP = 0.03  # of the objects' radius: where depth jumps by more, one surface ends before another
+NEAR = 12  # pixels about the objects, in which the photo's edges are measured
+LEAST_OUTLINE, LEAST_SURFACE = 40, 100  # points; fewer say nothing
+HELD = np.array([True] * 6 + [False])  # all but the focal length
+FREE = np.ones(PARAMETERS, bool)
+GAIN = 0.15  # least logarithm of what is left of outlines times shading, for a move
+WORSE = 0.03  # most logarithm by which either may become worse
+ZOOM_GAIN = 0.03  # least logarithm that another focal length has to gain beside a move
+STARTS, KEPT, APART = 3, 2, 1.5  # shifts to start from beside none; how many go on; pixels between two ways
+LEAST_MOVE = 0.3  # pixels of the photo
+
+
+@dataclass(frozen=True)
+class Level:
+    """A stage of the search, coarse to fine: blur in pixels, shading's weight, points of the surface, sets of marks."""
+
+    blur: float
+    shading: float
+    points: int
+    rounds: int
+
+
+LEVELS = (Level(4.0, 0.3, 600, 2), Level(2.0, 1.0, 1000, 2), Level(1.0, 1.0, 2500, 3))
+
+
+@dataclass(frozen=True)
+class Left:
+    """What speaks against a pose: the outline's share without an edge, the shading's residual over the brightness."""
+
+    outline: float
+    shading: float
+
+    def gain_of(self, after: "Left") -> tuple[float, float]:
+        """Logarithms of how many times as much there is here as after: of the outline, and of the shading."""
+        pairs = ((self.outline, after.outline), (self.shading, after.shading))
+        return tuple(float(np.log(max(a, LEAST_LEFT) / max(b, LEAST_LEFT))) for a, b in pairs)
+
+    def better(self, after: "Left") -> float:
+        """Logarithm of the gain by which one of several poses is chosen: texture makes shading the weaker witness."""
+        outline, shading = self.gain_of(after)
+        return 2 * outline + shading
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """What was found.
+
+    Attributes
+    ----------
+    camera : of the whole photo; the job's own unless ``aligned``
+    why : in words
+    moved_px : mean way of what is seen, in the photo's pixels; degrees : of the camera about the objects
+    focal_percent : change of the focal length
+    before, after : Left, or None where nothing could be measured
+    """
+
+    camera: Camera
+    aligned: bool
+    why: str
+    moved_px: float = 0.0
+    degrees: float = 0.0
+    focal_percent: float = 0.0
+    before: Left | None = None
+    after: Left | None = None
+
+
+def refuse_depth(job) -> None:
+    """InputError for a job whose surface was made from a depth."""
+    if any(o.unseen is not None for o in job.objects):
+        raise InputError(
+            "this job",
+            "its geometry is a depth, which belongs to its camera and cannot be looked at from another",
+            "align a job with meshes",
+        )
+
+
+def with_camera(scene: PreparedScene, camera: Camera) -> PreparedScene:
+    """The same scene seen by another camera, of a picture of the same size. InputError where an object is not seen."""
+    out = copy.copy(scene)
+    out.job = replace(scene.job, camera=camera)
+    out.view = camera_view(scene.tracer, out.job)
+    out.regions = [object_region(out.view, out.job, i) for i in range(len(out.job.objects))]
+    return out
+
+
+def lens_of(camera: Camera) -> Lens:
+    """The part of a camera that moves."""
+    return Lens(camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world)
+
+
+def outline_of(view, rays_at, *, limit: float):
+    """Where surfaces end before what is farther.
+
+    Parameters
+    ----------
+    view : render.surface.View
+    rays_at : x, y -> origins, directions
+    limit : world units, of jumps in distance that count
+
+    Returns
+    -------
+    points (m, 3) world, on the nearer surface; across (m, 2) unit, x and y, or zero where it has no direction;
+    mesh (m,) that ends there
+    """
+    distance = np.where(view.mesh >= 0, view.distance, np.inf)
+    nearness = np.where(view.mesh >= 0, 1 / np.maximum(view.distance, 1e-300), 0.0)
+    slope = np.stack([gaussian_filter(nearness, 1.5, order=o) for o in ((0, 1), (1, 0))], -1)
+    found = []
+    for axis in (0, 1):
+        before, behind = (np.moveaxis(distance, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
+        # compared as sums, since infinite less infinite is nothing
+        for near, jump in ((0, behind > before + limit), (1, before > behind + limit)):
+            first, along = np.nonzero(jump)
+            pairs = (first + 1.0, along + 0.5, first + near, along)
+            found.append(np.stack(pairs if axis == 0 else (pairs[1], pairs[0], pairs[3], pairs[2]), -1))
+    y, x, row, column = np.concatenate(found).T
+    row, column = row.astype(int), column.astype(int)
+    origins, rays = rays_at(x, y)
+    across = slope[row, column]
+    across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    return origins + distance[row, column][:, None] * rays, across, view.mesh[row, column]
+
+
+class Aligner:
+    """A scene whose camera is looked for, at a size of the photo that is enough for it."""
+
+    def __init__(self, scene: PreparedScene):
+        self.scene = scene.at_most(SIDE)
+        self.job, self.tracer = self.scene.job, scene.tracer
+        view, camera, photo = self.scene.view, self.job.camera, self.job.photo
+        seen = self.objects_in(view)
+        rows, columns = np.nonzero(seen)
+        origins, rays = camera.rays(columns + 0.5, rows + 0.5)
+        centre = np.median(origins + view.distance[seen][:, None] * rays, 0)
+        self.frame = Frame(lens_of(camera), centre, float(np.sqrt(seen.sum() / np.pi)))
+        about = binary_dilation(seen, iterations=NEAR)
+        self.pictures = [Picture(photo.radiance, photo.usable, about, blur=level.blur) for level in LEVELS]
+
+    def objects_in(self, view) -> np.ndarray:
+        """(h, w) bool, where a view shows an object and no occluder."""
+        return (view.mesh >= 0) & (view.mesh < len(self.job.objects))
+
+    def marks(self, lens: Lens, level: int) -> Marks:
+        """What a lens sees, as points on the geometry."""
+        camera = replace(self.job.camera, fx=lens.fx, fy=lens.fy, to_world=lens.to_world)
+        job = replace(self.job, camera=camera)
+        view = camera_view(self.tracer, job)
+        outline, across, mesh = outline_of(view, camera.rays, limit=DEEP * self.tracer.radius)
+        mine = (mesh < len(job.objects)) & across.any(1)
+        inner = binary_erosion(self.objects_in(view), iterations=1 + round(1.5 * LEVELS[level].blur))
+        points = []
+        for i, obj in enumerate(job.objects):
+            region = inner & (view.mesh == i) & (True if obj.mask is None else obj.mask)
+            points.append(surface_points(view, job, i, region=region))
+        given = [name for name, value in vars(points[0]).items() if value is not None]
+        joined = SurfacePoints(**{n: np.concatenate([getattr(p, n) for p in points]) for n in given})
+        joined = joined.take(spread(joined, LEVELS[level].points))
+        return Marks(outline[mine], across[mine], joined.position, self.light(joined))
+
+    def light(self, p: SurfacePoints) -> np.ndarray:
+        """(n, 9 + 16): what each term of a light gives to a matt surface, shadows included, and to a shining one."""
+        sees = self.tracer.visible(p.position, p.flat_normal, DIRECTIONS)
+        cosine = np.maximum(p.normal @ DIRECTIONS.T, 0) * sees
+        matt = cosine @ sh.evaluate(ORDER, DIRECTIONS) * (4 / len(DIRECTIONS))
+        mirrored = 2 * (p.normal * p.to_eye).sum(1, keepdims=True) * p.normal - p.to_eye
+        mirrored /= np.maximum(np.linalg.norm(mirrored, axis=1, keepdims=True), 1e-300)
+        return np.concatenate([matt, sh.evaluate(LOBE_ORDER, mirrored) * cosine.mean(1, keepdims=True)], 1)
+
+    def misfit(self, q, level: int) -> Misfit:
+        """The objective about seven numbers."""
+        lens = self.frame.at(q)
+        return Misfit(self.pictures[level], self.marks(lens, level), lens, shading=LEVELS[level].shading)
+
+    def left(self, q) -> Left | None:
+        """What speaks against seven numbers; None where too little is seen to say."""
+        misfit = self.misfit(q, len(LEVELS) - 1)
+        if len(misfit.outline) < LEAST_OUTLINE or len(misfit.surface) < LEAST_SURFACE:
+            return None
+        return Left(*misfit.values(self.frame.at(q)))
+
+    def follow(self, q, level: int, free) -> np.ndarray:
+        """Seven numbers refined at one level, with marks made anew."""
+        for _ in range(LEVELS[level].rounds):
+            q = refined(self.misfit(q, level), self.frame, q, free=free)
+        return q
+
+    def search(self, before: Left) -> tuple[np.ndarray, Left]:
+        """The best seven numbers, and what speaks against them."""
+        start = np.zeros(PARAMETERS)
+        starts = [start, *best_shifts(self.misfit(start, 0), self.frame, step=4.0, keep=STARTS, apart=5.0)]
+        for level in (0, 1):
+            ends: list = []
+            for q in starts:
+                q = self.follow(q, level, HELD)
+                if all(np.linalg.norm(q - other) > APART for other in ends):
+                    ends.append(q)
+            judged = [(q, self.left(q)) for q in ends]
+            known = sorted((before.better(left), i) for i, (_, left) in enumerate(judged) if left is not None)
+            starts = [ends[i] for _, i in known[: -KEPT - 1 : -1]] or [start]
+        best = self.follow(starts[0], 2, HELD)
+        left = self.left(best)
+        if left is None:
+            return start, before
+        zoomed = self.follow(best, 2, FREE)
+        other = self.left(zoomed)
+        if other is not None and left.better(other) > ZOOM_GAIN:
+            best, left = zoomed, other
+        return best, left
+
+
+def align(scene: PreparedScene) -> Alignment:
+    """Looks for the camera that took a scene's photo, near the job's own.
+
+    Raises
+    ------
+    InputError
+        For a depth.
+    """
+    refuse_depth(scene.job)
+    camera = scene.job.camera
+    aligner = Aligner(scene)
+    before = aligner.left(np.zeros(PARAMETERS))
+    if before is None:
+        return Alignment(
+            camera, False, "left as it is: the picture shows too little of the objects' outline or surface"
+        )
+    q, after = aligner.search(before)
+    lens, first = aligner.frame.at(q), aligner.frame.lens
+    seen = aligner.marks(first, len(LEVELS) - 1).surface
+    moved = np.linalg.norm(lens.project(seen) - first.project(seen), axis=1).mean() * camera.fx / first.fx
+    zoom = lens.fx / first.fx
+    degrees = np.degrees(np.linalg.norm(q[:3]) / aligner.frame.radius)
+    stays = Alignment(camera, False, "", before=before, after=after)
+    outline, shading = before.gain_of(after)
+    if moved < LEAST_MOVE:
+        return replace(
+            stays, why=f"left as it is: it lies within {LEAST_MOVE} pixels of where it goes best", after=before
+        )
+    if outline + shading < GAIN or min(outline, shading) < -WORSE:
+        return replace(stays, why=f"left as it is: no place nearby goes clearly better ({_words(before, after)})")
+    found = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom, to_world=lens.to_world)
+    try:
+        with_camera(scene, found)
+    except InputError as error:
+        return replace(stays, why=f"left as it is: after the move, {error}")
+    why = f"moved: outlines and shading go better ({_words(before, after)})"
+    return Alignment(found, True, why, float(moved), float(degrees), 100 * float(zoom - 1), before, after)
+
+
+def _words(before: Left, after: Left) -> str:
+    return (
+        f"outline without an edge {100 * before.outline:.0f} % before, {100 * after.outline:.0f} % after; "
+        f"shading's residual {100 * before.shading:.1f} % before, {100 * after.shading:.1f} % after"
+    )
