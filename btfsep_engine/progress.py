@@ -13,6 +13,7 @@ _LEARNING = {"training rays": 4, "training images": 23, "dictionaries": 10, "cla
 _SEEN = {**_SCENE, **_LEARNING, "transport": 20}
 RUNS = {
     "estimate": {**_SEEN, "fit": 5, "reflectance": 2, "checks": 3, "report": 9, "writing": 3},
+    "align": {**_SCENE, "alignment": 40, "writing": 2},
     "recognise": {**_SCENE, **_LEARNING},
     "train": {**_SCENE, **_LEARNING},
     "relight": {**_SEEN, "writing": 1},
@@ -45,6 +46,7 @@ TITLES = {
     "checks": "Looking for what speaks against it",
     "report": "Making the report",
     "writing": "Writing the results",
+    "alignment": "Bringing geometry and photo into line",
     "maps": "Reading the maps",
     "measure": "Measuring",
 }

@@ -69,6 +69,18 @@ def estimate(*, job, library_folder, settings, reporter, **options):
 
 @cli.command()
 @JOB
+@out_option("JOB/aligned")
+@command
+def align(*, job, out, reporter):
+    """Moves JOB's camera to where geometry and photo line up, if that is a clear gain: a copy of JOB."""
+    from btfsep_engine.pipeline.aligned_job import run_align
+
+    result = run_align(job, out=out, reporter=reporter)
+    return result, words.align(result)
+
+
+@cli.command()
+@JOB
 @LIBRARY
 @command
 @takes_settings(*RECOGNITION)

@@ -28,6 +28,17 @@ def estimate(result: dict) -> str:
     return "\n".join(lines)
 
 
+def align(result: dict) -> str:
+    """What an alignment did."""
+    how = "the geometry was " * result["aligned"] + result["why"]
+    if result["aligned"]:
+        how += (
+            f"\nby {result['moved_px']:.1f} pixels in the picture; the camera turned by {result['degrees']:.1f}° about "
+            f"the objects, the focal length changed by {result['focal_percent']:+.1f} %"
+        )
+    return f"{how}\nresults in {result['out']}"
+
+
 def recognise(result: dict) -> str:
     """The candidates of every object."""
     lines = []

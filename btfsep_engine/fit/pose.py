@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 DARK = 0.05  # of the object's median luminance: noise in shadows is no edge
+GLARE = 3.0  # of the objects' median colour: what is brighter is a highlight, which no light of a low order makes
 SATURATES = 80  # percentile of the photo's gradients about the objects, at which half an edge is found
 REACH = 16.0  # pixels, in which a shift is looked for; the prior's deviation
 TURN = np.radians(5.0)  # the prior's deviation of each turn
@@ -23,7 +24,7 @@ STRETCH = 0.05  # the prior's deviation of distance and focal length
 PRIOR = 0.02  # of the objective, for one deviation
 OUTLINE = 3.0  # the outlines' weight in the objective; the shading's is at most one
 CAPPED = 2.0  # robust deviations of the shading's residual at which it counts less
-LEAST_LEFT = 0.03  # of the brightness: no model of the shading is better
+LEAST_LEFT = 0.01  # of the brightness: no model of the shading is better
 STEP = 0.2  # pixels, of finite differences
 PARAMETERS = 7
 
@@ -119,7 +120,7 @@ class Picture:
         level = np.median(radiance[about & usable], 0)
         level = np.maximum(level, 1e-3 * level.max())
         sigmas = (blur, blur, 0)
-        known = gaussian_filter(np.where(usable[..., None], radiance / level, 0), sigmas)
+        known = gaussian_filter(np.where(usable[..., None], np.minimum(radiance / level, GLARE), 0), sigmas)
         self.radiance = known / np.maximum(weight, 1e-6)[..., None]
         self.usable = weight > 0.5
         logs = gaussian_filter(np.log(radiance / level + DARK), sigmas)

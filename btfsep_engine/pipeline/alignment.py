@@ -23,12 +23,14 @@ SIDE = 256  # pixels of a photo's longer edge, at most, of what is looked at
 DIRECTIONS = fibonacci_sphere(96)  # light is smooth
 ORDER, LOBE_ORDER = 2, 3  # of the light by its cosine, and from the mirror direction
 DEEP = 0.03  # of the objects' radius: where depth jumps by more, one surface ends before another
+HALVINGS = 4  # of the pixel in which an outline lies
 NEAR = 12  # pixels about the objects, in which the photo's edges are measured
 LEAST_OUTLINE, LEAST_SURFACE = 40, 100  # points; fewer say nothing
 HELD = np.array([True] * 6 + [False])  # all but the focal length
 FREE = np.ones(PARAMETERS, bool)
 GAIN = 0.15  # least logarithm of what is left of outlines times shading, for a move
-WORSE = 0.03  # most logarithm by which either may become worse
+OUTLINE_GAIN = 0.05  # least logarithm of what is left of the outlines alone: shading can be another material's
+WORSE = 0.03  # most logarithm by which the shading may become worse
 ZOOM_GAIN = 0.03  # least logarithm that another focal length has to gain beside a move
 STARTS, KEPT, APART = 3, 2, 1.5  # shifts to start from beside none; how many go on; pixels between two ways
 LEAST_MOVE = 0.3  # pixels of the photo
@@ -112,13 +114,12 @@ def lens_of(camera: Camera) -> Lens:
     return Lens(camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world)
 
 
-def outline_of(view, rays_at, *, limit: float):
-    """Where surfaces end before what is farther.
+def outline_of(view, camera: Camera, tracer, *, limit: float):
+    """Where surfaces end before what is farther, to a fraction of a pixel.
 
     Parameters
     ----------
-    view : render.surface.View
-    rays_at : x, y -> origins, directions
+    view : render.surface.View, what ``camera`` sees of ``tracer``'s geometry
     limit : world units, of jumps in distance that count
 
     Returns
@@ -129,20 +130,29 @@ def outline_of(view, rays_at, *, limit: float):
     distance = np.where(view.mesh >= 0, view.distance, np.inf)
     nearness = np.where(view.mesh >= 0, 1 / np.maximum(view.distance, 1e-300), 0.0)
     slope = np.stack([gaussian_filter(nearness, 1.5, order=o) for o in ((0, 1), (1, 0))], -1)
-    found = []
-    for axis in (0, 1):
-        before, behind = (np.moveaxis(distance, axis, 0)[s] for s in (slice(None, -1), slice(1, None)))
+    pairs = []  # of pixels: row and column of the nearer, row and column of the farther
+    for down, right in ((1, 0), (0, 1)):
+        h, w = distance.shape
+        one, other = distance[: h - down, : w - right], distance[down:, right:]
         # compared as sums, since infinite less infinite is nothing
-        for near, jump in ((0, behind > before + limit), (1, before > behind + limit)):
-            first, along = np.nonzero(jump)
-            pairs = (first + 1.0, along + 0.5, first + near, along)
-            found.append(np.stack(pairs if axis == 0 else (pairs[1], pairs[0], pairs[3], pairs[2]), -1))
-    y, x, row, column = np.concatenate(found).T
-    row, column = row.astype(int), column.astype(int)
-    origins, rays = rays_at(x, y)
+        for nearer, jump in ((0, other > one + limit), (1, one > other + limit)):
+            first = np.argwhere(jump)
+            second = first + np.array([down, right])
+            pairs.append(np.concatenate([second, first] if nearer else [first, second], 1))
+    near, far = np.split(np.concatenate(pairs), 2, axis=1)
+    row, column = near.T
+    low, high, depth = np.zeros(len(near)), np.ones(len(near)), distance[row, column]
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        at = near + middle[:, None] * (far - near) + 0.5
+        hit = tracer.nearest(*camera.rays(at[:, 1], at[:, 0])).distance
+        on = hit < depth + limit
+        low, high, depth = np.where(on, middle, low), np.where(on, high, middle), np.where(on, hit, depth)
+    at = near + low[:, None] * (far - near) + 0.5
+    origins, rays = camera.rays(at[:, 1], at[:, 0])
     across = slope[row, column]
     across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
-    return origins + distance[row, column][:, None] * rays, across, view.mesh[row, column]
+    return origins + depth[:, None] * rays, across, view.mesh[row, column]
 
 
 class Aligner:
@@ -169,7 +179,7 @@ class Aligner:
         camera = replace(self.job.camera, fx=lens.fx, fy=lens.fy, to_world=lens.to_world)
         job = replace(self.job, camera=camera)
         view = camera_view(self.tracer, job)
-        outline, across, mesh = outline_of(view, camera.rays, limit=DEEP * self.tracer.radius)
+        outline, across, mesh = outline_of(view, camera, self.tracer, limit=DEEP * self.tracer.radius)
         mine = (mesh < len(job.objects)) & across.any(1)
         inner = binary_erosion(self.objects_in(view), iterations=1 + round(1.5 * LEVELS[level].blur))
         points = []
@@ -260,7 +270,7 @@ def align(scene: PreparedScene) -> Alignment:
         return replace(
             stays, why=f"left as it is: it lies within {LEAST_MOVE} pixels of where it goes best", after=before
         )
-    if outline + shading < GAIN or min(outline, shading) < -WORSE:
+    if outline + shading < GAIN or outline < OUTLINE_GAIN or shading < -WORSE:
         return replace(stays, why=f"left as it is: no place nearby goes clearly better ({_words(before, after)})")
     found = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom, to_world=lens.to_world)
     try:

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`btfsep align`: a job folder in, the same job with the camera that goes with its photo out."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion
+
+from btfsep_engine import atomic, report
+from btfsep_engine.errors import InputError
+from btfsep_engine.images import write_png
+from btfsep_engine.job.load import load_job
+from btfsep_engine.job.model import Camera
+from btfsep_engine.pipeline.alignment import Alignment, Left, align, refuse_depth, with_camera
+from btfsep_engine.pipeline.record import peak_memory_mb, versions, write_json
+from btfsep_engine.pipeline.scene import PreparedScene
+
+RESULT, OVERLAY = "alignment.json", "alignment.png"
+BEFORE, AFTER = (255, 40, 40), (40, 255, 80)  # red and green
+THICK = 500  # pixels of the photo's longer edge for each pixel of a line
+
+
+def named_files(tree: dict) -> list[str]:
+    """Every file that the content of a job.json names."""
+    geometry = [*tree.get("objects", ()), *tree.get("occluders", ())]
+    names = [tree["image"], *(g.get(key) for g in geometry for key in ("mesh", "mask"))]
+    names += [colour for g in geometry if isinstance(colour := (g.get("surface") or {}).get("base_color"), str)]
+    return list(dict.fromkeys(name.replace("\\", "/") for name in names if name))
+
+
+def write_job(source: Path, out: Path, camera: Camera) -> None:
+    """Copies a job of meshes that was read without fault, with another camera."""
+    tree = json.loads((source / "job.json").read_text(encoding="utf-8-sig"))
+    for name in named_files(tree):
+        atomic.write_bytes(out / name, atomic.read_bytes(source / name))
+    tree["camera"] |= {"fx": camera.fx, "fy": camera.fy, "to_world": camera.to_world.tolist()}
+    write_json(out / "job.json", tree)
+
+
+def write_overlay(path: Path, scene: PreparedScene, found: Alignment) -> None:
+    """The photo with the outline of the geometry before, red, and, where it was moved, after, green."""
+    photo, seen = scene.job.photo.radiance.astype(np.float64), scene.view.mesh >= 0
+    picture = report.display(photo, report.exposure(photo, seen))
+    drawn = [(scene.view, BEFORE)]
+    if found.aligned:
+        drawn.append((with_camera(scene, found.camera).view, AFTER))
+    for view, colour in drawn:
+        seen = view.mesh >= 0
+        edge = seen & ~binary_erosion(seen, border_value=1)
+        width = max(photo.shape[:2]) // THICK
+        picture[binary_dilation(edge, iterations=width) if width else edge] = colour
+    write_png(path, picture)
+
+
+def run_align(folder, *, out=None, reporter) -> dict:
+    """The whole command: reads the job, looks for its camera, writes the job with it, its result and a picture.
+
+    Parameters
+    ----------
+    folder : job folder
+    out : folder for the results, default ``folder/aligned``
+
+    Returns
+    -------
+    dict, the content of ``alignment.json`` and ``out``
+
+    Raises
+    ------
+    InputError
+        For a depth, or where ``out`` is the job's own folder.
+    """
+    with reporter.stage("reading"):
+        job = load_job(folder)
+        for note in job.warnings:
+            reporter.warn(note)
+    refuse_depth(job)
+    out = Path(out) if out is not None else job.folder / "aligned"
+    if out.resolve() == job.folder.resolve():
+        raise InputError("--out", "it is the job's own folder, whose job.json stays", "name another folder")
+    scene = PreparedScene(job, reporter)
+    with reporter.stage("alignment"):
+        found = align(scene)
+    with reporter.stage("writing"):
+        write_job(job.folder, out, found.camera)
+        write_overlay(out / OVERLAY, scene, found)
+    result = {
+        "format": "btfsep-alignment",
+        "version": 1,
+        "job_digest": job.digest,
+        "aligned": found.aligned,
+        "why": found.why,
+        "moved_px": found.moved_px,
+        "degrees": found.degrees,
+        "focal_percent": found.focal_percent,
+        "objective": {"before": _left(found.before), "after": _left(found.after)},
+        "warnings": list(reporter.warnings),
+        "seconds": {stage: round(seconds, 4) for stage, seconds in reporter.seconds.items()},
+        "peak_memory_mb": peak_memory_mb(),
+        "versions": versions(),
+    }
+    write_json(out / RESULT, result)
+    return {**result, "out": str(out)}
+
+
+def _left(left: Left | None):
+    return None if left is None else {"outline": left.outline, "shading": left.shading}

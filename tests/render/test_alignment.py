@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`btfsep align`: a camera that is a little off comes back, one that is in place stays."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine import images, sh
+from btfsep_engine.cli.commands import main
+from btfsep_engine.errors import InputError
+from btfsep_engine.fit.pose import Frame
+from btfsep_engine.job.load import load_job
+from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
+from btfsep_engine.pipeline.alignment import align, lens_of, with_camera
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.progress import Reporter
+from tests.render.scenes import looking_down, positive_light
+
+
+def potato():
+    """No turn of it looks like another."""
+    shape = trimesh.creation.icosphere(5)
+    x, y, z = shape.vertices.T
+    shape.vertices *= (0.75 + 0.2 * np.sin(2.5 * x + 1) * np.cos(3 * y) + 0.12 * np.sin(4 * z + 2 * x))[:, None]
+    return shape
+
+
+def photographed(folder, shape, *, focal=200.0, seed=0):
+    """Writes a job of a white shape before an uneven wall, shaded in closed form, and gives it as a scene."""
+    camera, x = looking_down(focal=focal), positive_light(2)
+    shape.export(folder / "shape.ply")
+    shown = {k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
+    job = {"format": "btfsep-job", "version": 1, "image": "photo.exr", "metres_per_unit": 0.05}
+    job["camera"] = {**shown, "to_world": camera.to_world.tolist()}
+    job["objects"] = [{"name": "shape", "mesh": "shape.ply"}]
+    (folder / "job.json").write_text(json.dumps(job))
+    scene = PreparedScene(load_job(folder, with_photo=False), Reporter())
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    wall = 0.12 + 0.03 * np.sin(columns / 17) * np.cos(rows / 11)
+    image = np.repeat(wall[..., None], 3, 2)
+    seen = scene.view.mesh == 0
+    points = scene.points(0, region=seen, textured=False)
+    image[seen] = 0.8 / np.pi * sh.irradiance(x, points.normal)
+    image *= 1 + 0.01 * np.random.default_rng(seed).normal(size=image.shape)
+    images.write_exr(folder / "photo.exr", image.astype(np.float32))
+    return PreparedScene(load_job(folder), Reporter())
+
+
+def frame_of(scene) -> Frame:
+    return Frame(lens_of(scene.job.camera), np.zeros(3), float(np.sqrt((scene.view.mesh >= 0).sum() / np.pi)))
+
+
+def off_by(scene, pixels):
+    """The scene with a camera that seven numbers, in pixels, have moved."""
+    lens = frame_of(scene).at(pixels)
+    return with_camera(scene, replace(scene.job.camera, fx=lens.fx, fy=lens.fy, to_world=lens.to_world))
+
+
+def away(scene, camera) -> float:
+    """Mean way in pixels of what the true camera sees."""
+    points = scene.points(0, textured=False).position
+    return np.linalg.norm(lens_of(camera).project(points) - lens_of(scene.job.camera).project(points), axis=1).mean()
+
+
+@pytest.fixture(scope="module")
+def potatoes(tmp_path_factory):
+    return photographed(tmp_path_factory.mktemp("potato"), potato())
+
+
+@pytest.mark.parametrize("moved", [(0, 0, 1.5, 3, -2, 0, 0), (1.5, -1, 0, -8, 5, 0, 0), (0, 1, -2, 10, 9, 2, 0)])
+def test_a_camera_that_is_off_comes_back(potatoes, moved):
+    start = off_by(potatoes, moved)
+    found = align(start)
+    assert found.aligned
+    assert away(potatoes, found.camera) < min(0.6, 0.3 * away(potatoes, start.job.camera))
+    assert found.moved_px == pytest.approx(away(potatoes, start.job.camera), abs=1.0)
+
+
+def test_what_is_in_place_stays(potatoes):
+    found = align(potatoes)
+    assert not found.aligned
+    assert "left as it is" in found.why
+    assert found.camera is potatoes.job.camera
+
+
+def test_the_turn_of_a_ball_stays(tmp_path):
+    """Nothing in a picture of a smooth ball says how it is turned."""
+    ball = photographed(tmp_path, trimesh.creation.icosphere(5))
+    found = align(off_by(ball, (0, 0, 0, 6, -4, 0, 0)))
+    assert found.aligned
+    assert found.degrees < 1.0
+    assert np.linalg.norm(lens_of(found.camera).project(np.zeros((1, 3))) - ball.job.camera.width / 2) < 0.7
+
+
+def test_no_outline_in_the_picture(tmp_path):
+    """An object that fills the picture."""
+    full = photographed(tmp_path, trimesh.creation.icosphere(5), focal=900.0)
+    found = align(full)
+    assert not found.aligned
+    assert "too little" in found.why
+    assert found.before is None
+
+
+def test_cut_by_the_frame(tmp_path):
+    """The frame is no outline: what lies half outside comes back to where it was, and not to the middle."""
+    shape = potato()
+    shape.apply_translation([0.75, 0, 0])
+    cut = photographed(tmp_path, shape)
+    assert (cut.view.mesh[:, -1] >= 0).sum() > 20
+    start = off_by(cut, (0, 0, 0, 4, 3, 0, 0))
+    assert away(cut, align(start).camera) < 0.35 * away(cut, start.job.camera)
+
+
+def test_a_photo_without_edges_moves_nothing(potatoes):
+    flat = PreparedScene(potatoes.job, Reporter())
+    even = np.full_like(potatoes.job.photo.radiance, 0.2)
+    flat.job = replace(flat.job, photo=replace(flat.job.photo, radiance=even))
+    assert not align(flat).aligned
+
+
+def test_the_command_writes_a_job_that_can_be_used(potatoes, tmp_path):
+    moved = off_by(potatoes, (0, 0, 1, 5, -3, 0, 0)).job.camera
+    source = potatoes.job.folder
+    tree = json.loads((source / "job.json").read_text())
+    tree["camera"]["to_world"] = moved.to_world.tolist()
+    folder = tmp_path / "job"
+    folder.mkdir()
+    (folder / "job.json").write_text(json.dumps(tree))
+    for name in ("photo.exr", "shape.ply"):
+        (folder / name).write_bytes((source / name).read_bytes())
+    result = run_align(folder, reporter=Reporter())
+    assert result["aligned"]
+    assert result["objective"]["after"]["outline"] < result["objective"]["before"]["outline"]
+    again = load_job(folder / "aligned")
+    assert away(potatoes, again.camera) < 0.6
+    assert json.loads((folder / "aligned" / RESULT).read_text())["moved_px"] == result["moved_px"]
+    picture = images.read_linear(folder / "aligned" / OVERLAY).pixels
+    red, green = picture[..., 0] - picture[..., 1] > 0.8, picture[..., 1] - picture[..., 0] > 0.8
+    assert red.sum() > 30
+    assert green.sum() > 30
+    with pytest.raises(InputError, match="the job's own folder"):
+        run_align(folder, out=folder, reporter=Reporter())
+
+
+def test_a_depth_is_refused(potatoes, tmp_path, capsys):
+    tree = json.loads((potatoes.job.folder / "job.json").read_text())
+    tree |= {"depth": "depth.exr", "objects": []}
+    (tmp_path / "job.json").write_text(json.dumps(tree))
+    (tmp_path / "photo.exr").write_bytes((potatoes.job.folder / "photo.exr").read_bytes())
+    depth = np.where(np.isfinite(potatoes.view.distance), potatoes.view.distance, 0).astype(np.float32)
+    images.write_exr(tmp_path / "depth.exr", np.repeat(depth[..., None], 3, 2))
+    assert main(["align", str(tmp_path)]) == 2
+    assert "its geometry is a depth" in capsys.readouterr().err
+    assert not (tmp_path / "aligned").exists()
