@@ -75,7 +75,7 @@ def test_a_camera_that_is_off_comes_back(potatoes, moved):
     start = off_by(potatoes, moved)
     found = align(start)
     assert found.aligned
-    assert away(potatoes, found.camera) < min(0.6, 0.3 * away(potatoes, start.job.camera))
+    assert away(potatoes, found.camera) < 0.15 * away(potatoes, start.job.camera)
     assert found.moved_px == pytest.approx(away(potatoes, start.job.camera), abs=1.0)
 
 
