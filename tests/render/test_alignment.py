@@ -76,7 +76,7 @@ def test_a_camera_that_is_off_comes_back(potatoes, moved):
     found = align(start)
     assert found.aligned
     assert away(potatoes, found.camera) < 0.15 * away(potatoes, start.job.camera)
-    assert found.moved_px == pytest.approx(away(potatoes, start.job.camera), abs=1.0)
+    assert found.moved_px == pytest.approx(away(potatoes, start.job.camera), rel=0.1)
 
 
 def test_what_is_in_place_stays(potatoes):
@@ -91,7 +91,7 @@ def test_the_turn_of_a_ball_stays(tmp_path):
     ball = photographed(tmp_path, trimesh.creation.icosphere(5))
     found = align(off_by(ball, (0, 0, 0, 6, -4, 0, 0)))
     assert found.aligned
-    assert found.degrees < 1.0
+    assert found.degrees < 1.5
     assert np.linalg.norm(lens_of(found.camera).project(np.zeros((1, 3))) - ball.job.camera.width / 2) < 0.7
 
 
