@@ -90,7 +90,7 @@ def structure_doubts(effects: dict[str, Effect], *, residual: float, names, t=TH
     if speaks and blocked.chi2 > t.blocked and blocked.size[0] > t.blocked_size:
         out.append(
             "places that see little of the sky are brighter than they should be: reflections from surfaces that are "
-            "not modelled (more --bounces, or the neighbours as objects with a material)"
+            "not modelled (more --bounces, or what stands beside them as occluders with a 'surface')"
         )
     if speaks and diffuse.chi2 > t.diffuse:
         out.append(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a table under the object does to an estimate, on photographs by Cycles.
 
-scripts/study surroundings --make FOLDER [--only white …]
+scripts/study surroundings FOLDER --make     photographs it, once
 scripts/study surroundings FOLDER
 
 Objects alone and on matte tables, under lights with which nothing was tuned; the object's material is given. Each photo
