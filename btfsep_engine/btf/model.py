@@ -7,6 +7,7 @@ in, once. One model for all tabulated materials, linear in both factors:
     BTF(x, omega_i, omega_o)[c] = sum_k texels[x, k] * angular[view, light, c, k]
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +16,7 @@ import numpy as np
 from btfsep_engine.btf.directions import cosine_weights, interpolator, ubo2014_directions
 
 
-class Material:
+class Material(ABC):
     """What all others ask of a material. A new kind gives its names and :meth:`abrdf`; the rest follows from its table.
 
     Attributes
@@ -31,6 +32,7 @@ class Material:
     has_texture = lines_up = False
     matte_albedo = mirror_reflectance = None
 
+    @abstractmethod
     def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
         """Values at points, a mirror's own direction left out.
 
@@ -43,7 +45,6 @@ class Material:
         -------
         (n, 3) float, 1/sr, without the cosine
         """
-        raise NotImplementedError
 
     @cached_property
     def table(self) -> "Tabulated":

@@ -21,6 +21,7 @@ from btfsep_engine.pipeline.doubts import alignment_doubt
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.progress import Reporter
+from scripts.studies.depth import z_depth
 from tests.render.scenes import as_mesh, job_of, looking_down
 
 WHITE = Lambertian("white", np.full(3, 0.8))
@@ -34,15 +35,6 @@ def cup(degrees):
     return as_mesh(
         shape.apply_transform(trimesh.transformations.rotation_matrix(np.radians(degrees), [1, 0, 0])), flat=True
     )
-
-
-def z_depth(scene):
-    """(h, w) z-depth of what a scene's camera sees."""
-    camera = scene.job.camera
-    rows, columns = np.mgrid[: camera.height, : camera.width]
-    _, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
-    along = (directions @ -camera.to_world[:3, 2]).reshape(rows.shape)
-    return np.where(scene.view.mesh >= 0, scene.view.distance * along, 0)
 
 
 def received(scene, region, *, bounces):

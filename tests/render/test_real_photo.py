@@ -27,22 +27,11 @@ SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2
 DYE = np.array([1.5, 1.0, 0.7])
 
 
-class Listening(Reporter):
-    """Keeps the warnings."""
-
-    def __init__(self):
-        super().__init__()
-        self.said = []
-
-    def warn(self, message):
-        self.said.append(message)
-
-
 def scene_of_balls(places, *, dyes=None, limit=None):
     """Grey balls, photographed under `positive_light` with 2 % noise, clipped at a quantile of their brightness."""
     balls = [as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.45)) for _ in places]
     balls = [replace(m, vertices=m.vertices + place) for m, place in zip(balls, places, strict=True)]
-    scene = PreparedScene(job_of(balls, looking_down()), Listening())
+    scene = PreparedScene(job_of(balls, looking_down()), Reporter())
     image = np.zeros((96, 96, 3), np.float32)
     rng = np.random.default_rng(3)
     for i in range(len(places)):
@@ -76,11 +65,11 @@ def test_a_clipped_photo_gives_the_light_of_the_whole_one_as_nearly_as_can_be():
     scene = scene_of_balls([(0, 0, 0)], limit=0.5)
     fit, problem, choice = light_of(scene, given)
     assert choice["scale"] == PHOTOS_OWN
-    assert any("at least as bright" in text for text in scene.reporter.said)
+    assert any("at least as bright" in text for text in scene.reporter.warnings)
     blind = replace(scene.job.photo, clipped=None)
     scene.job = replace(scene.job, photo=blind)
     without, fewer, _ = light_of(scene, given)
-    assert any("left out" in text for text in scene.reporter.said)
+    assert any("left out" in text for text in scene.reporter.warnings)
     assert len(problem.pixels) > len(fewer.pixels)
     assert len(problem.pixels) == len(problem.radiance()) == len(problem.all_basis)
     scene.job = replace(scene.job, photo=replace(blind, usable=np.ones_like(blind.usable)))

@@ -136,17 +136,6 @@ def test_the_likeliest_are_rendered_again_before_one_is_named(monkeypatch, scene
     assert recognise_object(scene, 0, library, replace(settings, verify=False)) is undecided
 
 
-class Listening(Reporter):
-    """Keeps the warnings."""
-
-    def __init__(self):
-        super().__init__()
-        self.said = []
-
-    def warn(self, message):
-        self.said.append(message)
-
-
 @pytest.mark.parametrize("strict", [False, True])
 def test_a_material_left_out_is_named_by_its_nearest_and_said_to_be_unknown_below_the_limit(
     monkeypatch, scene, library, settings, strict
@@ -157,9 +146,9 @@ def test_a_material_left_out_is_named_by_its_nearest_and_said_to_be_unknown_belo
     recogniser = trained_recogniser(scene, 0, without, settings)
     asked = replace(recogniser, model=replace(recogniser.model, known_vote=0.999 if strict else -1.0))
     monkeypatch.setattr(recognition, "trained_recogniser", lambda *_: asked)
-    scene.reporter = Listening()
+    scene.reporter = Reporter()
     answer = recognise_object(scene, 0, without, settings)
     assert answer.material in asked.materials and FEW[2] not in asked.materials
     assert answer.unknown is strict and (answer.unknown_score > 1) is strict
-    said = [text for text in scene.reporter.said if "looks like none of the library's materials" in text]
+    said = [text for text in scene.reporter.warnings if "looks like none of the library's materials" in text]
     assert len(said) == strict and all(answer.material in text for text in said)

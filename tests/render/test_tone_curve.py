@@ -32,17 +32,6 @@ SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2
 LAMP = np.array([0.6, 0.3, 0.74]) / np.linalg.norm([0.6, 0.3, 0.74])
 
 
-class Listening(Reporter):
-    """Keeps the warnings."""
-
-    def __init__(self):
-        super().__init__()
-        self.said = []
-
-    def warn(self, message):
-        self.said.append(message)
-
-
 class Grey:
     """A library of one grey material."""
 
@@ -64,7 +53,7 @@ def light():
 def ball():
     """A scene of a grey ball on black, and its radiance (h, w, 3), at most 0.95."""
     mesh = as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.8))
-    scene = PreparedScene(job_of([mesh], looking_down()), Listening())
+    scene = PreparedScene(job_of([mesh], looking_down()), Reporter())
     points = scene.points(0, textured=False)
     values = scene.radiance(points, Grey().load("grey"), SHLighting(light()), directions=512)[:, 0]
     image = np.zeros((96, 96, 3))
@@ -79,7 +68,7 @@ def seen(ball, curve, said):
     codes = np.linspace(0, 1, 1 << 16)
     codes = np.round(np.interp(image, curve.decode(codes), codes) * 255) / 255
     read = LINEAR if said == "linear" else SRGB
-    out = PreparedScene(scene.job, Listening())
+    out = PreparedScene(scene.job, Reporter())
     photo = Photo(read.decode(codes).astype(np.float32), np.ones(codes.shape[:2], bool), 0, bits=8)
     out.job = replace(scene.job, photo=photo, image_colorspace=said)
     return out
@@ -127,7 +116,7 @@ def test_samples_are_a_mixture_over_the_curves_that_are_nearly_as_probable(ball)
 def test_a_curve_that_explains_far_less_than_another_is_doubted(ball, said, true, doubted):
     scene = seen(ball, true, said)
     estimate(scene, Grey(), SETTINGS, material="grey")
-    assert any("tone curve is doubtful" in each for each in scene.reporter.said) == doubted
+    assert any("tone curve is doubtful" in each for each in scene.reporter.warnings) == doubted
 
 
 def looks_like(scene, index, library, settings):
@@ -146,7 +135,7 @@ def test_an_object_is_recognised_by_the_curve_that_was_found(ball, monkeypatch, 
     assert as_srgb == ("lighter" if curve is SRGB else "darker")
     found = estimate(scene, Grey(), SETTINGS)
     assert [m.name for m in found.materials] == ["lighter"]
-    said = [each for each in scene.reporter.said if "was recognised as" in each]
+    said = [each for each in scene.reporter.warnings if "was recognised as" in each]
     assert len(said) == (curve is not SRGB) and all("as lighter" in each and "like darker" in each for each in said)
 
 
