@@ -37,8 +37,9 @@ HIDDEN = 0.04  # of the same: a lamp that the photo could not know of
 HIDDEN_LAMPS = 0.5  # expected number of them over a whole sphere of such directions
 ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alone is taken
 SAMPLES = 200
-WIDER = 1.25  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
-CENTRINGS = 4  # steps by which samples are moved to what the photo says
+WIDER = 1.4  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
+CENTRINGS = 8  # steps by which samples are moved to what the photo says
+LONGEST = 1.0  # of any white unknown in one of them
 
 
 @dataclass(frozen=True)
@@ -197,8 +198,9 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
     """Unknowns (count, unknowns) and lights (count, all terms, 3), as probable as the posterior has them.
 
     Laplace's samples theta + delta, moved until what they predict of the photo is what the linear model says they
-    should, r + J delta: an exponential is brighter in the mean than at its middle, and the photo knows how bright it is
-    (randomise, then optimise: Bardsley and others 2014, with the derivative at the maximum for all).
+    should, r + J delta, and no further than it takes: an exponential is brighter in the mean than at its middle, and
+    the photo knows how bright it is (randomise, then optimise: Bardsley and others 2014, with the derivative at the
+    maximum for all).
     """
     model = best.model
     jacobian = model.jacobian(best.white, best.radiance, best.rows.root)
@@ -213,14 +215,17 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
         ]
         return np.concatenate(parts, 1) - wanted
 
-    lights = model.light(whites)[0]
+    asked, lights = whites.copy(), model.light(whites)[0]
     left = off(lights)
     for _ in range(CENTRINGS):
-        step = cho_solve((best.factor, True), (left @ jacobian).T).T
-        trial = whites - step
+        step = cho_solve((best.factor, True), (left @ jacobian + whites - asked).T).T
+        trial = whites - step * np.minimum(1, LONGEST / np.abs(step).max(1, keepdims=True))
         lights_there = model.light(trial)[0]
         left_there = off(lights_there)
-        better = np.square(left_there).sum(1) < np.square(left).sum(1)
+        here, there = (
+            np.square(r).sum(1) + np.square(w - asked).sum(1) for r, w in ((left, whites), (left_there, trial))
+        )
+        better = there < here
         whites[better], lights[better], left[better] = trial[better], lights_there[better], left_there[better]
     return whites, lights.transpose(0, 2, 1)
 
