@@ -75,9 +75,17 @@ class LightModel:
         """(…, terms) of directions (…, 3)."""
         return sh.evaluate(sh.order_of(self.field.terms), directions)
 
-    def jacobian(self, white, radiance, rows) -> np.ndarray:
-        """Derivatives of R_c x_c by the unknowns: (all rows, unknowns); ``rows`` : R of each channel."""
-        columns, of_lamps = [self.field.jacobian(rows, radiance)], self.parts(white)[1]
+    def jacobian(self, white, radiance, rows, by_direction=None) -> np.ndarray:
+        """Derivatives of R_c x_c by the unknowns: (all rows, unknowns).
+
+        Parameters
+        ----------
+        white : (unknowns,); radiance : (3, n), the field's; rows : R_c of each channel
+        by_direction : `LogField.by_direction` of the rows, whose precision is that of the derivatives; None: made
+        """
+        if by_direction is None:
+            by_direction = self.field.by_direction(rows)
+        columns, of_lamps = [self.field.jacobian(by_direction, radiance)], self.parts(white)[1]
         moves = STEP * np.eye(OF_LAMP)[[2, 0, 1]]
         moves[0] = 0
         for i, q in enumerate(of_lamps):
@@ -87,4 +95,4 @@ class LightModel:
             seen = [e * (r @ slopes) for r, e in zip(rows, irradiances[0], strict=True)]  # (rows, 3) of each channel
             columns.append(np.concatenate([part[:, 1:] for part in seen]))
             columns.append(np.concatenate([np.outer(p[:, 0], SIZES * v) for p, v in zip(seen, CHROMA, strict=True)]))
-        return np.column_stack(columns)
+        return np.column_stack(columns).astype(columns[0].dtype, copy=False)

@@ -78,6 +78,7 @@ class Basis:
         smooth = sh.evaluate(SMOOTH_ORDER, np.asarray(normals, np.float64))[:, 1:]
         self.smooth = smooth * (SINGLE / np.sqrt(smooth.shape[1]))  # Y: its rows are of length 1
         self.grams = [self._weighted_gram(c, None) for c in range(3)]
+        self.axes = [np.linalg.eigh(gram) for gram in self.grams]
         self.mean_response = sum(self.rows(c).mean(0) for c in range(3)) / 3  # (terms,)
 
     def _parts(self):
@@ -161,6 +162,7 @@ class Photograph:
         self.level = np.maximum(level, 1e-3 * level.max())  # (3,), the unit of each channel
         self.b = b / self.level
         self.grams = basis.weighted_grams(weights)
+        self._axes = basis.axes if weights is None else [np.linalg.eigh(gram) for gram in self.grams]
         self.count = weight.sum(0)
         self._weight, self._smooth = weight, None
         self.moments = [basis.rows(c).T @ (weight[:, c] * self.b[:, c]) for c in range(3)]
@@ -194,17 +196,23 @@ class Photograph:
         root, target, rest, log_determinant = [], [], 0.0, 0.0
         for c in range(3):
             w = 1 / (v[c] * self.coarsening)
-            gram, moment, energy = self.grams[c] * w, self.moments[c] * w, self.energies[c] * w
+            largest, axes = self._axes[c]
+            axes = axes[:, w * largest > NEGLIGIBLE / 10]  # what is negligible without a discrepancy is so with one
+            gram, moment, energy = (
+                (axes.T @ self.grams[c] @ axes) * w,
+                axes.T @ self.moments[c] * w,
+                self.energies[c] * w,
+            )
             if self._smooth is not None:
                 ff, fa, fb = self._discrepancy(c, w, discrepancy)
                 lower = np.linalg.cholesky(ff + np.eye(len(ff)))
-                fa, fb = (solve_triangular(lower, each, lower=True) for each in (fa, fb))
+                fa, fb = (solve_triangular(lower, each, lower=True) for each in (fa @ axes, fb))
                 gram, moment, energy = gram - fa.T @ fa, moment - fa.T @ fb, energy - fb @ fb
                 log_determinant += float(np.log(np.diag(lower)).sum())
             values, vectors = np.linalg.eigh(gram)
             kept = values > NEGLIGIBLE
             size, vectors = np.sqrt(values[kept]), vectors[:, kept]
-            root.append((vectors * size).T)
+            root.append((axes @ vectors * size).T)
             target.append(vectors.T @ moment / size)
             rest += max(float(energy - target[-1] @ target[-1]), 0.0)
         return Rows(root, target, rest, log_determinant)

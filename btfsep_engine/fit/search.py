@@ -6,14 +6,16 @@ With theta the white unknowns, the rows R, y of `fit.products` and r(theta) = R 
     min  (|r|^2 + |theta|^2) / 2                                     by Gauss and Newton, damped (Levenberg, Marquardt),
     log evidence = -min - log det(I + J^T J) / 2 - sum n_c log(v_c) / (2 h) - rest terms          (Laplace),
 
-J the derivative of r at the maximum. The noise v is what is left over, found again as the light is; it is never less
+J the derivative of r at the maximum. There are mostly fewer rows than unknowns: a step and the determinant are those of
+(rows, rows), (I + J^T J)^-1 = I - J^T (I + J J^T)^-1 J, and steps are in single precision. The noise v is what is left over, found again as the light is; it is never less
 than `FLOOR`: no model of a material is better.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_solve, lapack
+from scipy.linalg import lapack
 
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Photograph, Rows
@@ -40,7 +42,7 @@ class Solution:
     white : (unknowns,), theta
     x : (3, terms), coefficients of all of the light; radiance : (3, n), of the field
     v : (3,), noise; discrepancy : of the model of the photo, D; rows : Rows at both
-    factor : (unknowns, unknowns), lower Cholesky factor of I + J^T J
+    jacobian : (rows, unknowns), J
     evidence : its logarithm
     steps : of the search
     """
@@ -52,9 +54,14 @@ class Solution:
     v: np.ndarray
     discrepancy: float
     rows: Rows
-    factor: np.ndarray
+    jacobian: np.ndarray
     evidence: float
     steps: int
+
+    @cached_property
+    def factor(self) -> np.ndarray:
+        """(unknowns, unknowns), lower Cholesky factor of I + J^T J."""
+        return np.linalg.cholesky(_and_one(self.jacobian.T @ self.jacobian))
 
 
 def solve(
@@ -82,7 +89,8 @@ def solve(
             break
         v = now
     jacobian = model.jacobian(white, radiance, rows.root)
-    factor = np.linalg.cholesky(_precision(jacobian))
+    wide = jacobian.shape[0] < jacobian.shape[1]
+    factor = np.linalg.cholesky(_and_one(jacobian @ jacobian.T if wide else jacobian.T @ jacobian))
     evidence = (
         -lowest
         - 0.5 * rows.rest
@@ -92,29 +100,29 @@ def solve(
         - LAMP_COST * len(model.lamps)
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)
     )
-    return Solution(model, white, x, radiance, v, discrepancy, rows, factor, evidence, all_steps)
+    return Solution(model, white, x, radiance, v, discrepancy, rows, jacobian, evidence, all_steps)
 
 
-def _precision(jacobian) -> np.ndarray:
-    out = jacobian.T @ jacobian
-    np.einsum("ii->i", out)[:] += 1
-    return out
+def _and_one(gram, more=0.0) -> np.ndarray:
+    """The matrix with 1 + ``more`` added to its diagonal, in place."""
+    np.einsum("ii->i", gram)[:] += 1 + more
+    return gram
 
 
 def _minimised(rows: Rows, model: LightModel, white, most: int):
     """theta, x, radiance, (|r|^2 + |theta|^2) / 2, and the steps that were taken."""
     x, radiance = model.light(white)
+    by_direction = model.field.by_direction(rows.root, np.float32)
     r = rows.residual(x)
     now, damping, steps = 0.5 * (r @ r + white @ white), 1e-2, 0
     while steps < most:
         steps += 1
-        jacobian = model.jacobian(white, radiance, rows.root)
-        gradient, precision = jacobian.T @ r + white, _precision(jacobian)
+        jacobian = model.jacobian(white, radiance, rows.root, by_direction)
+        gradient = jacobian.T @ r.astype(np.float32) + white
+        wide = jacobian.shape[0] < jacobian.shape[1]
+        gram = jacobian @ jacobian.T if wide else jacobian.T @ jacobian
         while True:
-            damped = precision.copy()
-            np.einsum("ii->i", damped)[:] += damping
-            lower, _ = lapack.dpotrf(damped, lower=1)
-            moved = white - cho_solve((lower, True), gradient, check_finite=False)
+            moved = white - _step(jacobian, gram, gradient, damping)
             x_there, radiance_there = model.light(moved)
             r_there = rows.residual(x_there)
             there = 0.5 * (r_there @ r_there + moved @ moved)
@@ -129,3 +137,12 @@ def _minimised(rows: Rows, model: LightModel, white, most: int):
         if gain < GAIN * max(1.0, 0.01 * now):
             break
     return white, x, radiance, now, steps
+
+
+def _step(jacobian, gram, gradient, damping: float) -> np.ndarray:
+    """((1 + damping) I + J^T J)^-1 g; ``gram`` : J J^T or J^T J, the smaller one."""
+    lower, _ = lapack.spotrf(_and_one(gram.copy(), damping), lower=1)
+    if len(gram) == len(gradient):
+        return lapack.spotrs(lower, gradient.astype(np.float32), lower=1)[0].astype(float)
+    seen, _ = lapack.spotrs(lower, jacobian @ gradient.astype(np.float32), lower=1)
+    return (gradient - jacobian.T @ seen) / (1 + damping)

@@ -105,18 +105,26 @@ class LogField:
         """T L: (…, 3, terms) of the radiance (…, 3, n)."""
         return radiance @ self.to_coefficients.T
 
-    def jacobian(self, rows, radiance) -> np.ndarray:
-        """The derivatives of R_c x_c by the white unknowns: (all rows, k).
+    @cached_property
+    def _by_white(self) -> dict:
+        """In double and in single precision: for each channel (n, k), the derivatives of its logarithm."""
+        each = [np.hstack([v * f for v, f in zip(CHROMA[c], self._factors, strict=True)]) for c in range(3)]
+        return {np.dtype(kind): [m.astype(kind) for m in each] for kind in (np.float64, np.float32)}
+
+    def by_direction(self, rows, kind=np.float64) -> list:
+        """R_c T, (r_c, n), for each channel's rows R_c (r_c, terms): what `jacobian` needs of them."""
+        return [(r @ self.to_coefficients).astype(kind) for r in rows]
+
+    def jacobian(self, by_direction, radiance) -> np.ndarray:
+        """The derivatives of R_c x_c by the white unknowns: (all rows, k), in the precision of what it is given.
 
         Parameters
         ----------
-        rows : for each channel (r_c, terms), R_c; radiance : (3, n), L
+        by_direction : R_c T of each channel; radiance : (3, n), L
         """
-        out = []
-        for c, r in enumerate(rows):
-            by_direction = (r @ self.to_coefficients) * radiance[c]
-            out.append(np.hstack([CHROMA[c, i] * (by_direction @ f) for i, f in enumerate(self._factors)]))
-        return np.concatenate(out)
+        kind = by_direction[0].dtype
+        by_white = self._by_white[kind]
+        return np.concatenate([(r * radiance[c].astype(kind)) @ by_white[c] for c, r in enumerate(by_direction)])
 
     def at(self, white, directions) -> np.ndarray:
         """L in other directions (m, 3): (m, 3)."""

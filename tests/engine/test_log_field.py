@@ -24,7 +24,7 @@ def test_the_jacobian_is_that_of_finite_differences(rng):
 
     step = 1e-5 * np.eye(field.unknowns)
     numerical = np.stack([(images(white + s) - images(white - s)) / 2e-5 for s in step], 1)
-    found = field.jacobian(rows, field.radiance(white))
+    found = field.jacobian(field.by_direction(rows), field.radiance(white))
     np.testing.assert_allclose(found, numerical, atol=1e-6 * np.abs(numerical).max())
 
 
