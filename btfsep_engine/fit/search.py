@@ -6,9 +6,9 @@ With theta the white unknowns, the rows R, y of `fit.products` and r(theta) = R 
     min  (|r|^2 + |theta|^2) / 2                                     by Gauss and Newton, damped (Levenberg, Marquardt),
     log evidence = -min - log det(I + J^T J) / 2 - sum n_c log(v_c) / (2 h) - rest terms          (Laplace),
 
-J the derivative of r at the maximum. There are mostly fewer rows than unknowns: a step and the determinant are those of
-(rows, rows), (I + J^T J)^-1 = I - J^T (I + J J^T)^-1 J, and steps are in single precision. The noise v is what is left over, found again as the light is; it is never less
-than `FLOOR`: no model of a material is better.
+J the derivative of r at the maximum. There are mostly fewer rows than unknowns: a step and the determinant are those
+of (rows, rows), (I + J^T J)^-1 = I - J^T (I + J J^T)^-1 J, and steps are in single precision. The noise v is what is
+left over, found again as the light is; it is never less than `FLOOR`: no model of a material is better.
 """
 
 from dataclasses import dataclass
