@@ -13,11 +13,11 @@ import sys
 import time
 from pathlib import Path
 
-import blender_btfsep
 import bpy
 import numpy as np
-from blender_btfsep import command
 
+import blender_btfsep
+from blender_btfsep import command
 from btfsep_engine.fit import compare
 from scripts.cycles import engine, figure, objects, studio
 from scripts.cycles.lights import studio_lights, true_lighting

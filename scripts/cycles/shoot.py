@@ -14,9 +14,9 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from blender_btfsep.export import export_job
 from tqdm import tqdm
 
+from blender_btfsep.export import export_job
 from scripts.cycles import studio
 
 COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object

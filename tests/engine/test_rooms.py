@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a file imports is what the map of rooms in CONTRIBUTING.md lets its room import, packages and other rooms."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+OURS = ("btfsep_engine", "blender_btfsep", "scripts", "tests")
+GROUND = 2  # rows that all of the engine may import
+
+
+def rows():
+    """(places, what they may import) of each row of the map; a folder ends with a slash."""
+    table = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split("| place | purpose | may import |\n")[1]
+    for line in table.split("\n\n")[0].splitlines()[1:]:
+        places, _, allowed = line.strip("|").split("|")
+        yield named(places), [*named(allowed), *re.split(r",\s*", re.sub("`.*?`", "", allowed).strip(" ,"))]
+
+
+def named(cell: str) -> list:
+    """The places that a cell names, as paths from the root; bare ones are the engine's."""
+    return [w if w.startswith(OURS) else f"btfsep_engine/{w}" for w in re.findall("`([^`]+)`", cell)]
+
+
+def imported(path: str):
+    """(line, package or file of ours) of every import of a file, those inside functions too."""
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = path.split("/")[: -node.level] if node.level else []
+            modules = [".".join([*above, *filter(None, [node.module]), alias.name]) for alias in node.names]
+        else:
+            continue
+        for module in modules:
+            top = module.split(".")[0]
+            if top in OURS:
+                yield node.lineno, file_of(module)
+            elif top not in sys.stdlib_module_names and top != "__future__":
+                yield node.lineno, top
+
+
+def file_of(module: str) -> str:
+    """The file of a module, or of the module that holds a name."""
+    path = module.replace(".", "/")
+    holder = path.rpartition("/")[0] or path
+    return next(c for p in (path, holder) for c in (f"{p}.py", f"{p}/__init__.py") if (ROOT / c).exists())
+
+
+def faults(path: str, imports, table) -> list:
+    """Sentences: what a file imports and may not."""
+    inside = {place: allowed for places, allowed in table for place in places if path.startswith(place)}
+    room = max(inside, key=len)  # the narrowest place that holds the file
+    allowed = inside[room]
+    free = tuple(place for place in (room, *allowed) if "/" in place)
+    if path.startswith("btfsep_engine/"):
+        free += tuple(place for places, _ in table[:GROUND] for place in places)
+    banned = [a.removeprefix("all but ") for a in allowed if a.startswith("all but ")]
+    if banned or "all" in allowed:
+        imports = [(line, target) for line, target in imports if target in banned]
+    return [
+        f"{path}:{line} imports {target}, which CONTRIBUTING.md does not let {room}"
+        for line, target in imports
+        if not (target.startswith(free) if target.endswith(".py") else target in allowed)
+    ]
+
+
+def test_imports_are_those_of_the_map():
+    table = list(rows())
+    files = subprocess.run(["git", "ls-files", *OURS], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    files = [f for f in files.splitlines() if f.endswith(".py") and (ROOT / f).exists()]
+    assert len(files) > 300
+    wrong = [fault for path in files for fault in faults(path, imported(path), table)]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_the_map_says_no():
+    """Each line would untie what the rooms are for."""
+    table = list(rows())
+    for path, target in (
+        ("btfsep_engine/fit/stated.py", "btfsep_engine/render/transport.py"),
+        ("btfsep_engine/render/transport.py", "btfsep_engine/pipeline/settings.py"),
+        ("btfsep_engine/btf/model.py", "btfsep_engine/light/maps.py"),
+        ("btfsep_engine/btf/library.py", "btfsep_engine/render/transport.py"),
+        ("btfsep_engine/light/maps.py", "btfsep_engine/fit/stated.py"),
+        ("btfsep_engine/recognise/vlad.py", "btfsep_engine/btf/library.py"),
+        ("btfsep_engine/pipeline/model.py", "btfsep_engine/cli/words.py"),
+        ("btfsep_engine/sh.py", "btfsep_engine/light/maps.py"),
+        ("btfsep_engine/pipeline/model.py", "mitsuba"),
+        ("btfsep_engine/pipeline/model.py", "bpy"),
+        ("blender_btfsep/world.py", "btfsep_engine/sh.py"),
+        ("blender_btfsep/world.py", "scipy"),
+        ("scripts/cycles/studio.py", "btfsep_engine/render/patch.py"),
+        ("scripts/studies/fit.py", "bpy"),
+        ("tests/blender/test_world.py", "mitsuba"),
+    ):
+        assert faults(path, [(1, target)], table), f"{path} may import {target}"
+        assert not faults(path, [(1, path)], table)
