@@ -9,12 +9,10 @@ import numpy as np
 
 from btfsep_engine.job.model import Job
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.beams import beam_radiance
 from btfsep_engine.render.homogeneous import reflected_share
-from btfsep_engine.render.point_transport import point_radiance
 from btfsep_engine.render.radiosity import MOST, Indirect, diffuse_albedo
 from btfsep_engine.render.surface import (
     SurfacePoints,
@@ -162,10 +160,6 @@ class PreparedScene:
 
     def radiance(self, points: SurfacePoints, material, lightings, *, directions: int, indirect=None) -> np.ndarray:
         """Radiance (p, M, 3) float32 of points, interreflections included where ``indirect`` is given."""
-        if isinstance(lightings, PointLights | DirectionalLights):  # without interreflections
-            return point_radiance(
-                self.tracer, points, material, lightings, millimetres_per_unit=self.millimetres_per_unit
-            )
         out = self.transport(points, directions=directions).radiance(material, lightings)
         if indirect is not None:
             out += indirect.reflected(self.transport(points, directions=INDIRECT_DIRECTIONS), material)

@@ -15,8 +15,6 @@ def beam_radiance(
 ) -> np.ndarray:
     """BTF(x, omega_d, omega_o) V(x, omega_d) cos(theta_d): radiance per unit irradiance of the beam.
 
-    `point_transport.point_radiance` gives the same for a few directions; this is for hundreds.
-
     Parameters
     ----------
     tracer : Tracer

@@ -15,7 +15,6 @@ import numpy as np
 from btfsep_engine.btf.model import Lambertian, Material
 from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.job.model import Job, Occluder
-from btfsep_engine.light.point_lights import DirectionalLights, PointLights
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.arrays import dr, mi, vector
 from btfsep_engine.render.homogeneous import homogeneous, pictured
@@ -138,7 +137,7 @@ class Reference:
         Parameters
         ----------
         pixels : (p, 2) int, row and column
-        lightings : light.lightings.Lightings, or PointLights or DirectionalLights; M lights
+        lightings : light.lightings.Lightings, M lights
         samples : paths for each pixel and sign
         seed : >= 0, of the random numbers; others give independent results
         jitter : true: paths start all over the pixel; false: through its centre, as the kernel's ray does
@@ -166,10 +165,6 @@ class Reference:
 
     def _lit_scenes(self, lightings):
         """(number of the light, sign, scene) of everything that has to be rendered."""
-        if isinstance(lightings, PointLights | DirectionalLights):
-            for number in range(lightings.count):
-                yield number, 1, mi.load_dict({"type": "scene", "light": self._lamp(lightings, number), **self._shapes})
-            return
         sky = self._skies(lightings)
         blank = mi.Bitmap(np.ones((SKY_ROWS, 2 * SKY_ROWS, 3), np.float32))
         # Mitsuba's maps have +Y up: its (x, y, z) is our (y, z, x)
@@ -207,22 +202,6 @@ class Reference:
                 out = np.empty((SKY_ROWS, *values.shape), np.float32)
             out[row] = values
         return out
-
-    def _lamp(self, lights, number) -> dict:
-        """A light without extent as an emitter of the scaled scene."""
-        if isinstance(lights, PointLights):
-            value = (lights.intensities[number] / self.tracer.radius**2).tolist()
-            return {
-                "type": "point",
-                "position": self.tracer.to_local(lights.positions[number]).tolist(),
-                "intensity": {"type": "rgb", "value": value},
-            }
-        value = lights.irradiances[number].tolist()
-        return {
-            "type": "directional",
-            "direction": (-lights.directions[number]).tolist(),
-            "irradiance": {"type": "rgb", "value": value},
-        }
 
     def _traced(self, scene, pixels, samples, seed, jitter):
         """Mean of the paths through each pixel and the variance of that mean: 2 x (p, 3) float32."""

@@ -4,7 +4,6 @@
 scripts/study check-transport                   four materials x three scenes x the 25 lights of order 4
 scripts/study check-transport --map FILE        and that environment map
 scripts/study check-transport --quick           fewer pixels and paths
-scripts/study check-transport --points          and four point lights
 scripts/study check-transport --order 9         another order
 scripts/study check-transport --between         light between surfaces instead: a ball in a bowl of the same material
 
@@ -25,8 +24,6 @@ from tqdm import tqdm
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.light.lightings import EnvironmentMaps, SHBasis
 from btfsep_engine.light.maps import read_map
-from btfsep_engine.light.point_lights import PointLights
-from btfsep_engine.render.point_transport import point_radiance
 from btfsep_engine.render.radiosity import Indirect, diffuse_albedo
 from btfsep_engine.render.reference import Reference
 from btfsep_engine.render.sampling import spread
@@ -71,9 +68,7 @@ def compare(job, material, lights, *, textured, pixels, samples, jitter=False) -
     points = points.take(spread(points, pixels))
     points = with_texture(points, job, 0) if textured else with_any_tangent(points)
     runs = []
-    if isinstance(lights, PointLights):  # nothing is integrated: one answer
-        runs = [point_radiance(tracer, points, material, lights, millimetres_per_unit=millimetres)] * len(COUNTS)
-    for count in COUNTS[len(runs) :]:
+    for count in COUNTS:
         transport = Transport(tracer, points, directions=count, millimetres_per_unit=millimetres)
         runs.append(transport.radiance(material, lights))
     runs = np.stack(runs).astype(np.float64)
@@ -83,14 +78,12 @@ def compare(job, material, lights, *, textured, pixels, samples, jitter=False) -
     found = reference.radiance(points.pixels, lights, samples=samples, jitter=jitter)
     seconds = (time.perf_counter() - started) / lights.count
     difference = found.radiance - kernel
-    tiny = 1e-30  # without noise (point lights) the differences alone count
-    z2 = (difference**2 / (found.variance + quadrature + tiny)).mean()
+    z2 = (difference**2 / (found.variance + quadrature)).mean()
     together = found.variance.sum(0) + runs.sum(1).var(0, ddof=1) / len(COUNTS)
-    worst = np.abs(difference.sum(0) / np.sqrt(together + tiny)).max()
+    worst = np.abs(difference.sum(0) / np.sqrt(together)).max()
     size = np.sqrt((kernel**2).mean())
     parts = [np.sqrt(x.mean()) / size for x in (difference**2, found.variance, quadrature)]
-    judged = ["–", "–"] if isinstance(lights, PointLights) else [f"{z2:.2f}", f"{worst:.1f}"]
-    return [*judged, *(f"{100 * x:.2f} %" for x in parts), f"{seconds:.2f}"]
+    return [f"{z2:.2f}", f"{worst:.1f}", *(f"{100 * x:.2f} %" for x in parts), f"{seconds:.2f}"]
 
 
 def between(library, *, pixels, samples):
@@ -143,7 +136,6 @@ def main(arguments) -> None:
     options.add_argument("--map", type=Path, help="environment map, EXR or HDR")
     options.add_argument("--pixels", type=int, default=150)
     options.add_argument("--samples", type=int, default=512)
-    options.add_argument("--points", action="store_true", help="point lights too")
     options.add_argument("--quick", action="store_true")
     options.add_argument("--between", action="store_true")
     given = options.parse_args(arguments)
@@ -157,8 +149,6 @@ def main(arguments) -> None:
     lights = {f"order {given.order}": SHBasis(given.order)}
     if given.map:
         lights["map"] = EnvironmentMaps(read_map(given.map)[None], (given.map.stem,))
-    if given.points:
-        lights["points"] = PointLights([[2, 0.3, 4], [-3, 1, 2], [0.5, 3, 3], [1, -1, 6]], np.full((4, 3), 10.0))
     print(f"{given.pixels} pixels, {given.samples} paths, kernel with 4 x about {COUNTS[0]} directions\n")
     heads = ("material", "scene", "lights", "mean z2", "worst sum", "difference", "reference", "kernel", "s a light")
     print(tables.table(heads, tqdm(every(library, lights, {"pixels": given.pixels, "samples": given.samples}))))
