@@ -22,6 +22,8 @@ from .errors import InputError
 
 INPUT_FAULT, BUG = 2, 1
 GRACE = 3.0  # seconds between asking the engine to stop and making it stop
+INTERVAL = 0.05  # seconds between looks at it
+TAIL = 8000  # bytes of what it said last
 WINDOWS = os.name == "nt"
 
 
@@ -266,9 +268,9 @@ class EngineProcess:
             return Failed(f"the engine was ended by the system ({name}); run 'btfsep doctor' to see why", BUG, said)
         return Failed(f"the engine stopped with exit status {code}; please report it", BUG, said)
 
-    def _stderr_tail(self, limit: int = 8000) -> str:
+    def _stderr_tail(self) -> str:
         size = self._errors.seek(0, os.SEEK_END)
-        self._errors.seek(max(size - limit, 0))
+        self._errors.seek(max(size - TAIL, 0))
         return self._errors.read().decode("utf-8", "replace").strip()
 
     def cancel(self) -> None:
@@ -301,7 +303,7 @@ class EngineProcess:
         except (ProcessLookupError, PermissionError):
             pass  # it has just ended
 
-    def wait(self, on_message=None, *, interval: float = 0.05):
+    def wait(self, on_message=None):
         """Blocks until the run is over; gives the last message. ``on_message`` is called with each one before it."""
         while True:
             for message in self.poll():
@@ -309,4 +311,4 @@ class EngineProcess:
                     return message
                 if on_message is not None:
                     on_message(message)
-            time.sleep(interval)
+            time.sleep(INTERVAL)

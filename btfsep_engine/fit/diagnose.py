@@ -30,12 +30,11 @@ class Effect:
 
     Attributes
     ----------
-    size : (k,) g; chi2 : float, k degrees of freedom where nothing is wrong; share : of the residual's energy
+    size : (k,) g; chi2 : float, k degrees of freedom where nothing is wrong
     """
 
     size: np.ndarray
     chi2: float
-    share: float
 
 
 def effect(left, columns, blocks) -> Effect:
@@ -52,15 +51,14 @@ def effect(left, columns, blocks) -> Effect:
     k = len(columns)
     flat, r = columns.reshape(k, -1), np.ravel(left)
     gram, score = flat @ flat.T, flat @ r
-    energy = float(r @ r)
-    if not np.trace(gram) > 0 or not energy > 0:
-        return Effect(np.zeros(k), 0.0, 0.0)
+    if not np.trace(gram) > 0 or not r.any():
+        return Effect(np.zeros(k), 0.0)
     size = np.linalg.solve(gram + 1e-9 * np.trace(gram) / k * np.eye(k), score)
     rest = (r - size @ flat).reshape(left.shape)
     each = np.stack([np.bincount(labels, (c * rest).sum(1)) for c in columns])
     spread = each @ each.T
     spread += 1e-12 * max(float(np.trace(spread)), 1e-300) * np.eye(k)
-    return Effect(size, float(score @ np.linalg.solve(spread, score)), float(score @ size) / energy)
+    return Effect(size, float(score @ np.linalg.solve(spread, score)))
 
 
 def hypotheses(predicted, x, *, position, normal, open_share) -> dict[str, np.ndarray]:

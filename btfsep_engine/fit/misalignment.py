@@ -48,7 +48,7 @@ class Shift:
         return float(np.hypot(self.rows, self.columns))
 
 
-def silhouette_shift(photo, seen, *, frayed: bool = False, reach: int = REACH) -> Shift | None:
+def silhouette_shift(photo, seen, *, frayed: bool = False) -> Shift | None:
     """The shift of a photo against the silhouettes of what it should show.
 
     Parameters
@@ -57,7 +57,6 @@ def silhouette_shift(photo, seen, *, frayed: bool = False, reach: int = REACH) -
     seen : (h, w) bool, where known geometry stands before the background; holes in it are judged as outlines, so those
         of a depth, which are missing data, have to be filled (rays through them meet `job.depth.closing_mesh`)
     frayed : whether the outline may have lost parts, as a depth's: the gain is that of the side that gains less
-    reach : pixels
 
     Returns
     -------
@@ -65,7 +64,7 @@ def silhouette_shift(photo, seen, *, frayed: bool = False, reach: int = REACH) -
     """
     seen = np.asarray(seen, bool)
     edge = seen & ~binary_erosion(seen, np.ones((3, 3), bool))
-    margin = reach + 1
+    margin = REACH + 1
     inside = np.zeros_like(edge)
     inside[margin:-margin, margin:-margin] = True
     rows, columns = np.nonzero(edge & inside)
@@ -77,12 +76,12 @@ def silhouette_shift(photo, seen, *, frayed: bool = False, reach: int = REACH) -
         return None
     gradient = gaussian_gradient_magnitude(np.log(luminance + DARK * level), BLUR)
     gradient = np.minimum(gradient, np.percentile(gradient, CAP))
-    shifts = range(-reach, reach + 1)
+    shifts = range(-REACH, REACH + 1)
     score = np.array([[gradient[rows + i, columns + j].mean() for j in shifts] for i in shifts])
     i, j = np.unravel_index(score.argmax(), score.shape)
     best = max(float(score[i, j]), 1e-300)
-    gain = best / max(float(score[reach, reach]), 1e-300)
-    down, right = int(i) - reach, int(j) - reach
+    gain = best / max(float(score[REACH, REACH]), 1e-300)
+    down, right = int(i) - REACH, int(j) - REACH
     if frayed and (down or right):
         outwards = [-gaussian_filter1d(seen.astype(np.float64), OUTWARDS, axis=k, order=1) for k in (0, 1)]
         along = (down * outwards[0] + right * outwards[1])[rows, columns] / np.hypot(down, right)

@@ -19,6 +19,7 @@ REFLECTANCE = 0.1  # of all light: a material's reflectance differs from piece t
 RANGE = (2.5, 97.5)  # percentiles of what is stated as the range
 MIDDLE = (15.9, 84.1)  # of a standard deviation: tails of an exponential would make the mean square say anything
 ERROR_RANGE = (16, 50, 84)  # percentiles of the expected error
+ERROR_ORDERS = (1, 2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,21 +127,20 @@ def decided_unknowns(factor) -> float:
     return (len(factor) - float(np.square(inverse).sum())) / 3
 
 
-def expected_error(coefficients, samples, *, orders=(1, 2)) -> dict:
-    """The expected relative error up to each order, with one free scale.
+def expected_error(coefficients, samples) -> dict:
+    """The expected relative error up to each of `ERROR_ORDERS` that the terms reach, with one free scale.
 
     Parameters
     ----------
     coefficients : (terms, 3), the estimate
     samples : (n, at least so many terms, 3), lights as probable as the posterior has them
-    orders : those of them that the terms reach are answered
 
     Returns
     -------
     {"order_1": {"median", "low", "high"}, …}, relative errors with one free scale
     """
     x, out = np.asarray(coefficients, np.float64), {}
-    for order in orders:
+    for order in ERROR_ORDERS:
         n = sh.term_count(order)
         if n > len(x):
             continue

@@ -50,8 +50,9 @@ class Thresholds:
 THRESHOLDS = Thresholds()
 
 
-def alignment_doubt(shift: Shift | None, t: Thresholds = THRESHOLDS) -> str | None:
+def alignment_doubt(shift: Shift | None) -> str | None:
     """The photo's outline does not lie where the geometry says."""
+    t = THRESHOLDS
     if shift is None or shift.distance < t.shift or shift.gain < t.shift_gain or shift.contrast < t.shift_contrast:
         return None
     down = f"{abs(shift.rows)} pixels {'down' if shift.rows > 0 else 'up'}"
@@ -69,7 +70,7 @@ def clamped_share(x) -> float:
     return float((area * np.maximum(-radiance, 0)).sum() / max((area * np.maximum(radiance, 0)).sum(), 1e-300))
 
 
-def structure_doubts(effects: dict[str, Effect], *, residual: float, names, t=THRESHOLDS) -> list[str]:
+def structure_doubts(effects: dict[str, Effect], *, residual: float, names) -> list[str]:
     """What the residual's structure speaks for.
 
     Parameters
@@ -78,7 +79,7 @@ def structure_doubts(effects: dict[str, Effect], *, residual: float, names, t=TH
     residual : of the fit, relative
     names : of the materials
     """
-    out = []
+    out, t = [], THRESHOLDS
     material = " or ".join(dict.fromkeys(names))
     near, blocked, diffuse = (effects[k] for k in ("near", "blocked", "diffuse"))
     speaks = residual > t.explained

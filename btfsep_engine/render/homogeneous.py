@@ -36,6 +36,7 @@ from btfsep_engine.render.patch import R2
 LEAST_ROUGHNESS = 0.05  # narrower lobes overflow single precision, and the table is much wider anyway
 LOBE = 1024  # directions of the lobe for each view
 PLACES = 1 << 14  # of a mesh, at which the image is looked at for its mean
+IMAGE_SIDE = 64  # of an image of what a surface reflects
 
 
 def homogeneous(surface: Surface, name: str) -> Tabulated:
@@ -60,8 +61,8 @@ def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per
     return replace(material, laid_mean=_mean_over(material, mesh, edge))
 
 
-def reflected_share(surface: Surface, *, side: int = 64) -> np.ndarray:
-    """How much of light from all sides a surface reflects: (3,), or of one with an image (n, n, 3), n at most ``side``.
+def reflected_share(surface: Surface) -> np.ndarray:
+    """How much of light from all sides a surface reflects: (3,), or (n, n, 3), n at most `IMAGE_SIDE`, of an image.
 
     Between black and white it is taken to be linear in the base colour, as it is of what is no metal.
     """
@@ -70,7 +71,7 @@ def reflected_share(surface: Surface, *, side: int = 64) -> np.ndarray:
     black, white = (
         homogeneous(replace(surface, image=None, base_color=(c, c, c)), CLASS).diffuse_albedo() for c in (0.0, 1.0)
     )
-    return black + resized(surface.image, min(side, len(surface.image))) * (white - black)
+    return black + resized(surface.image, min(IMAGE_SIDE, len(surface.image))) * (white - black)
 
 
 def _factors(surface: Surface, colours) -> tuple[np.ndarray, np.ndarray]:

@@ -18,9 +18,9 @@ TITLES = (
 )  # fmt: skip
 
 
-def exposure(radiance, percentile: float = 99.0, level: float = 0.8) -> float:
-    """The factor that brings a percentile of ``radiance`` to a linear display value."""
-    return level / max(float(np.percentile(radiance, percentile)), 1e-12)
+def exposure(radiance) -> float:
+    """The factor that brings the 99th percentile of ``radiance`` to a linear display value of 0.8."""
+    return 0.8 / max(float(np.percentile(radiance, 99.0)), 1e-12)
 
 
 def display(radiance, factor: float) -> np.ndarray:

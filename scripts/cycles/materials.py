@@ -14,16 +14,16 @@ from scripts.cycles import objects
 FACE_MM = 0.16  # edge of a face of the displaced mesh, about: with 0.3 the grain of leather loses half of its slope ...
 MOST_FACES = 6_000_000  # ... unless that takes more faces than this
 WHITE_ALBEDO = 0.8
+MAP_RESOLUTION = 512
 
 
-def image(name: str, values, *, colour_space: str = "Non-Color") -> bpy.types.Image:
+def image(name: str, values) -> bpy.types.Image:
     """A float image of ``values : (h, w) or (h, w, 3) float``, row 0 the smallest v (Blender's bottom row)."""
     values = np.asarray(values, np.float32)
     if values.ndim == 2:
         values = np.repeat(values[..., None], 3, -1)
     h, w = values.shape[:2]
-    result = bpy.data.images.new(name, w, h, alpha=False, float_buffer=True)
-    result.colorspace_settings.name = colour_space
+    result = bpy.data.images.new(name, w, h, alpha=False, float_buffer=True, is_data=True)
     rgba = np.ones((h, w, 4), np.float32)
     rgba[..., :3] = values
     result.pixels.foreach_set(rgba.ravel())
@@ -124,8 +124,8 @@ def displaced(base: bpy.types.Object, name: str, maps, *, face_mm: float = FACE_
     return result
 
 
-def load_maps(material_name: str, *, resolution: int = 512, variation: int = 1):
+def load_maps(material_name: str, *, variation: int):
     """The procedural maps of a library material; a ``variation`` other than the library's 0 gives other texels."""
     from btfsep_engine.btf import procedural
 
-    return procedural.maps(material_name, resolution, variation=variation)
+    return procedural.maps(material_name, MAP_RESOLUTION, variation=variation)

@@ -76,9 +76,9 @@ def make_world(light, *, rotation_euler=(0.0, 0.0, 0.0)) -> bpy.types.World:
     return world
 
 
-def aim(camera: bpy.types.Object, positions, *, view_from=VIEW_FROM) -> None:
+def aim(camera: bpy.types.Object, positions) -> None:
     """Puts ``camera`` so that ``positions : (n, 3)``, world, fill :data:`FRAME_FILL` of a square frame."""
-    back = np.array(Vector(view_from).normalized())
+    back = np.array(Vector(VIEW_FROM).normalized())
     rotation = Vector(-back).to_track_quat("-Z", "Y").to_matrix()
     local = np.asarray(positions) @ np.array(rotation)  # rows times R = R^T p
     slope = 0.5 * FRAME_FILL * SENSOR_MM / LENS_MM

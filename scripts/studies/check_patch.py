@@ -28,8 +28,9 @@ LIMIT = np.cos(np.radians(75))
 BEYOND = 6
 
 
-def waves(base, f0, *, roughness=0.5, metallic=None, n=96):
+def waves(base, f0, *, roughness=0.5, metallic=None):
     """Ridges with a finer wave on them, along u."""
+    n = 96
     x = (np.arange(n) + 0.5) / n
     height = np.tile((0.8 * np.sin(4 * np.pi * x) + 0.2 * np.sin(8 * np.pi * x)).astype(np.float32), (n, 1))
     colour = np.broadcast_to(np.asarray(base, np.float32), (n, n, 3))

@@ -28,9 +28,9 @@ def spread(values, form: str = "{:.2f}", *, between=" ({})", middle=np.median, f
     return form.format(middle(values)) + between.format(form.format(far(values)))
 
 
-def percent(values, form: str = "{:.0f} %") -> str:
+def percent(values) -> str:
     """The mean of shares; a dash where there are none."""
-    return form.format(100 * np.mean(values)) if len(values) else "–"
+    return f"{100 * np.mean(values):.0f} %" if len(values) else "–"
 
 
 def groups(rows, key, *, every: str | None = "**all**") -> list:

@@ -125,8 +125,8 @@ def grain_angle(tangent, normal, edges, sides) -> np.ndarray:
     return np.minimum(turned, 180 - turned)
 
 
-def weighted(values, weight, shares=(0.5, 0.95)) -> np.ndarray:
-    """Quantiles of ``values`` (n,) by ``weight`` (n,)."""
+def weighted(values, weight) -> np.ndarray:
+    """Median and 95 % of ``values`` (n,) by ``weight`` (n,)."""
     order = np.argsort(values)
     reached = np.cumsum(weight[order])
-    return values[order][np.searchsorted(reached, np.asarray(shares) * reached[-1]).clip(0, len(values) - 1)]
+    return values[order][np.searchsorted(reached, np.array([0.5, 0.95]) * reached[-1]).clip(0, len(values) - 1)]

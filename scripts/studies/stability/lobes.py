@@ -73,7 +73,7 @@ class Seen:
         return self._to_cells(d * fresnel / masked * nl * (nl > 1e-4))
 
 
-def look(folder, *, count: int, seed: int = 0, shadows: bool = True):
+def look(folder, *, count: int, shadows: bool = True):
     """What a job's camera sees of its first object (without ``shadows`` every direction counts as visible).
 
     Returns
@@ -89,6 +89,6 @@ def look(folder, *, count: int, seed: int = 0, shadows: bool = True):
     scene = PreparedScene(load_job(folder), Reporter())
     points = scene.points(0, textured=False)
     points = points.take(np.flatnonzero(scene.usable(points)))
-    points = points.take(spread(points, count, seed=seed))
+    points = points.take(spread(points, count))
     visible = scene.tracer.visible(points.position, points.flat_normal, directions()) if shadows else np.ones((1, 1))
     return Seen(points.normal, points.to_eye, visible), scene.photo_at(points).astype(np.float64)
