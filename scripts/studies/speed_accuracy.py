@@ -5,8 +5,8 @@ scripts/study speed-accuracy PHOTOS --work FOLDER   jobs OBJECT_MATERIAL_LIGHT, 
 --paper 8     on so many of them the paper's way, too, at 8 to 64 paths a pixel, which takes minutes for each
 --work FOLDER every photo's numbers are kept there: a run that was stopped goes on where it was
 
-What `btfsep chart` measures of one job against its true light, summed up: writes docs/results/speed-accuracy.md and
-docs/results/images/speed-accuracy.png. Every way of one photo is timed in one process, warm, in turn. Ratios
+What `btfsep chart` measures of one job against its true light, summed up: fills in docs/results/speed-accuracy.md and
+draws docs/results/images/speed-accuracy.png. Every way of one photo is timed in one process, warm, in turn. Ratios
 of seconds and errors are of the same photo and process; they and the means are geometric.
 """
 
@@ -155,7 +155,7 @@ def equal_words(rows: list) -> str:
 
 
 def page(points, equal, *, count: int, total: int, lights, paper: int) -> str:
-    """The Markdown page.
+    """What is filled into the page, as Markdown.
 
     Parameters
     ----------
@@ -164,20 +164,9 @@ def page(points, equal, *, count: int, total: int, lights, paper: int) -> str:
     paper : how many of them the paper's way was tried on
     """
     out = [
-        "# Speed against accuracy",
-        f"Geometric means over {count} of {total} photographs by Cycles of displaced objects under Blender's own "
-        f"studio lights ({', '.join(lights)}); the material given. One setting at a time is changed "
-        "from `balanced`; least squares follow eight reflections. Seconds are of "
-        "transport and fit, warm, all ways of a photo in one process, one after the other; the error is of the "
-        'coefficients up to order 2 with one free scale. "Over balanced" is on the same photo, with its standard '
-        f"error. The last rows are the paper's way, of {paper} of the photos: one path-traced image for each basis "
-        'light, eight reflections, plain least squares of order 4; "paper\'s time" is its time with the most paths '
-        "over this way's, of the same photo in the same process. Made by `scripts/study speed-accuracy PHOTOS --count "
-        f"{count} --paper {paper}`, `PHOTOS` being what `scripts/study photos` leaves; for one job: "
-        "`btfsep chart JOB`.",
+        f"{count} of {total} photographs ({', '.join(lights)}); the paper's way of {paper} of them "
+        f"(`--count {count} --paper {paper}`).",
         "![error against seconds for every setting, with the Pareto front](images/speed-accuracy.png)",
-        'Front: **yes** where no other way is both faster and more accurate in the mean; "within noise" where another '
-        "is, but not by more than a standard error in both.",
     ]
     rows = []
     for p in sorted(points, key=lambda p: p.seconds):
@@ -199,7 +188,7 @@ def page(points, equal, *, count: int, total: int, lights, paper: int) -> str:
                  for h in (f"error over {words}'s", "its time over that")]  # fmt: skip
         out += ["## The paper's way at equal error of the light", equal_words(equal)]
         out.append(tables.table(("path tracing", "seconds", "error", *heads), rows))
-    return "\n\n".join(out) + "\n"
+    return "\n\n".join(out)
 
 
 def measured(photo, library, warm_up: bool, traced, given) -> list[dict]:
@@ -244,6 +233,6 @@ def main(arguments) -> int:
     write_chart(picture, points, reference="truth", title=title)
     lights, paper = sorted({p.light for p in shown}), min(given.paper, len(found))
     text = page(points, equal, count=len(found), total=total, lights=lights, paper=paper)
-    atomic.write_text(given.out, text)
+    tables.fill(given.out, "points", text)
     print("\n" + text)
     return 0

@@ -43,12 +43,15 @@ def groups(rows, key, *, every: str | None = "**all**") -> list:
 def fill(page: Path, part: str, text: str) -> None:
     """Puts a study's ``text`` between the lines of its part of a page; what people wrote around them stays.
 
+    A page that is not there is made of that part alone.
+
     Raises
     ------
     ValueError
         Where the page lacks one of the lines, or has it twice.
     """
-    before, after, old = f"<!-- {part} -->", f"<!-- end of {part} -->", page.read_text(encoding="utf-8")
+    before, after = f"<!-- {part} -->", f"<!-- end of {part} -->"
+    old = page.read_text(encoding="utf-8") if page.exists() else f"{before}\n{after}\n"
     if old.count(before) != 1 or old.count(after) != 1 or old.index(before) > old.index(after):
         raise ValueError(f"{page} needs the lines {before} and {after}, once each, in this order")
     head, tail = old[: old.index(before) + len(before)], old[old.index(after) :]

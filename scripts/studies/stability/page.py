@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes docs/results/stability.md and its charts from the answers."""
+"""Fills in docs/results/stability.md and draws its charts, from the answers."""
 
 import numpy as np
 
-from btfsep_engine.atomic import write_text
 from scripts.studies import tables
 from scripts.studies.stability import charts, scenes
 from scripts.studies.stability.answers import HIDDEN, POOR, Answers
@@ -13,46 +12,10 @@ from scripts.studies.stability.run import UNDISTURBED
 
 NEVER = 0
 WORSE = 1.5  # times the undisturbed error: from here on a disturbance is felt
-HOW = """\
-{methods} methods are asked for the light of the same photographs, which are disturbed in {axes} ways, each five times
-more severely. What is photographed are {scenes} objects under {lights} of Blender's studio lights ({names}), none of
-them used in any tuning: Cycles, {resolution} x {resolution} pixels, {samples} samples, materials as true displaced
-geometry with other texels than the library's. Each point below is the median of up to {photos} photographs.
-
-Written by `scripts/study stability --work FOLDER`; every photograph and every method is a row of `{csv}`.
-
-| method | what it is told | what it does |
-|---|---|---|
-| ours | geometry, material | the engine's default estimator |
-| paper, BTF | geometry, material | least squares of order 4 (Weinmann et al. 2016, eq. 11) on renderings with the \
-BTF, of eight reflections as ours |
-| paper, mean ABRDF | geometry, material | the same with the mean ABRDF: `--preset paper` |
-| paper, order 2; order 3 | geometry, material | the same of another order |
-| paper, order cross-validated | geometry, material | the same at the order that block cross-validation chooses |
-| Lambertian, order 2 | geometry | the irradiance formula of Ramamoorthi and Hanrahan 2001, no shadows, albedo of the \
-photo's mean colour |
-| alternating | geometry | weights of four basis BRDFs and Haar wavelets of the light, in turns, after Haber et al. \
-2009 |
-| joint parametric | geometry | one diffuse and glossy BRDF and the light at once, minimum-entropy and heavy-tailed \
-gradient priors, after Lombardi and Nishino 2012, 2016 |
-
-The last three are the study's own implementations (`scripts/studies/stability`), simplified where one photograph does
-not determine more, and each is tested to succeed on data of its own model (`tests/engine/test_baselines.py`). They are
-not told the material, which is a harder task: what they lose by it is part of the comparison, and they cannot be misled
-by a wrong one. All three take the light's mean colour to be grey.
-
-Errors are relative L2 errors of the coefficients up to order 2 with one free scale. **Stated** is the error that the
-estimate itself expects (of the paper's rows: its standard deviations over its size); **68 %, 95 %** is the share of the
-true coefficients within 1 and 1.96 stated standard deviations, without any free scale, **95 % range** that inside the
-stated range, which is lopsided; **warned** counts photographs of which the method said anything,
-**anew** those of which it said what it had not said of the same photograph undisturbed. The methods of the study
-itself state nothing and never warn. A failure is an error above {poor:g}; it is hidden where nothing was said anew and
-the error is more than {hidden:g} times the stated one.
-"""
 
 
 def write(chosen, given) -> None:
-    """Writes the page, the table of all answers and the charts beside it."""
+    """Fills in the page's answers, writes the table of all of them and the charts beside it."""
     answers = Answers(chosen, given)
     if not answers.records:
         print("no estimates yet")
@@ -60,33 +23,22 @@ def write(chosen, given) -> None:
     charts.draw_all(given.out.parent / "images", answers)
     table = given.out.with_suffix(".csv")
     _write_csv(table, answers)
-    words = HOW.format(
-        methods=len(answers.methods),
-        axes=len(answers.names),
-        scenes=len(chosen),
-        lights=len(given.lights),
-        names=", ".join(f"'{scenes.light_name(light)}'" for light in given.lights),
-        resolution=given.resolution,
-        samples=given.samples,
-        photos=len(answers.pairs),
-        csv=table.name,
-        poor=POOR,
-        hidden=HIDDEN,
-    )
-    parts = ["# Stability", words]
-    parts += ["## In short", _short(answers), _overview(answers), _undisturbed(answers)]
+    names = ", ".join(f"'{scenes.light_name(light)}'" for light in given.lights)
     title = f"{len(answers.methods)} methods, {len(answers.names)} axes: error against severity"
-    parts += [_picture("stability", title)]
-    parts.append(
+    parts = [
+        f"{len(chosen)} objects under {len(given.lights)} lights ({names}), {given.resolution} x {given.resolution} "
+        f"pixels, {given.samples} samples: each figure is of up to {len(answers.pairs)} photographs. A failure is an "
+        f"error above {POOR:g}; it is hidden where nothing was said anew and the error is more than {HIDDEN:g} times "
+        "the stated one.",
+        *("## In short", _short(answers), _overview(answers), _undisturbed(answers), _picture("stability", title)),
         "*Lines are medians; the band is the middle half of ours, the dashed line the error that ours states. "
-        "What lies above a picture is written at its edge.*"
-    )
-    parts += ["## Axis by axis", *(_section(answers, name) for name in answers.names)]
-    parts.append("## The other measures")
-    parts += [_picture(name, words) for name, (_, words, *_) in charts.MEASURES.items() if name != "stability"]
-    parts.append(_picture("stability-coverage", "Share of the truth inside the stated intervals"))
-    parts.append(_picture("stability-warnings", "Share of the photographs that were warned of"))
-    write_text(given.out, "\n\n".join(p.rstrip() for p in parts) + "\n")
+        "What lies above a picture is written at its edge.*",
+        *("## Axis by axis", *(_section(answers, name) for name in answers.names), "## The other measures"),
+        *(_picture(name, words) for name, (_, words, *_) in charts.MEASURES.items() if name != "stability"),
+        _picture("stability-coverage", "Share of the truth inside the stated intervals"),
+        _picture("stability-warnings", "Share of the photographs that were warned of"),
+    ]
+    tables.fill(given.out, "answers", "\n\n".join(p.rstrip() for p in parts))
     print(f"{given.out}, {table}")
 
 
