@@ -43,13 +43,19 @@ def evaluate(order: int, directions) -> np.ndarray:
     (..., (order + 1)^2) float64
     """
     d = np.asarray(directions, np.float64)
-    x, y, z = d.reshape(-1, 3).T
+    return np.ascontiguousarray(_rows(order, d.reshape(-1, 3)).T).reshape(*d.shape[:-1], term_count(order))
+
+
+def _rows(order: int, directions) -> np.ndarray:
+    """The same of (n, 3), a row each: (terms, n)."""
+    x, y, z = directions.T
     step, before_last, diagonal = _recurrence(order)
     turn = np.ones((order + 1, len(x)), complex)  # (x + i y)^m, times sqrt(2) where m > 0
     if order:
         np.multiply.accumulate(np.broadcast_to(x + 1j * y, (order, len(x))), out=turn[1:])
         turn[1:] *= np.sqrt(2)
-    out = np.empty((len(x), term_count(order)))
+    even, odd = np.ascontiguousarray(turn.real), np.ascontiguousarray(turn.imag)
+    out = np.empty((term_count(order), len(x)))
     last = now = None  # normalised P_l^m / sin^m of the degrees before, (m, directions)
     for l in range(order + 1):
         older, last, now = last, now, np.empty((l + 1, len(x)))
@@ -59,9 +65,9 @@ def evaluate(order: int, directions) -> np.ndarray:
         if l > 1:
             now[: l - 1] -= before_last[l, : l - 1, None] * older
         now[:l] *= step[l, :l, None]
-        out[:, l * l + l : (l + 1) ** 2] = (now * turn.real[: l + 1]).T
-        out[:, l * l : l * l + l] = (now[:0:-1] * turn.imag[l:0:-1]).T
-    return out.reshape(*d.shape[:-1], term_count(order))
+        np.multiply(now, even[: l + 1], out=out[l * l + l : (l + 1) ** 2])
+        np.multiply(now[:0:-1], odd[l:0:-1], out=out[l * l : l * l + l])
+    return out
 
 
 @lru_cache(maxsize=16)
@@ -101,11 +107,17 @@ def project_map(radiance, order: int) -> np.ndarray:
     return x
 
 
+def series(coefficients, directions) -> np.ndarray:
+    """The sums (..., n) of ``coefficients : ((L + 1)^2, n)`` in ``directions : (..., 3)``; by blocks."""
+    x, d = np.asarray(coefficients, np.float64), np.asarray(directions, np.float64)
+    order, flat = order_of(len(x)), d.reshape(-1, 3)
+    parts = [_rows(order, flat[start : start + BLOCK]).T @ x for start in range(0, max(len(flat), 1), BLOCK)]
+    return np.concatenate(parts).reshape(*d.shape[:-1], x.shape[1])
+
+
 def to_map(coefficients, height: int, width: int) -> np.ndarray:
     """The environment map (height, width, 3) float64 of ``coefficients : ((L + 1)^2, 3)``; may be negative."""
-    coefficients = np.asarray(coefficients, np.float64)
-    basis = evaluate(order_of(len(coefficients)), pixel_directions(height, width))
-    return basis @ coefficients
+    return series(coefficients, pixel_directions(height, width))
 
 
 def rotation_matrix(order: int, rotation) -> np.ndarray:
@@ -154,4 +166,4 @@ def irradiance(coefficients, normals) -> np.ndarray:
     coefficients = np.asarray(coefficients, np.float64)
     order = order_of(len(coefficients))
     per_term = np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
-    return evaluate(order, normals) @ (per_term[:, None] * coefficients)
+    return series(per_term[:, None] * coefficients, normals)

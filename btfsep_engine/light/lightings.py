@@ -94,7 +94,7 @@ class SHLighting:
         return (self.name,)
 
     def radiance(self, directions) -> np.ndarray:
-        return (sh.evaluate(sh.order_of(len(self.coefficients)), directions) @ self.coefficients)[:, None, :]
+        return sh.series(self.coefficients, directions)[:, None, :]
 
     def cell_averages(self, directions) -> np.ndarray:
         """Point values, as of the basis."""

@@ -128,10 +128,10 @@ class LogField:
 
     def at(self, white, directions) -> np.ndarray:
         """L in other directions (m, 3): (m, 3)."""
-        y = sh.evaluate(max(self.order, self.chroma_order), directions)
         a = self.mean + self.deviation * white
-        fields = np.stack([y[:, : part.stop - part.start] @ a[part] for part in self._parts], -1)
-        return np.exp(np.minimum(fields @ CHROMA.T, LARGEST_LOG))
+        terms = sh.term_count(max(self.order, self.chroma_order))
+        of_fields = np.stack([np.pad(a[part], (0, terms - part.stop + part.start)) for part in self._parts], 1)
+        return np.exp(np.minimum(sh.series(of_fields, directions) @ CHROMA.T, LARGEST_LOG))
 
 
 def degrees(order: int) -> np.ndarray:

@@ -90,12 +90,8 @@ def _both(x, directions):
     """The series, and the series blurred: (..., 3) each."""
     order = sh.order_of(len(x))
     per_term = np.repeat(positive_window(order), 2 * np.arange(order + 1) + 1)
-    both = np.concatenate([x, per_term[:, None] * x], 1)
-    d = np.asarray(directions, np.float64)
-    flat, step = d.reshape(-1, 3), max(1, sh.BLOCK * 100 // len(x))
-    values = [sh.evaluate(order, flat[i : i + step]) @ both for i in range(0, len(flat), step)]
-    out = np.concatenate(values).reshape(*d.shape[:-1], 6)
-    return out[..., :3], out[..., 3:]
+    both = sh.series(np.concatenate([x, per_term[:, None] * x], 1), directions)
+    return both[..., :3], both[..., 3:]
 
 
 def _positive(series, windowed) -> np.ndarray:

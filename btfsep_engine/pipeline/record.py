@@ -7,6 +7,7 @@ import math
 import platform
 import sys
 from dataclasses import asdict
+from functools import lru_cache
 
 import numpy as np
 
@@ -20,8 +21,9 @@ from btfsep_engine.render.backend import choose_backend
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-learn")
 
 
+@lru_cache(maxsize=1)
 def versions() -> dict:
-    """Versions of everything that can change a result."""
+    """Versions of everything that can change a result; looked up once, which reads files of every package."""
     backend = choose_backend()
     return {
         "btfsep": __version__,
