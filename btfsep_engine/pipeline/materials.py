@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.pipeline.given import given_materials
-from btfsep_engine.pipeline.recognition import recognise_object
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 
@@ -41,6 +40,8 @@ def object_materials(scene: PreparedScene, library, settings: Settings, *, names
         if known is not None:
             materials.append(ObjectMaterial(known.name, known, True))
             continue
+        from btfsep_engine.pipeline.recognition import recognise_object  # takes a tenth of a second to import
+
         answer = recognise_object(scene, index, library, settings)
         doubt = answer.candidates, answer.unknown, answer.unknown_score
         materials.append(ObjectMaterial(answer.material, library.load(answer.material), False, *doubt))

@@ -15,7 +15,7 @@ from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.fit.tone_curve import LINEAR, SRGB, ToneCurve
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline import materials
+from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
@@ -129,7 +129,7 @@ def looks_like(scene, index, library, settings):
 @pytest.mark.parametrize("curve", [LINEAR, ToneCurve(0.5), SRGB])
 def test_an_object_is_recognised_by_the_curve_that_was_found(ball, monkeypatch, curve):
     """The same ball, whatever curve its photo has been through; read as sRGB a linear photo is too dark."""
-    monkeypatch.setattr(materials, "recognise_object", looks_like)
+    monkeypatch.setattr(recognition, "recognise_object", looks_like)
     scene = seen(ball, curve, "unknown")
     as_srgb = looks_like(scene, 0, None, None).material
     assert as_srgb == ("lighter" if curve is SRGB else "darker")
