@@ -172,7 +172,7 @@ def sequence(*, job, library_folder, settings, reporter, **options):
 @command
 def chart(*, job, library_folder, reporter, **options):
     """Charts speed against accuracy of JOB: every setting that trades one for the other, with the Pareto front."""
-    from btfsep_engine.pipeline.charting import run_chart
+    from btfsep_engine.pipeline.commands import run_chart
 
     result = run_chart(job, opened_library(library_folder), reporter=reporter, **options)
     return result, words.chart(result)

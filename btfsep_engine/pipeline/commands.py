@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The smaller commands: train, recognise, compare."""
+"""The smaller commands: train, recognise, compare, chart."""
+
+from pathlib import Path
 
 import numpy as np
 
+from btfsep_engine import sh
+from btfsep_engine.errors import InputError
 from btfsep_engine.fit.compare import compare
 from btfsep_engine.fit.three_spheres import three_spheres
 from btfsep_engine.job.load import load_job
@@ -10,7 +14,7 @@ from btfsep_engine.light.files import read_any_lighting, read_any_map
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.recognition import trained_recogniser
-from btfsep_engine.pipeline.record import run_record
+from btfsep_engine.pipeline.record import run_record, versions, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings, choose
 from btfsep_engine.report import render_objects
@@ -74,6 +78,65 @@ def run_compare(a, b, *, order: int, job=None, library=None, material=None, repo
 def run_three_spheres(a, b) -> dict:
     """The published comparisons' figures of lighting file ``a`` against ``b``, both taken as whole maps."""
     return {"protocol": "three-spheres", **three_spheres(read_any_map(a), read_any_map(b))}
+
+
+def run_chart(
+    folder, library, *, material=None, truth=None, out=None, repeats=3, paper_samples=64, quick=False, reporter
+) -> dict:
+    """Measures a job with :func:`btfsep_engine.pipeline.tradeoff.measure`; writes ``chart.png`` and ``chart.json``.
+
+    Parameters
+    ----------
+    truth : a lighting file or environment map, or None
+    out : folder, default ``folder/result``
+
+    Returns
+    -------
+    dict, the content of ``chart.json``, and ``chart``: the picture's path
+
+    Raises
+    ------
+    InputError
+        Where the job cannot be read or estimated, or the true light has too few orders.
+    """
+    from btfsep_engine.chart import write_chart  # these two bring Matplotlib and all of an estimate
+    from btfsep_engine.pipeline.tradeoff import ORDER, measure
+
+    light = None if truth is None else read_any_lighting(truth, ORDER).coefficients
+    if light is not None and sh.order_of(len(light)) < ORDER:
+        raise InputError(f"--truth {truth}", f"order {sh.order_of(len(light))}", f"give order {ORDER} or more")
+    scene = _prepared(folder, reporter)
+    out = Path(out) if out is not None else scene.job.folder / "result"
+    found = measure(
+        scene, library, material=material, truth=light, repeats=repeats, paper_samples=paper_samples, quick=quick
+    )
+    points = found["points"]
+    slowest = next((p.seconds for p in points if p.axis == "paper"), None)
+    names = ", ".join(dict.fromkeys(found["materials"]))
+    title = f"{Path(folder).resolve().name}: {names}"
+    write_chart(out / "chart.png", points, reference=found["reference"], title=title)
+    result = {
+        "format": "btfsep-chart",
+        "version": 1,
+        "reference": found["reference"],
+        "materials": found["materials"],
+        "points": [
+            {
+                "axis": p.axis,
+                "name": p.name,
+                "seconds": p.seconds,
+                "error": p.error,
+                "direction_degrees": p.direction,
+                "front": p.front,
+                "paper_ratio": slowest / p.seconds if slowest else None,
+            }
+            for p in points
+        ],
+        "warnings": list(reporter.warnings),
+        "versions": versions(),
+    }
+    write_json(out / "chart.json", result)
+    return {**result, "chart": str(out / "chart.png")}
 
 
 def psnr(image, truth) -> float:

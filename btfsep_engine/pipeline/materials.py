@@ -4,9 +4,11 @@
 from dataclasses import dataclass
 
 from btfsep_engine.btf.model import Material
-from btfsep_engine.pipeline.given import given_materials
+from btfsep_engine.btf.surfaces import GIVEN
+from btfsep_engine.job.model import Job, JobObject
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.settings import Settings, TransportSettings
+from btfsep_engine.render.homogeneous import homogeneous, pictured
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,28 @@ class ObjectMaterial:
             "unknown_score": self.unknown_score,
             "candidates": [{"name": name, "score": score} for name, score in self.candidates],
         }
+
+
+def given_materials(job: Job, library, settings: TransportSettings, *, names) -> list[Material | None]:
+    """For every object the material named; where ``names`` has None the one of its surface, or None without one.
+
+    Raises
+    ------
+    InputError
+        A name that the library does not have; an image on UVs without area.
+    """
+    return [
+        library.load(name) if name is not None else o.surface and of_surface(o, job, settings)
+        for o, name in zip(job.objects, names, strict=True)
+    ]
+
+
+def of_surface(obj: JobObject, job: Job, settings: TransportSettings) -> Material:
+    """What the numbers of an object's surface make; of an image its mean where ``settings`` ask for mean ABRDFs."""
+    if not obj.pictured:
+        return homogeneous(obj.surface, GIVEN)
+    material = pictured(obj.surface, GIVEN, obj.mesh, millimetres_per_unit=1000 * job.metres_per_unit)
+    return material.mean_material() if settings.appearance == "mean" else material
 
 
 def object_materials(scene: PreparedScene, library, settings: Settings, *, names) -> list[ObjectMaterial]:

@@ -14,7 +14,7 @@ from btfsep_engine.conventions import direction_to_equirect, pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.given import given_materials
+from btfsep_engine.pipeline.materials import given_materials
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.record import determined_words, run_record, write_json
