@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 
 from .errors import InputError
-from .scratch import scratch
+from .scratch import save_exr, scratch
 
 SAMPLES = 16  # within a pixel, against jagged edges
 NOT_MEASURED = ("Transmission Weight", "Subsurface Weight", "Coat Weight", "Sheen Weight")
@@ -293,9 +293,5 @@ def _write_exr(path: Path, values) -> None:
     rgba[..., :3] = values if values.ndim == 3 else values[..., None]
     with scratch() as own:
         image = own(bpy.data.images.new(path.stem, n, n, float_buffer=True, is_data=True))
-        scene = own(bpy.data.scenes.new("BTFsep bake"))
         image.pixels.foreach_set(rgba.ravel())
-        settings = scene.render.image_settings
-        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
-        scene.view_settings.view_transform = "Raw"
-        image.save_render(str(path), scene=scene)
+        save_exr(image, path, raw=True)

@@ -12,7 +12,7 @@ from .errors import InputError
 from .properties import WORLD_MODES
 
 
-class BTFSEP_OT_apply(bpy.types.Operator):
+class BTFSEP_OT_apply(runs.Greyed, bpy.types.Operator):
     """Make the last estimate the World again, as the settings below say"""
 
     bl_idname = "btfsep.apply"
@@ -20,12 +20,10 @@ class BTFSEP_OT_apply(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     mode: EnumProperty(name="World", items=WORLD_MODES[:2], options={"SKIP_SAVE"})
 
-    @classmethod
-    def poll(cls, context):
-        if not os.path.isfile(last_lighting()):
-            cls.poll_message_set("Estimate the light first, or import a lighting (File > Import)")
-            return False
-        return True
+    @staticmethod
+    def reason(context) -> str:
+        there = os.path.isfile(last_lighting())
+        return "" if there else "Estimate the light first, or import a lighting (File > Import)"
 
     def execute(self, context):
         settings = context.scene.btfsep
@@ -47,37 +45,31 @@ def last_lighting() -> str:
     return os.path.join(folder, "result", "lighting.json") if folder else ""
 
 
-class BTFSEP_OT_restore_world(bpy.types.Operator):
+class BTFSEP_OT_restore_world(runs.Greyed, bpy.types.Operator):
     """Put the World back that the scene had before BTFsep, without the Sun lamps of BTFsep"""
 
     bl_idname = "btfsep.restore_world"
     bl_label = "Restore Previous World"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context):
-        if not world.is_ours(context.scene.world):
-            cls.poll_message_set("The World was not made by BTFsep")
-            return False
-        return True
+    @staticmethod
+    def reason(context) -> str:
+        return "" if world.is_ours(context.scene.world) else "The World was not made by BTFsep"
 
     def execute(self, context):
         world.restore_previous(context.scene)
         return {"FINISHED"}
 
 
-class BTFSEP_OT_show_report(bpy.types.Operator):
+class BTFSEP_OT_show_report(runs.Greyed, bpy.types.Operator):
     """Open the report: photo, material, estimated light, re-rendering, difference"""
 
     bl_idname = "btfsep.show_report"
     bl_label = "Show Report"
 
-    @classmethod
-    def poll(cls, context):
-        if not os.path.isfile(runs.run_state().report):
-            cls.poll_message_set("Estimate the light first")
-            return False
-        return True
+    @staticmethod
+    def reason(context) -> str:
+        return "" if os.path.isfile(runs.run_state().report) else "Estimate the light first"
 
     def execute(self, context):
         bpy.ops.wm.path_open(filepath=runs.run_state().report)

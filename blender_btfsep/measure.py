@@ -72,7 +72,7 @@ def engine_arguments(maps, name: str, library: Path, baked, properties, given=No
     return ["library", "measure", "--maps", maps, "--name", name, *baked, *told, "--library", library]
 
 
-class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
+class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
     """Measure the active object's material into the material library, as a BTF that photos can be matched with"""
 
     bl_idname = "btfsep.measure_material"
@@ -95,16 +95,11 @@ class BTFSEP_OT_measure_material(runs.EngineOperator, bpy.types.Operator):
     )
     ask: BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
-    @classmethod
-    def poll(cls, context):
-        reason = ""
+    @staticmethod
+    def reason(context) -> str:
         if runs.is_running():
-            reason = runs.RUNNING
-        elif context.object is None or context.object.active_material is None:
-            reason = "Select an object that has a material"
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
+            return runs.RUNNING
+        return "" if context.object and context.object.active_material else "Select an object that has a material"
 
     def invoke(self, context, event):
         if bpy.app.background or not self.ask:

@@ -6,21 +6,20 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from .meshes import SURFACE_TYPES
 from .request import active_entry
+from .runs import Greyed
 
 
-class BTFSEP_OT_add_objects(bpy.types.Operator):
+class BTFSEP_OT_add_objects(Greyed, bpy.types.Operator):
     """Add the selected objects to the list of those that the photo shows"""
 
     bl_idname = "btfsep.add_objects"
     bl_label = "Add Selected"
     bl_options = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context):
-        if not any(thing.type in SURFACE_TYPES for thing in context.selected_objects):
-            cls.poll_message_set("Select objects with a surface first")
-            return False
-        return True
+    @staticmethod
+    def reason(context) -> str:
+        chosen = any(thing.type in SURFACE_TYPES for thing in context.selected_objects)
+        return "" if chosen else "Select objects with a surface first"
 
     def execute(self, context):
         settings = context.scene.btfsep
@@ -32,7 +31,7 @@ class BTFSEP_OT_add_objects(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class BTFSEP_OT_remove_object(bpy.types.Operator):
+class BTFSEP_OT_remove_object(Greyed, bpy.types.Operator):
     """Take the object off the list"""
 
     bl_idname = "btfsep.remove_object"
@@ -40,12 +39,9 @@ class BTFSEP_OT_remove_object(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     index: IntProperty(default=-1, options={"HIDDEN", "SKIP_SAVE"})
 
-    @classmethod
-    def poll(cls, context):
-        if not context.scene.btfsep.objects:
-            cls.poll_message_set("The list is empty")
-            return False
-        return True
+    @staticmethod
+    def reason(context) -> str:
+        return "" if context.scene.btfsep.objects else "The list is empty"
 
     def execute(self, context):
         settings = context.scene.btfsep

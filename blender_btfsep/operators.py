@@ -9,15 +9,10 @@ from . import request, runs
 from .answer import take_estimate, take_materials
 
 
-class NeedsScene:
-    """Greyed out, with the reason, until there are a photo, a camera and objects."""
+class NeedsScene(runs.Greyed):
+    """Greyed out until there are a photo, a camera and objects."""
 
-    @classmethod
-    def poll(cls, context):
-        reason = request.missing(context)
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
+    reason = staticmethod(request.missing)
 
 
 class BTFSEP_OT_recognise(NeedsScene, runs.EngineOperator, bpy.types.Operator):
@@ -71,19 +66,16 @@ class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):
         return "The engine works"
 
 
-class BTFSEP_OT_read_library(runs.EngineOperator, bpy.types.Operator):
+class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
     """Read the names of the library's materials, to choose from"""
 
     bl_idname = "btfsep.read_library"
     bl_label = "Read Library"
     task = "Reading the library"
 
-    @classmethod
-    def poll(cls, context):
-        if runs.is_running():
-            cls.poll_message_set(runs.RUNNING)
-            return False
-        return True
+    @staticmethod
+    def reason(context) -> str:
+        return runs.RUNNING if runs.is_running() else ""
 
     def begin(self, context):
         return ["library", "list", *request.library_arguments()]
@@ -96,18 +88,15 @@ class BTFSEP_OT_read_library(runs.EngineOperator, bpy.types.Operator):
         return f"{len(names)} materials in the library"
 
 
-class BTFSEP_OT_cancel(bpy.types.Operator):
+class BTFSEP_OT_cancel(runs.Greyed, bpy.types.Operator):
     """Stop the engine"""
 
     bl_idname = "btfsep.cancel"
     bl_label = "Cancel"
 
-    @classmethod
-    def poll(cls, context):
-        if not runs.is_running():
-            cls.poll_message_set("Nothing is running")
-            return False
-        return True
+    @staticmethod
+    def reason(context) -> str:
+        return "" if runs.is_running() else "Nothing is running"
 
     def execute(self, context):
         runs.current.cancel()

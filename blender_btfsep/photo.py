@@ -10,7 +10,7 @@ import numpy as np
 from .atomic import replacing, write_bytes
 from .errors import InputError
 from .frames import SUFFIXES
-from .scratch import scratch
+from .scratch import save_exr, scratch
 
 FLOAT = {".exr", ".hdr"}
 CODED = {"sRGB"}
@@ -155,11 +155,8 @@ def _copy(source, folder: Path, suffix: str | None = None, stem: str = "photo") 
 
 
 def _save(image, folder: Path) -> str:
-    """Saves what Blender shows of ``image``, in scene-linear colours, through a scene of its own settings."""
+    """Saves what Blender shows of ``image``, in scene-linear colours."""
     with scratch() as own:
-        scene = own(bpy.data.scenes.new("BTFsep photo"))
-        settings = scene.render.image_settings
-        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
         if image.colorspace_settings.name in LINEAR and not image.is_float:
             # save_render would take the codes for sRGB
             pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
@@ -167,5 +164,5 @@ def _save(image, folder: Path) -> str:
             image = own(bpy.data.images.new("BTFsep photo", *image.size, float_buffer=True, is_data=True))
             image.pixels.foreach_set(pixels)
         with replacing(folder / "photo.exr") as file:
-            image.save_render(str(file), scene=scene)
+            save_exr(image, file)
     return "photo.exr"

@@ -47,6 +47,17 @@ def start_engine(arguments, engine: str = "") -> engine_process.EngineProcess:
     return engine_process.EngineProcess(found, arguments)
 
 
+class Greyed:
+    """An operator that is greyed out while ``reason(context)`` says why; the sentence is its tooltip's."""
+
+    @classmethod
+    def poll(cls, context):
+        reason = cls.reason(context)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+
 class EngineOperator:
     """What the operators that start the engine share. Subclasses give ``task``, ``begin`` and ``finish``."""
 

@@ -23,3 +23,14 @@ def scratch():
         yield own
     finally:
         bpy.data.batch_remove(owned)
+
+
+def save_exr(image, path, *, raw: bool = False) -> None:
+    """Saves what Blender shows of ``image``, scene-linear, 32 bit, through a scene of its own; ``raw``: as it is."""
+    with scratch() as own:
+        scene = own(bpy.data.scenes.new("BTFsep picture"))
+        settings = scene.render.image_settings
+        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
+        if raw:
+            scene.view_settings.view_transform = "Raw"
+        image.save_render(str(path), scene=scene)
