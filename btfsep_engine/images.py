@@ -28,6 +28,7 @@ SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
 COLORSPACES = ("auto", "srgb", "linear")
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # of what is read, in small letters
+_EXR = b"\x76\x2f\x31\x01"
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
 _KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
 
@@ -88,19 +89,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     """
     if colorspace not in COLORSPACES:
         raise ValueError(colorspace)
-    path = Path(path)
-    data = atomic.read_bytes(path)
-    if data[:4] == b"\x76\x2f\x31\x01":
-        stored, alpha, inside = _read_exr(path, max_pixels)
-        peak = None
-    else:
-        if max_pixels is not None:
-            size = _declared_size(data)
-            if size is None:
-                raise InputError(path.name, "it does not say its size as PNG, JPEG, TIFF, WebP or HDR do", _KINDS)
-            _check_size(path, *size, max_pixels)
-        stored, alpha, peak = _decode(path, data)
-        inside = np.ones(stored.shape[:2], bool)
+    stored, alpha, peak, inside = _stored(Path(path), max_pixels)
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
     saturated = clipped.any(-1)
     coded = peak is not None if colorspace == "auto" else colorspace == "srgb"
@@ -127,7 +116,7 @@ def declared_size(path) -> tuple[int, int] | None:
     """
     path = Path(path)
     data = atomic.read_bytes(path)
-    if data[:4] != b"\x76\x2f\x31\x01":
+    if not data.startswith(_EXR):
         return _declared_size(data)
     (low, high), *_ = _exr_windows(path)
     return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
@@ -142,12 +131,7 @@ def resized(pixels, side: int) -> np.ndarray:
 
 def read_mask(path) -> np.ndarray:
     """Reads a mask: (h, w) bool, true where any colour channel is not zero and, if there is alpha, it is not zero."""
-    path = Path(path)
-    data = atomic.read_bytes(path)
-    if data[:4] == b"\x76\x2f\x31\x01":
-        stored, alpha, _ = _read_exr(path)
-    else:
-        stored, alpha, _ = _decode(path, data)
+    stored, alpha, *_ = _stored(Path(path))
     mask = (stored != 0).any(-1)
     return mask if alpha is None else mask & (alpha > 0)
 
@@ -161,7 +145,7 @@ def read_depth(path) -> np.ndarray:
         As :func:`read_linear`, or no channel looks like depth.
     """
     path = Path(path)
-    if atomic.read_bytes(path)[:4] != b"\x76\x2f\x31\x01":
+    if not atomic.read_bytes(path).startswith(_EXR):
         raise InputError(path.name, "this is not an OpenEXR file", "save the depth as EXR")
     for channels, header in _exr_parts(path):
         names = list(channels)
@@ -221,11 +205,25 @@ def _check_size(path: Path, width: int, height: int, max_pixels: int | None = No
         raise InputError(path.name, got, "make it smaller")
 
 
-def _decode(path: Path, data: bytes):
-    """(h, w, 1 or 3) RGB as stored, (h, w) alpha in [0, 1] or None, and the largest code (None for floats)."""
+def _stored(path: Path, max_pixels: int | None = None):
+    """(h, w, 1 or 3) RGB as stored, (h, w) alpha in [0, 1] or None, the largest code (None for floats), and where the
+    file has data, (h, w) bool.
+    """
+    data = atomic.read_bytes(path)
+    if data.startswith(_EXR):
+        stored, alpha, inside = _read_exr(path, max_pixels)
+        return stored, alpha, None, inside
     size = _declared_size(data)
     if size is not None:
-        _check_size(path, *size)
+        _check_size(path, *size, max_pixels)
+    elif max_pixels is not None:
+        raise InputError(path.name, "it does not say its size as PNG, JPEG, TIFF, WebP or HDR do", _KINDS)
+    stored, alpha, peak = _decode(path, data)
+    return stored, alpha, peak, np.ones(stored.shape[:2], bool)
+
+
+def _decode(path: Path, data: bytes):
+    """The first three of `_stored`, of what OpenCV reads."""
     try:
         a = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:

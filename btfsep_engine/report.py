@@ -40,23 +40,13 @@ def write_row(path, panels) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import, and a run may want no picture
     from matplotlib.figure import Figure
 
-    ratios = [image.shape[1] / image.shape[0] for _, image in panels]
-    height, pad = 3.0, 0.5
-    width = height * sum(ratios) + 0.12 * len(panels)
-    figure = Figure(figsize=(width, height + pad), dpi=110, facecolor="white")
+    ratios, height = [image.shape[1] / image.shape[0] for _, image in panels], 3.0
+    size = height * sum(ratios) + 0.12 * len(panels), height + 0.5
+    figure = Figure(figsize=size, dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(
-        1,
-        len(panels),
-        width_ratios=ratios,
-        left=0.005,
-        right=0.995,
-        bottom=0.01,
-        top=height / (height + pad),
-        wspace=0.03,
-    )
-    for column, (label, image) in enumerate(panels):
-        axes = figure.add_subplot(grid[0, column])
+    figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=height / size[1], wspace=0.03)
+    grid = figure.subplots(1, len(panels), width_ratios=ratios, squeeze=False)[0]
+    for axes, (label, image) in zip(grid, panels, strict=True):
         axes.imshow(image, interpolation="antialiased")
         axes.set_axis_off()
         axes.set_title(label, fontsize=11, pad=5, parse_math=False)

@@ -199,10 +199,10 @@ def compare(*, a, b, job, order, library_folder, material, protocol, reporter):
         raise InputError("--protocol", "it goes without --job", "leave one of them out")
     if protocol:
         result = run_three_spheres(a, b)
-        return result, words.compare(result)
-    library = opened_library(library_folder) if job else None
-    result = run_compare(a, b, order=order, job=job, library=library, material=material, reporter=reporter)
-    return result, words.compare(result)
+    else:
+        library = opened_library(library_folder) if job else None
+        result = run_compare(a, b, order=order, job=job, library=library, material=material, reporter=reporter)
+    return result, words.facts(result)
 
 
 cli.add_command(batch)
@@ -215,10 +215,7 @@ def main(arguments=None) -> int:
         os.environ["PYTHONSAFEPATH"] = "1"
     try:
         cli.main(args=arguments, prog_name="btfsep", standalone_mode=False)
-    except click.Abort:
-        click.echo("error: stopped", err=True)
-        return 130
-    except KeyboardInterrupt:
+    except (click.Abort, KeyboardInterrupt):
         click.echo("error: stopped", err=True)
         return 130
     except click.ClickException as error:

@@ -67,11 +67,6 @@ def doctor(result: dict) -> str:
     return "\n".join(f"{name:<14} {value}" for name, value in result["facts"].items())
 
 
-def compare(result: dict) -> str:
-    """Error measures, a line each."""
-    return facts(result)
-
-
 def facts(result: dict, indent: str = "") -> str:
     """Any plain result as indented lines."""
     lines = []

@@ -11,6 +11,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from scripts.cycles import materials, studio
+
 PIXELS = 5000  # about so many of an image lie in the tile
 FAR = 300.0  # millimetres from the patch to the camera
 
@@ -26,15 +28,10 @@ def build(maps, *, layer=None) -> None:
         (1 - E(n.v)) (1 - E(n.l)) / (1 - E_mean) as the engine has it, l being the sun; what the sun is behind of has
         light from other places only, and 1 - E(n.v)
     """
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
-    scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
+    scene = studio.clear()
+    scene.cycles.use_adaptive_sampling = False
     scene.cycles.max_bounces = 2  # three surface vertices
     scene.cycles.filter_width = 0.01
-    scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = 0
-    scene.cycles.caustics_reflective = True
-    scene.cycles.blur_glossy = 0
     scene.view_settings.view_transform = "Raw"
     scene.render.use_persistent_data = True  # the mesh stays as it is from image to image
     mesh = _mesh(maps)
@@ -139,12 +136,8 @@ def _material(m, layer):
 def _table(values, nodes, links, math_node, across, up):
     """Looks up ``values : (rows, columns)`` at (across, up) in [0, 1], linear between nodes i / (n - 1)."""
     rows, columns = values.shape
-    image = bpy.data.images.new("table", columns, rows, float_buffer=True, is_data=True)
-    rgba = np.ones((rows, columns, 4), np.float32)
-    rgba[..., :3] = values[..., None]
-    image.pixels.foreach_set(rgba.ravel())
     place, node = nodes.new("ShaderNodeCombineXYZ"), nodes.new("ShaderNodeTexImage")
-    node.image, node.interpolation, node.extension = image, "Linear", "EXTEND"
+    node.image, node.interpolation, node.extension = materials.image("table", values), "Linear", "EXTEND"
     for target, value, n in ((place.inputs[0], across, columns), (place.inputs[1], up, rows)):
         links.new(math_node("ADD", math_node("MULTIPLY", value, (n - 1.0) / n), 0.5 / n), target)
     links.new(place.outputs[0], node.inputs["Vector"])
@@ -184,13 +177,8 @@ def mean_radiance(view, light, path, *, size_mm: float, samples: int, seed: int 
     across, down = (max(4, math.ceil(extent / pitch)) for extent in (width, height))
     camera.data.ortho_scale = across * pitch
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = across, down, 100
-    scene.cycles.samples, scene.cycles.seed = samples, seed
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    scene.render.filepath = str(path)
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(str(path))
-    pixels = np.array(image.pixels[:]).reshape(down, across, -1)[..., :3].astype(np.float64)
-    bpy.data.images.remove(image)
+    scene.cycles.seed = seed
+    pixels = studio.render_photo(scene, path, samples)[::-1].astype(np.float64)  # row 0 at the bottom
     x, y = np.meshgrid((np.arange(across) - across / 2 + 0.5) * pitch, (np.arange(down) - down / 2 + 0.5) * pitch)
     place = x[..., None] * np.array(right) + y[..., None] * np.array(up)
     place = place - place[..., 2:] / to_eye.z * np.array(to_eye)
