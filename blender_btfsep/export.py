@@ -50,7 +50,7 @@ def export_job(
     mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
         unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
     curve : the photo's tone curve, "auto", "srgb", "linear" or "unknown"; a photo of floats is linear anyway
-    warn : called with a sentence for each thing of the occluders that the job does not have
+    warn : called with a sentence for each thing of the occluders or the lens that the job does not have
 
     Returns
     -------
@@ -85,6 +85,7 @@ def export_job(
             colorspace = curve
         evaluated = camera.evaluated_get(depsgraph)
         lens = pinhole.for_photo(scene, evaluated, size)
+        lens |= pinhole.distortion(scene, evaluated, lens, warn=warn)
         lens["to_world"] = pinhole.to_world(evaluated).tolist()
         shadowing = meshes.render_occluders(view_layer, depsgraph, objects) if occluders is None else list(occluders)
         shadowing = [thing for thing in shadowing if thing not in objects]

@@ -4,6 +4,7 @@
 import blf
 import bpy
 
+from . import camera as pinhole
 from . import engine_settings, preferences, request, runs, sequence_run, world
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
@@ -42,7 +43,7 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
         column.use_property_decorate = False
         column.prop(settings, "camera", placeholder=scene.camera.name if scene.camera else "None")
         image = settings.image
-        if image is not None and image.size[0] and not _same_shape(image.size, scene.render):
+        if image is not None and image.size[0] and pinhole.shown(scene, image.size) is None:
             box = layout.box()
             box.alert = True
             _wrapped(
@@ -193,12 +194,6 @@ def _engine_rows(column, settings, part: str) -> None:
             if s.auto:
                 value.active = not getattr(settings, f"auto_{s.name}")
                 row.prop(settings, f"auto_{s.name}", text="Auto", toggle=True)
-
-
-def _same_shape(size, render) -> bool:
-    return abs(size[0] * render.resolution_y - size[1] * render.resolution_x) <= max(
-        *size, render.resolution_x, render.resolution_y
-    )
 
 
 def _wrapped(context, layout, text: str, *, icon: str = "NONE") -> None:

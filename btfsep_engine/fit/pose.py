@@ -15,6 +15,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from btfsep_engine.job.camera import Camera
+
 DARK = 0.05  # of the object's median luminance: noise in shadows is no edge
 GLARE = 3.0  # of the objects' median colour: what is brighter is a highlight, which no light of a low order makes
 SATURATES = 80  # percentile of the photo's gradients about the objects, at which half an edge is found
@@ -30,40 +32,21 @@ PARAMETERS = 7
 
 
 @dataclass(frozen=True)
-class Lens:
-    """A pinhole camera's numbers, in pixels, and the camera's matrix to the world (4, 4)."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    to_world: np.ndarray
-
-    def project(self, points) -> np.ndarray:
-        """Image positions (n, 2), x and y, of points (n, 3) in the world; those behind the camera lie far away."""
-        local = (np.asarray(points) - self.to_world[:3, 3]) @ self.to_world[:3, :3]
-        return self._image(local)
-
-    def _image(self, local) -> np.ndarray:
-        z = np.maximum(-local[:, 2], 1e-9 * np.abs(local).max(initial=1e-300))
-        return np.stack([self.cx + self.fx * local[:, 0] / z, self.cy - self.fy * local[:, 1] / z], -1)
-
-
-@dataclass(frozen=True)
 class Frame:
-    """The coordinates of a search: what seven numbers, each in pixels of the picture, do to a lens.
+    """The coordinates of a search: what seven numbers, each in pixels of the picture, do to a camera.
 
     Turns about the camera's three axes through the objects' centre; shifts to the right and down; the picture's
-    scale, by the distance; the focal length, with the distance that keeps the size.
+    scale, by the distance; the focal length, with the distance that keeps the size. An orthographic camera knows no
+    distance: both of the last are its scale.
 
     Attributes
     ----------
-    lens : the start
+    camera : the start
     centre : (3,) world
     radius : of the objects, pixels
     """
 
-    lens: Lens
+    camera: Camera
     centre: np.ndarray
     radius: float
 
@@ -72,19 +55,19 @@ class Frame:
         """(7,) of the prior, in pixels."""
         return np.array([TURN * self.radius] * 3 + [REACH] * 2 + [STRETCH * self.radius] * 2)
 
-    def at(self, q) -> Lens:
-        """The lens for seven numbers."""
-        lens, q = self.lens, np.asarray(q, np.float64)
+    def at(self, q) -> Camera:
+        """The camera for seven numbers."""
+        camera, q = self.camera, np.asarray(q, np.float64)
         turn, scale, zoom = q[:3] / self.radius, q[5] / self.radius, q[6] / self.radius
-        world = lens.to_world
+        world, flat = camera.to_world, camera.orthographic
         c = world[:3, :3].T @ (self.centre - world[:3, 3])
-        shift = -c[2] * np.array([q[3] / lens.fx, -q[4] / lens.fy, 0])
+        shift = np.array([q[3] / camera.fx, -q[4] / camera.fy, 0]) * (1 if flat else -c[2])
         move = np.eye(4)
         move[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
         # a larger picture is a nearer object
-        move[:3, 3] = c * np.exp(zoom - scale) + shift - move[:3, :3] @ c
-        growth = np.exp(zoom)
-        return replace(lens, fx=lens.fx * growth, fy=lens.fy * growth, to_world=world @ np.linalg.inv(move))
+        move[:3, 3] = c * (1 if flat else np.exp(zoom - scale)) + shift - move[:3, :3] @ c
+        growth = np.exp(zoom + scale * flat)
+        return replace(camera, fx=camera.fx * growth, fy=camera.fy * growth, to_world=world @ np.linalg.inv(move))
 
 
 @dataclass(frozen=True)
@@ -161,44 +144,44 @@ class Picture:
 class Misfit:
     """The objective of a set of marks on a picture."""
 
-    def __init__(self, picture: Picture, marks: Marks, lens: Lens, *, shading: float):
+    def __init__(self, picture: Picture, marks: Marks, camera: Camera, *, shading: float):
         self.picture, self.shading = picture, shading
-        kept = picture.inside(lens.project(marks.outline))
+        kept = picture.inside(camera.project(marks.outline))
         self.outline, self.across = marks.outline[kept], marks.across[kept]
-        kept = picture.inside(lens.project(marks.surface))
+        kept = picture.inside(camera.project(marks.surface))
         self.surface, light = marks.surface[kept], marks.light[kept]
         # the ridge holds lights that these points cannot tell apart
         ridge = 1e-2 * np.sqrt((light**2).sum(0).mean()) * np.eye(light.shape[1])
         self.plane = np.linalg.qr(np.concatenate([light, ridge]))[0][: len(light)]
-        left = self.left(lens)
+        left = self.left(camera)
         self.scale = np.maximum(1.4826 * np.median(np.abs(left), 0), LEAST_LEFT)
 
-    def left(self, lens: Lens) -> np.ndarray:
+    def left(self, camera: Camera) -> np.ndarray:
         """What no light explains, (n, 3), over the objects' median colour."""
-        b = self.picture.colours(lens.project(self.surface))
+        b = self.picture.colours(camera.project(self.surface))
         return b - self.plane @ (self.plane.T @ b)
 
-    def edges(self, lens: Lens) -> np.ndarray:
+    def edges(self, camera: Camera) -> np.ndarray:
         """(m,) `Picture.missing` of the outlines."""
-        return self.picture.missing(lens.project(self.outline), self.across)
+        return self.picture.missing(camera.project(self.outline), self.across)
 
-    def residuals(self, lens: Lens) -> np.ndarray:
+    def residuals(self, camera: Camera) -> np.ndarray:
         """Of outlines and shading: the sum of their squares is the objective without the prior."""
-        edges = self.edges(lens) * np.sqrt(OUTLINE / max(len(self.outline), 1))
+        edges = self.edges(camera) * np.sqrt(OUTLINE / max(len(self.outline), 1))
         if not self.shading:
             return edges
-        left = self.left(lens) / (CAPPED * self.scale)
+        left = self.left(camera) / (CAPPED * self.scale)
         soft = np.sign(left) * np.sqrt(2 * (np.sqrt(1 + left**2) - 1))  # soft_l1, signed: its square is the cost
         return np.concatenate([edges, soft.ravel() * np.sqrt(self.shading / max(soft.size, 1))])
 
-    def values(self, lens: Lens) -> tuple[float, float]:
+    def values(self, camera: Camera) -> tuple[float, float]:
         """What is missing of the outlines, in [0, 1], and the shading's residual over the objects' median colour."""
-        edges, left = self.edges(lens), np.abs(self.left(lens))
+        edges, left = self.edges(camera), np.abs(self.left(camera))
         return float(edges.mean()), float(np.minimum(left, np.percentile(left, 90)).mean())
 
 
 def refined(misfit: Misfit, frame: Frame, q, *, free, rounds: int = 6) -> np.ndarray:
-    """Seven numbers of a lens near ``q`` with the least misfit; ``free`` : (7,) bool, the others stay."""
+    """Seven numbers of a camera near ``q`` with the least misfit; ``free`` : (7,) bool, the others stay."""
     q, free = np.array(q, np.float64), np.asarray(free, bool)
     deviations = frame.deviations
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A surface from a depth image."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import binary_fill_holes
 
@@ -15,6 +17,7 @@ QUIET = 0.05  # pixel footprints of noise in the depth: what a smooth shape show
 NOISE_OF_A_PASS = 0.25  # pixel footprints of noise for each pass of smoothing
 MOST_PASSES = 8  # of smoothing
 BEHIND = 0.5  # how far the unseen side goes on behind what is seen deepest, of half the surface's diagonal
+AFAR = 1e6  # extents: where a pinhole that stands for an orthographic camera is
 GAP = 0.1  # pixel footprints between the surface and what closes it: rays of the camera meet the surface first
 
 
@@ -32,14 +35,13 @@ def mesh_from_depth(depth, camera: Camera) -> TriangleMesh | None:
     fitted to the inverse depth around each pixel: on a plane 1/z is linear in the image, so a slanted plane has
     exact normals however noisy steps between single pixels are. A noisy depth is smoothed before.
     """
-    z, inverse, valid, across, down = _surface(depth, camera)
-    rays = _rays(camera)
-    local = z[..., None] * rays
-    normals = _normals(rays[..., 0], rays[..., 1], inverse, valid, across, down)
-
+    camera, z, inverse, valid, across, down = _surface(depth, camera)
     faces = _triangles(inverse, across, down)
     if not len(faces):
         return None
+    rays = _rays(camera)
+    local = z[..., None] * rays
+    normals = _normals(rays[..., 0], rays[..., 1], inverse, valid, across, down)
     used, faces = _compact(faces)
     rotation, origin = camera.to_world[:3, :3], camera.to_world[:3, 3]
     vertices = local.reshape(-1, 3)[used] @ rotation.T + origin
@@ -63,7 +65,7 @@ def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
     -------
     TriangleMesh with the triangles' own normals, or None where there is no surface
     """
-    z, inverse, valid, *links = _surface(depth, camera)
+    camera, z, inverse, valid, *links = _surface(depth, camera)
     h, w = z.shape
     across, down = valid[:, 1:] & valid[:, :-1], valid[1:] & valid[:-1]
     body = _triangles(inverse, across, down)
@@ -77,7 +79,7 @@ def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
     rays = _rays(camera)
     corners = (rays * z[..., None])[valid]
     far = z[valid].max() + BEHIND * np.linalg.norm(np.ptp(corners, 0)) / 2
-    near = z.ravel()[used] * (1 + GAP / np.sqrt(camera.fx * camera.fy))
+    near = z.ravel()[used] * (1 + GAP / camera.focal)
     ends = rays.reshape(-1, 3)[used] * far
     count, back = len(used), _rectangles(binary_fill_holes(_squares_of(body, h, w)))
     faces = np.concatenate(
@@ -99,28 +101,41 @@ def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
 
 
 def _surface(depth, camera: Camera):
-    """What both meshes are made of: (h, w) z-depth (0 where nothing is), its inverse (0), where it is, and its links.
+    """What both meshes are made of: a pinhole, and as it sees them, (h, w), z-depth (0 where nothing is), its inverse
+    (0), where it is, and its links.
 
     A noisy depth (a sensor's, or one of few bits) is smoothed: rough surfaces shade themselves.
     """
     z = np.asarray(depth, np.float64)
     valid = (z > 0) & (z < NOTHING)
     z = np.where(valid, z, 0)
+    if camera.orthographic:
+        camera, back = _from_afar(camera, z)
+        z = np.where(valid, z + back, 0)
     inverse = np.where(valid, 1 / np.where(valid, z, 1), 0.0)
     across = _connected(z, inverse, valid, 1, camera.fx)
     down = _connected(z, inverse, valid, 0, camera.fy)
-    noise = _noise(z, inverse, across, down, np.sqrt(camera.fx * camera.fy))
+    noise = _noise(z, inverse, across, down, camera.focal)
     if noise > QUIET:
         inverse = _smoothed(
             inverse, valid, across, down, passes=min(int(np.ceil(noise / NOISE_OF_A_PASS)), MOST_PASSES)
         )
         z = np.where(valid, 1 / np.where(valid, inverse, 1), 0)
-    return z, inverse, valid, across, down
+    return camera, z, inverse, valid, across, down
+
+
+def _from_afar(camera: Camera, z):
+    """An orthographic camera as a pinhole that stands so far back that no pixel can tell, and how far."""
+    back = AFAR * max(float(z.max(initial=0)), camera.width / camera.fx, camera.height / camera.fy)
+    to_world = camera.to_world.copy()
+    to_world[:3, 3] += back * to_world[:3, 2]
+    middle = back + float(np.median(z[z > 0])) if (z > 0).any() else back
+    return replace(camera, fx=camera.fx * middle, fy=camera.fy * middle, to_world=to_world, orthographic=False), back
 
 
 def _rays(camera: Camera):
     """(h, w, 3) camera-space directions through the pixels' centres, of length 1 along the view axis."""
-    return camera.local_rays(np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5)
+    return camera.local_points(np.arange(camera.width) + 0.5, np.arange(camera.height)[:, None] + 0.5)
 
 
 def _squares(across, down):
@@ -240,7 +255,8 @@ def _normals(x, y, inverse, valid, across, down):
     Neighbours count where a chain of connected pixels leads to them, columns first or rows first.
     """
     h, w = valid.shape
-    dx, dy = x[0, 1] - x[0, 0] if w > 1 else 1.0, y[1, 0] - y[0, 0] if h > 1 else 1.0
+    # of the coordinates per pixel down and right; behind a lens they differ from place to place
+    (x_down, x_right), (y_down, y_right) = np.gradient(x), np.gradient(y)
     moments = np.zeros((h, w, 3, 3))
     values = np.zeros((h, w, 3))
     for j in range(-REACH, REACH + 1):
@@ -252,7 +268,8 @@ def _normals(x, y, inverse, valid, across, down):
             values += (weight * there)[..., None] * f
     moments += 1e-9 * np.eye(3)
     slope = np.linalg.solve(moments, values[..., None])[..., 0]  # change of 1/z per pixel right, per pixel down
-    nx, ny = slope[..., 0] / dx, slope[..., 1] / dy
+    right, below, area = slope[..., 0], slope[..., 1], x_right * y_down - y_right * x_down
+    nx, ny = (right * y_down - below * y_right) / area, (below * x_right - right * x_down) / area
     nz = nx * x + ny * y - (inverse + slope[..., 2])  # so that n . (X, Y, -1) is 1/z here
     normals = -np.stack([nx, ny, nz], -1)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -9,9 +9,10 @@ import numpy as np
 from btfsep_engine import atomic, images
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.errors import InputError
+from btfsep_engine.job.camera import Camera
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.meshes import load_mesh
-from btfsep_engine.job.model import Camera, Job, JobObject, Occluder, Photo, TriangleMesh
+from btfsep_engine.job.model import Job, JobObject, Occluder, Photo, TriangleMesh
 from btfsep_engine.job.schema import CameraSchema, JobSchema, SurfaceSchema, parse
 
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
@@ -136,7 +137,17 @@ def _camera(schema: CameraSchema) -> Camera:
         raise InputError(what, "it mirrors the scene", "the camera looks along its -Z with +X right and +Y up")
     if np.abs(to_world[:3, 3]).max() > 1e15:
         raise InputError(what, "the camera is absurdly far away", "check its position")
-    return Camera(schema.width, schema.height, schema.fx, schema.fy, schema.cx, schema.cy, to_world)
+    lens = (schema.k1, schema.k2, schema.p1, schema.p2)
+    orthographic = schema.projection == "orthographic"
+    size = schema.width, schema.height, schema.fx, schema.fy, schema.cx, schema.cy
+    camera = Camera(*size, to_world, lens, orthographic)
+    if orthographic and any(lens):
+        got = "it is orthographic and has a lens distortion"
+        raise InputError("job.json: camera", got, "leave k1, k2, p1 and p2 out, or undistort the photo")
+    if camera.folded:
+        got = "its distortion folds the picture over before its edge"
+        raise InputError("job.json: camera", got, "check k1, k2, p1 and p2: they belong to coordinates over fx and fy")
+    return camera
 
 
 def _no_photo(camera: Camera) -> Photo:

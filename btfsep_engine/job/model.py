@@ -7,47 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.btf.surfaces import Surface
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A pinhole camera.
-
-    Attributes
-    ----------
-    width, height : pixels
-    fx, fy, cx, cy : pixels; pixel (0, 0) has its centre at (0.5, 0.5)
-    to_world : (4, 4) float64, camera to world, rigid; the camera looks along its -Z with +Y up
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    to_world: np.ndarray
-
-    def local_rays(self, x, y) -> np.ndarray:
-        """Camera-space directions (..., 3) through image positions (pixels), of length 1 along the view axis."""
-        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-        return np.stack([(x - self.cx) / self.fx, -(y - self.cy) / self.fy, -np.ones_like(x)], -1)
-
-    def rays(self, x, y):
-        """World-space rays through image positions.
-
-        Parameters
-        ----------
-        x, y : (n,) float, pixels; 0.5 is the centre of the first pixel
-
-        Returns
-        -------
-        origins : (n, 3) float64
-        directions : (n, 3) float64, unit
-        """
-        directions = self.local_rays(x, y) @ self.to_world[:3, :3].T
-        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return np.broadcast_to(self.to_world[:3, 3], directions.shape).copy(), directions
+from btfsep_engine.job.camera import Camera
 
 
 @dataclass(frozen=True)

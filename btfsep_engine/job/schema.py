@@ -23,6 +23,7 @@ Length = Annotated[float, Field(gt=0, lt=1e9)]
 Focal = Annotated[float, Field(gt=1e-6, lt=1e9)]
 Pixels = Annotated[int, Field(gt=0, le=20000)]
 Position = Annotated[float, Field(gt=-1e9, lt=1e9)]
+Bend = Annotated[float, Field(gt=-1e9, lt=1e9)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Colour = Annotated[list[Share], Field(min_length=3, max_length=3)]
 Power = Annotated[list[Annotated[float, Field(ge=0, lt=1e9)]], Field(min_length=3, max_length=3)]
@@ -40,6 +41,8 @@ class Strict(BaseModel):
 
 
 class CameraSchema(Strict):
+    """``fx`` and ``fy`` of an orthographic camera are pixels in a world unit."""
+
     width: Pixels
     height: Pixels
     fx: Focal
@@ -47,6 +50,11 @@ class CameraSchema(Strict):
     cx: Position
     cy: Position
     to_world: Matrix
+    projection: Literal["perspective", "orthographic"] = "perspective"
+    k1: Bend = 0.0
+    k2: Bend = 0.0
+    p1: Bend = 0.0
+    p2: Bend = 0.0
 
 
 class SurfaceSchema(Strict):

@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.pose import LEAST_LEFT, PARAMETERS, Frame, Lens, Marks, Misfit, Picture, best_shifts, refined
+from btfsep_engine.fit.pose import LEAST_LEFT, PARAMETERS, Frame, Marks, Misfit, Picture, best_shifts, refined
 from btfsep_engine.job.model import Camera
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.render.sampling import spread
@@ -109,11 +109,6 @@ def with_camera(scene: PreparedScene, camera: Camera) -> PreparedScene:
     return out
 
 
-def lens_of(camera: Camera) -> Lens:
-    """The part of a camera that moves."""
-    return Lens(camera.fx, camera.fy, camera.cx, camera.cy, camera.to_world)
-
-
 def outline_of(view, camera: Camera, tracer, *, limit: float):
     """Where surfaces end before what is farther, to a fraction of a pixel.
 
@@ -166,7 +161,7 @@ class Aligner:
         rows, columns = np.nonzero(seen)
         origins, rays = camera.rays(columns + 0.5, rows + 0.5)
         centre = np.median(origins + view.distance[seen][:, None] * rays, 0)
-        self.frame = Frame(lens_of(camera), centre, float(np.sqrt(seen.sum() / np.pi)))
+        self.frame = Frame(camera, centre, float(np.sqrt(seen.sum() / np.pi)))
         about = binary_dilation(seen, iterations=NEAR)
         self.pictures = [Picture(photo.radiance, photo.usable, about, blur=level.blur) for level in LEVELS]
 
@@ -174,9 +169,8 @@ class Aligner:
         """(h, w) bool, where a view shows an object and no occluder."""
         return (view.mesh >= 0) & (view.mesh < len(self.job.objects))
 
-    def marks(self, lens: Lens, level: int) -> Marks:
-        """What a lens sees, as points on the geometry."""
-        camera = replace(self.job.camera, fx=lens.fx, fy=lens.fy, to_world=lens.to_world)
+    def marks(self, camera: Camera, level: int) -> Marks:
+        """What a camera sees, as points on the geometry."""
         job = replace(self.job, camera=camera)
         view = camera_view(self.tracer, job)
         outline, across, mesh = outline_of(view, camera, self.tracer, limit=DEEP * self.tracer.radius)
@@ -202,8 +196,8 @@ class Aligner:
 
     def misfit(self, q, level: int) -> Misfit:
         """The objective about seven numbers."""
-        lens = self.frame.at(q)
-        return Misfit(self.pictures[level], self.marks(lens, level), lens, shading=LEVELS[level].shading)
+        camera = self.frame.at(q)
+        return Misfit(self.pictures[level], self.marks(camera, level), camera, shading=LEVELS[level].shading)
 
     def left(self, q) -> Left | None:
         """What speaks against seven numbers; None where too little is seen to say."""
@@ -259,10 +253,10 @@ def align(scene: PreparedScene) -> Alignment:
             camera, False, "left as it is: the picture shows too little of the objects' outline or surface"
         )
     q, after = aligner.search(before)
-    lens, first = aligner.frame.at(q), aligner.frame.lens
+    end, first = aligner.frame.at(q), aligner.frame.camera
     seen = aligner.marks(first, len(LEVELS) - 1).surface
-    moved = np.linalg.norm(lens.project(seen) - first.project(seen), axis=1).mean() * camera.fx / first.fx
-    zoom = lens.fx / first.fx
+    moved = np.linalg.norm(end.project(seen) - first.project(seen), axis=1).mean() * camera.fx / first.fx
+    zoom = end.fx / first.fx
     degrees = np.degrees(np.linalg.norm(q[:3]) / aligner.frame.radius)
     stays = Alignment(camera, False, "", before=before, after=after)
     outline, shading = before.gain_of(after)
@@ -272,7 +266,7 @@ def align(scene: PreparedScene) -> Alignment:
         )
     if outline + shading < GAIN or outline < OUTLINE_GAIN or shading < -WORSE:
         return replace(stays, why=f"left as it is: no place nearby goes clearly better ({_words(before, after)})")
-    found = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom, to_world=lens.to_world)
+    found = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom, to_world=end.to_world)
     try:
         with_camera(scene, found)
     except InputError as error:

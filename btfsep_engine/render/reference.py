@@ -205,29 +205,30 @@ class Reference:
 
     def _traced(self, scene, pixels, samples, seed, jitter):
         """Mean of the paths through each pixel and the variance of that mean: 2 x (p, 3) float32."""
-        camera = self.job.camera
-        rotation = camera.to_world[:3, :3]
-        corner = camera.local_rays(pixels[:, 1], pixels[:, 0]) @ rotation.T
-        # arrays of one lane, not constants: the compiled kernel serves every camera
-        right, down, eye = (
-            mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in v))
-            for v in (
-                rotation[:, 0] / camera.fx,
-                -rotation[:, 1] / camera.fy,
-                self.tracer.to_local(camera.to_world[:3, 3]),
-            )
+        camera, (row, column) = self.job.camera, pixels.T
+        axis = -camera.to_world[:3, 2]
+        # origin and direction at the pixels' corners: within a pixel they are linear, a lens bends nothing so small
+        corner, *ends = (
+            np.stack([self.tracer.to_local(origins), directions / (directions @ axis)[:, None]])
+            for origins, directions in (camera.rays(column + i, row + j) for i, j in ((0, 0), (1, 0), (0, 1)))
         )
+        linear = [corner, *(end - corner for end in ends)]
         sampler = mi.load_dict({"type": "independent"})
         mean, variance = np.empty((2, len(pixels), 3), np.float32)
         step = max(1, LANES // samples)
         for start in range(0, len(pixels), step):
-            part = corner[start : start + step]
-            lanes = len(part) * samples
+            part = slice(start, start + step)
+            lanes = len(pixels[part]) * samples
             sampler.seed(int(np.random.SeedSequence([*seed, start]).generate_state(1)[0]), lanes)
             point = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, samples)
             within = sampler.next_2d() if jitter else mi.Point2f(*(dr.opaque(mi.Float, x) for x in CENTRE))
-            direction = dr.gather(mi.Vector3f, vector(part), point) + within.x * right + within.y * down
-            ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(eye), dr.normalize(direction)))
+            origin, direction = (
+                at + within.x * right + within.y * down
+                for at, right, down in (
+                    [dr.gather(mi.Vector3f, vector(a[k, part]), point) for a in linear] for k in (0, 1)
+                )
+            )
+            ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(origin), dr.normalize(direction)))
             colour, _, _ = self.integrator.sample(scene, sampler, ray)
             dr.eval(colour)  # now: every sum would trace the paths again
             sums = []

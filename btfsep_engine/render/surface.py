@@ -131,10 +131,7 @@ def surface_points(view: View, job: Job, index: int, *, region=None) -> SurfaceP
     weights[:, 0] = 1 - weights[:, 1] - weights[:, 2]
     triangles = mesh.vertices[mesh.faces[face]]
     position = (weights[..., None] * triangles).sum(1)
-    eye = camera.to_world[:3, 3]
-    to_eye = eye - position
-    distance = np.linalg.norm(to_eye, axis=1, keepdims=True)
-    to_eye /= distance
+    to_eye, pixel = camera.seen_from(position)
     flat = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
     side = np.where((flat * to_eye).sum(1, keepdims=True) < 0, -1.0, 1.0)
@@ -144,7 +141,7 @@ def surface_points(view: View, job: Job, index: int, *, region=None) -> SurfaceP
     flat = flat * side
     normal = normal * np.where((normal * flat).sum(1, keepdims=True) < 0, -1.0, 1.0)
     slant = np.maximum((flat * to_eye).sum(1), 0.05)
-    footprint = distance[:, 0] / np.sqrt(camera.fx * camera.fy) / np.sqrt(slant)
+    footprint = pixel / np.sqrt(slant)
     return SurfacePoints(
         np.stack([rows, columns], -1).astype(np.int32),
         position,

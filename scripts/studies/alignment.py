@@ -27,7 +27,7 @@ from btfsep_engine import atomic
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.fit.pose import Frame
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.alignment import align, lens_of, with_camera
+from btfsep_engine.pipeline.alignment import align, with_camera
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
@@ -45,7 +45,7 @@ def disturbed(scene: PreparedScene, pixels: float, degrees: float, rng):
     rows, columns = np.nonzero(seen)
     origins, rays = camera.rays(columns + 0.5, rows + 0.5)
     centre = np.median(origins + scene.view.distance[seen][:, None] * rays, 0)
-    frame = Frame(lens_of(camera), centre, float(np.sqrt(seen.sum() / np.pi)))
+    frame = Frame(camera, centre, float(np.sqrt(seen.sum() / np.pi)))
     axis, angle = rng.normal(size=3), rng.uniform(0, 2 * np.pi)
     turn = np.radians(degrees) * frame.radius * axis / np.linalg.norm(axis)
     lens = frame.at([*turn, pixels * np.cos(angle), pixels * np.sin(angle), 0, 0])
@@ -55,8 +55,8 @@ def disturbed(scene: PreparedScene, pixels: float, degrees: float, rng):
 
 def off(scene: PreparedScene, camera) -> tuple[float, float]:
     """Mean way in pixels of what the true camera sees, and degrees between the cameras' axes."""
-    right, points = lens_of(scene.job.camera), scene.points(0, textured=False).position[::5]
-    way = np.linalg.norm(lens_of(camera).project(points) - right.project(points), axis=1).mean()
+    right, points = scene.job.camera, scene.points(0, textured=False).position[::5]
+    way = np.linalg.norm(camera.project(points) - right.project(points), axis=1).mean()
     turn = right.to_world[:3, :3].T @ camera.to_world[:3, :3]
     return float(way), float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
 

@@ -33,9 +33,15 @@ def position_material():
 
 
 @pytest.mark.parametrize(
-    ("size", "shift", "fit"), [((96, 64), (0.0, 0.0), "AUTO"), ((56, 80), (0.08, -0.05), "HORIZONTAL")]
+    ("size", "shift", "fit", "kind"),
+    [
+        ((96, 64), (0.0, 0.0), "AUTO", "PERSP"),
+        ((56, 80), (0.08, -0.05), "HORIZONTAL", "PERSP"),
+        ((96, 64), (0.03, -0.05), "AUTO", "ORTHO"),
+        ((96, 64), (0.03, -0.05), "AUTO", "REGION"),
+    ],
 )
-def test_positions_lie_on_the_rays(tmp_path, size, shift, fit):
+def test_positions_lie_on_the_rays(tmp_path, size, shift, fit, kind):
     scene = studio.clear()
     scene.cycles.use_adaptive_sampling = False
     scene.cycles.filter_width = 0.01
@@ -48,6 +54,12 @@ def test_positions_lie_on_the_rays(tmp_path, size, shift, fit):
     scene.collection.objects.link(camera)
     data.lens, data.sensor_fit = 55.0, fit
     data.shift_x, data.shift_y = shift
+    if kind == "ORTHO":
+        data.type, data.ortho_scale = "ORTHO", 2.6
+    if kind == "REGION":
+        render = scene.render
+        render.resolution_percentage, render.use_border, render.use_crop_to_border = 150, True, True
+        render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.23, 0.7, 0.21, 0.9
     place = Vector((1.6, -3.0, 2.2))
     look = (Vector((0.3, -0.2, 0.5)) - place).to_track_quat("-Z", "Y")
     camera.location, camera.rotation_mode = place, "QUATERNION"

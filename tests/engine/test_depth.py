@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 from scipy.spatial.transform import Rotation
 
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
@@ -43,8 +44,71 @@ def geometric_normals(mesh):
     return n / np.linalg.norm(n, axis=-1, keepdims=True)
 
 
+@pytest.fixture
+def parallel(camera):
+    return replace(camera, fx=30.0, fy=28.0, orthographic=True)
+
+
 def unit(v):
     return np.asarray(v, float) / np.linalg.norm(v)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0.3, 0.2, 1), (-1.2, 0.1, 0.5)])
+def test_a_plane_before_an_orthographic_camera(parallel, normal):
+    normal, flat = unit(normal), parallel.local_points(np.arange(96) + 0.5, np.arange(72)[:, None] + 0.5, 0.0)
+    depth = (6.0 + flat @ normal) / normal[2]
+    depth[depth < 0] = 0
+    mesh = mesh_from_depth(depth, parallel)
+    world = parallel.to_world[:3, :3] @ normal
+    np.testing.assert_allclose((mesh.vertices - parallel.to_world[:3, 3]) @ world, -6.0, atol=1e-5)
+    np.testing.assert_allclose(mesh.corner_normals, np.broadcast_to(world, mesh.corner_normals.shape), atol=1e-4)
+    np.testing.assert_allclose(geometric_normals(mesh) @ world, 1, atol=1e-6)
+    at = parallel.project(mesh.vertices) - 0.5
+    np.testing.assert_allclose(at, np.round(at), atol=1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_a_ball_before_an_orthographic_camera(parallel, noise):
+    """The shape, the normals and the noise are those of the depth, in footprints of a pixel of 1/30."""
+    flat = parallel.local_points(np.arange(96) + 0.5, np.arange(72)[:, None] + 0.5, 0.0)
+    inside = 1 - (flat[..., :2] ** 2).sum(-1)
+    rough = np.random.default_rng(0).standard_normal(inside.shape) * noise / parallel.focal
+    mesh = mesh_from_depth(np.where(inside > 0, 5 - np.sqrt(np.maximum(inside, 0)) + rough, 0), parallel)
+    local = (mesh.vertices - parallel.to_world[:3, 3]) @ parallel.to_world[:3, :3] + [0, 0, 5]
+    off = np.linalg.norm(local, axis=1) - 1
+    middle = local[:, 2] > 0.6
+    assert np.sqrt(np.mean(off[middle] ** 2)) < (0.6 * noise / parallel.focal if noise else 1e-5)
+    normals = mesh.corner_normals.reshape(-1, 3) @ parallel.to_world[:3, :3]
+    at = local[mesh.faces].reshape(-1, 3)
+    cosine = (normals * at).sum(1)[at[:, 2] > 0.6]
+    assert np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))) < (10 if noise else 2)
+
+
+def test_a_closed_ball_before_an_orthographic_camera_hides_nothing(parallel):
+    flat = parallel.local_points(np.arange(96) + 0.5, np.arange(72)[:, None] + 0.5, 0.0)
+    inside = 1 - (flat[..., :2] ** 2).sum(-1)
+    depth = np.where(inside > 0, 5 - np.sqrt(np.maximum(inside, 0)), 0)
+    closing = closing_mesh(depth, parallel)
+    rows, columns = np.nonzero(binary_erosion(depth > 0))
+    origins, ways = parallel.rays(columns + 0.5, rows + 0.5)
+    reached = met(closing, origins, ways)
+    assert (reached > depth[rows, columns] + 1e-6).all()
+    assert np.isfinite(reached).mean() > 0.99
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0.3, 0.2, 1), (-1.2, 0.1, 0.5)])
+def test_a_plane_behind_a_lens(camera, normal):
+    lens = replace(camera, distortion=(-0.3, 0.05, 0.002, -0.003))
+    seen = lens.local_points(np.arange(96) + 0.5, np.arange(72)[:, None] + 0.5)
+    normal = unit(normal)
+    depth = -3.0 / (seen @ normal)
+    depth[(depth < 0) | (depth > 60)] = 0
+    mesh = mesh_from_depth(depth, lens)
+    world = lens.to_world[:3, :3] @ normal
+    np.testing.assert_allclose((mesh.vertices - lens.to_world[:3, 3]) @ world, -3.0, atol=1e-9)
+    off = np.degrees(np.arccos(np.clip(mesh.corner_normals @ world.astype(np.float32), -1, 1)))
+    assert np.median(off) < 0.1
+    assert off.max() < 1  # at the picture's edge, from one side
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0.3, 0.2, 1), (-1.2, 0.1, 0.5), (0.1, 2.0, 0.4)])

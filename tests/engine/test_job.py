@@ -56,6 +56,17 @@ def test_a_whole_job(job):
     assert load_job(job.folder / "job.json").digest == result.digest
 
 
+def test_a_camera_with_a_lens_and_one_without_a_centre(job):
+    tree = changed(job.copy(), "camera.k1", -0.1)
+    lens = load_job(job.write(tree | {"camera": tree["camera"] | {"p2": 0.01}})).camera
+    assert (lens.distortion, lens.orthographic) == ((-0.1, 0.0, 0.0, 0.01), False)
+    flat = changed(job.copy(), "camera.projection", "orthographic")
+    assert load_job(job.write(flat)).camera.orthographic
+    job.write(changed(flat, "camera.k1", -0.1))
+    with pytest.raises(InputError, match="orthographic and has a lens distortion"):
+        load_job(job.folder)
+
+
 def test_a_photo_of_an_unknown_curve_is_read_as_by_default_and_keeps_its_bits(job):
     cv2.imwrite(str(job.folder / "photo.png"), np.full((8, 12, 3), 128, np.uint8))
     tree = job.copy() | {"image": "photo.png", "image_colorspace": "unknown"}
@@ -170,6 +181,10 @@ PROJECTIVE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 1, 1]]
     ("camera.to_world.0.0", float("nan"), "finite number"),
     ("camera.to_world.0.0", 1e308, "camera.to_world"),
     ("camera.to_world.0.3", 1e300, "far away"),
+    ("camera.k1", "0", 'camera.k1; it is "0"; it has to be a number'),
+    ("camera.k1", -9.0, "camera; its distortion folds the picture over"),
+    ("camera.k3", 0.1, "camera.k3; this key is not known"),
+    ("camera.projection", "ortho", "did you mean 'orthographic'?"),
     ("image", 3, "image; it is 3; it has to be a text"),
     ("image", None, "image; it is null; it has to be a text"),
     ("image", "", "image; it is empty"),

@@ -14,7 +14,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.fit.pose import Frame
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
-from btfsep_engine.pipeline.alignment import align, lens_of, with_camera
+from btfsep_engine.pipeline.alignment import align, with_camera
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.progress import Reporter
 from tests.render.scenes import looking_down, positive_light
@@ -28,13 +28,13 @@ def potato():
     return shape
 
 
-def photographed(folder, shape, *, focal=200.0, seed=0):
+def photographed(folder, shape, *, focal=200.0, seed=0, **lens):
     """Writes a job of a white shape before an uneven wall, shaded in closed form, and gives it as a scene."""
     camera, x = looking_down(focal=focal), positive_light(2)
     shape.export(folder / "shape.ply")
     shown = {k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
     job = {"format": "btfsep-job", "version": 1, "image": "photo.exr", "metres_per_unit": 0.05}
-    job["camera"] = {**shown, "to_world": camera.to_world.tolist()}
+    job["camera"] = {**shown, "to_world": camera.to_world.tolist(), **lens}
     job["objects"] = [{"name": "shape", "mesh": "shape.ply"}]
     (folder / "job.json").write_text(json.dumps(job))
     scene = PreparedScene(load_job(folder, with_photo=False), Reporter())
@@ -50,7 +50,7 @@ def photographed(folder, shape, *, focal=200.0, seed=0):
 
 
 def frame_of(scene) -> Frame:
-    return Frame(lens_of(scene.job.camera), np.zeros(3), float(np.sqrt((scene.view.mesh >= 0).sum() / np.pi)))
+    return Frame(scene.job.camera, np.zeros(3), float(np.sqrt((scene.view.mesh >= 0).sum() / np.pi)))
 
 
 def off_by(scene, pixels):
@@ -62,7 +62,7 @@ def off_by(scene, pixels):
 def away(scene, camera) -> float:
     """Mean way in pixels of what the true camera sees."""
     points = scene.points(0, textured=False).position
-    return np.linalg.norm(lens_of(camera).project(points) - lens_of(scene.job.camera).project(points), axis=1).mean()
+    return np.linalg.norm(camera.project(points) - scene.job.camera.project(points), axis=1).mean()
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +79,15 @@ def test_a_camera_that_is_off_comes_back(potatoes, moved):
     assert found.moved_px == pytest.approx(away(potatoes, start.job.camera), rel=0.1)
 
 
+@pytest.mark.parametrize("lens", [{"k1": -0.5, "k2": 0.1, "p1": 0.02}, {"projection": "orthographic", "focal": 45.0}])
+def test_other_cameras_come_back(tmp_path, lens):
+    shown = photographed(tmp_path, potato(), **lens)
+    start = off_by(shown, (1.5, -1, 0, -8, 5, 0, 0))
+    found = align(start)
+    assert away(shown, found.camera) < 0.15 * away(shown, start.job.camera)
+    assert found.camera.distortion == shown.job.camera.distortion
+
+
 def test_what_is_in_place_stays(potatoes):
     found = align(potatoes)
     assert not found.aligned
@@ -92,7 +101,7 @@ def test_the_turn_of_a_ball_stays(tmp_path):
     found = align(off_by(ball, (0, 0, 0, 6, -4, 0, 0)))
     assert found.aligned
     assert found.degrees < 1.5
-    assert np.linalg.norm(lens_of(found.camera).project(np.zeros((1, 3))) - ball.job.camera.width / 2) < 0.7
+    assert np.linalg.norm(found.camera.project(np.zeros((1, 3))) - ball.job.camera.width / 2) < 0.7
 
 
 def test_no_outline_in_the_picture(tmp_path):

@@ -22,7 +22,7 @@ from btfsep_engine.render.surface import camera_view
 from btfsep_engine.render.transport import Transport
 from tests.render.btf_materials import diffuse, glossy, matte, textured
 from tests.render.prepared import MILLIMETRES, Prepared, ball, bowl, plate
-from tests.render.scenes import as_mesh
+from tests.render.scenes import as_mesh, looking_down
 
 COUNTS = (3001, 3517, 4021, 4523)  # directions of the kernel's four runs
 
@@ -78,6 +78,15 @@ def test_a_textured_ball_in_the_shade_of_a_plate():
 
 def test_a_matte_bowl_that_shadows_itself():
     z_test(Prepared([bowl()], matte(), count=120, use_texture=False), Some(SHBasis(4), (0, 2, 5, 15)))
+
+
+@pytest.mark.parametrize(
+    "changes", [{"orthographic": True, "fx": 45.0, "fy": 40.0}, {"distortion": (-0.5, 0.1, 0.02, -0.03)}]
+)
+def test_a_glossy_ball_seen_by_other_cameras(changes):
+    camera = replace(looking_down(), **changes)
+    scene = Prepared([ball()], glossy(), count=120, use_texture=False, camera=camera)
+    z_test(scene, Some(SHBasis(4), (0, 1, 6, 12)))
 
 
 def test_the_mean_of_a_texture_under_maps():
