@@ -6,6 +6,7 @@ import atexit
 import bpy
 
 from . import (
+    alignment,
     command,
     importer,
     light_operators,
@@ -23,6 +24,7 @@ MODULES = (
     properties,
     preferences,
     operators,
+    alignment,
     object_list,
     light_operators,
     importer,

@@ -42,6 +42,7 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
         column.use_property_split = True
         column.use_property_decorate = False
         column.prop(settings, "camera", placeholder=scene.camera.name if scene.camera else "None")
+        layout.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
         image = settings.image
         if image is not None and image.size[0] and pinhole.shown(scene, image.size) is None:
             box = layout.box()

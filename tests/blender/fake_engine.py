@@ -42,6 +42,13 @@ def main():
         (out / "lighting.json").write_text(json.dumps(behaviour["lighting"]))
         result = behaviour.get("result", {}) | {"out": str(out), "lighting": str(out / "lighting.json")}
         say(type="done", result=result)
+    if "aligned" in behaviour and arguments[0] == "align":
+        out = Path(arguments[arguments.index("--out") + 1])
+        out.mkdir(parents=True, exist_ok=True)
+        job = json.loads((Path(arguments[1]) / "job.json").read_text())
+        job["camera"] |= behaviour["aligned"]
+        (out / "job.json").write_text(json.dumps(job))
+        say(type="done", result=behaviour["result"] | {"out": str(out)})
     if "sequence" in behaviour and arguments[0] == "sequence":
         out = Path(arguments[arguments.index("--out") + 1])
         out.mkdir(parents=True, exist_ok=True)
