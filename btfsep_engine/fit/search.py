@@ -28,7 +28,7 @@ SETTLED = 0.05  # of the logarithm of the noise
 GAIN = 3e-3  # of the logarithm of the probability: less is no step worth taking
 EXACT = 0.02  # discrepancy of a model that is as good as exact
 EXACT_COST = 12.0  # of the logarithm of the evidence: how much less probable such a model is
-LAMP_COST = 3.0  # of the logarithm of the evidence: how much less probable one more lamp is, wherever it stands
+LAMP_COST = 5.0  # of the logarithm of the evidence: how much less probable one more lamp is, wherever it stands
 STIFFEST = 1e5  # of the damping
 
 
