@@ -6,10 +6,11 @@ scripts/study fit PHOTOS --cost    milliseconds alone
 
 The right material, 3,000 pixels, order 9, light between surfaces followed, least squares on the same basis images.
 Prints: errors by method; the error over the expected one, and how many true coefficients lie within 1 and 1.96 stated
-standard deviations and in the stated 95 % range; what light was elected; how often each doubt is raised with the right
-material, a wrong one, a photo shifted by pixels, a light nearby (brightness by the inverse square of the distance to a
-lamp at 4 radii, laid over the photo) and without reflections. Photos under the lights of --tuned, on which constants of
-the fit were looked at, stand apart from all others.
+standard deviations and in the stated 95 % range; what light was elected; with --spheres the si-RMSE of the
+three-spheres protocol, all of the light against the whole map; how often each doubt is raised with the right material,
+a wrong one, a photo shifted by pixels, a light nearby (brightness by the inverse square of the distance to a lamp at 4
+radii, laid over the photo) and without reflections. Photos under the lights of --tuned, on which constants of the fit
+were looked at, stand apart from all others.
 
 --cost: milliseconds, warm, on one thread, medians over the views of the median of --repeats runs, in turns so that a
 busy machine is busy for all. "preparing": the products of the basis images; "photo": the election of a model, its light
@@ -29,8 +30,12 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.misalignment import silhouette_shift
+from btfsep_engine.fit.three_spheres import ROWS, three_spheres
 from btfsep_engine.job.load import load_job
+from btfsep_engine.light.files import Lighting, lighting_map
+from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline import doubts
+from btfsep_engine.pipeline.light_account import sky_radiance
 from btfsep_engine.pipeline.model import stand_ins
 from btfsep_engine.pipeline.points import chosen_points, photographed_regions
 from btfsep_engine.pipeline.problem import pose
@@ -40,6 +45,7 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import light_solver
 from btfsep_engine.progress import Reporter
+from scripts.cycles.lights import light_path
 from scripts.studies import parser, photos, tables
 from scripts.studies.measures import errors, judged, timed
 
@@ -50,6 +56,7 @@ WORDS = {"line up": "shift", "nearby": "near", "not modelled": "reflections", "d
 ORDERS = (2, 3, 4)
 PAPER, CHOSEN, OURS = "least squares, order 4 (the paper)", "least squares, order cross-validated", "ours"
 METHODS = ("least squares, order 2", "least squares, order 3", PAPER, CHOSEN, OURS)
+SPHERES = ("diffuse", "matte_silver", "mirror")
 COLUMNS = {"order1": "order 1", "order2": "order 2", "order4": "order 4", "order2_absolute": "order 2, no scale"}
 
 
@@ -100,6 +107,14 @@ class View:
         yield "light nearby", solver, b / (1 - place @ LAMP / (LAMP_RADII * radius))[:, None] ** 2, photo
 
 
+def on_spheres(fit, light: str) -> dict:
+    """si-RMSE of each of `SPHERES`, of all of a fit's light, lamps as they are, against Blender's map of a light."""
+    lighting = Lighting(fit.order, fit.coefficients, fit.stddev, fit.determined)
+    estimate = lighting_map(lighting, ROWS, 2 * ROWS, radiance=sky_radiance(fit, lighting))
+    found = three_spheres(estimate, read_map(light_path(light)))
+    return {kind: found[kind]["si_rmse"] for kind in SPHERES}
+
+
 def study(shown: list, library, given):
     """All lights of one object and material: rows of errors, and of doubts."""
     view = View(shown, library)
@@ -127,6 +142,7 @@ def study(shown: list, library, given):
                     m: errors(x, truth, (1, 2, 4)) for m, x in zip(METHODS, (*plain, fit.coefficients), strict=True)
                 },
                 **judged(fit, fit.samples, truth),
+                **(on_spheres(fit, shot.light) if given.spheres else {}),
             }
         )
         if not given.quick:
@@ -200,6 +216,12 @@ def of_ranges(rows, key):
         yield name, *cells, *(tables.percent([r[k] for r in some]) for k in ("within68", "within95", "inside"))
 
 
+def of_spheres(rows):
+    """By light, the si-RMSE of the three spheres."""
+    for light, some in tables.groups(rows, "light", every="all"):
+        yield light, len(some), *(tables.spread([r[kind] for r in some], "{:.3f}") for kind in SPHERES)
+
+
 def of_doubts(raised):
     """How often each doubt is raised."""
     for kind, some in tables.groups(raised, "kind", every=None):
@@ -214,6 +236,9 @@ def show(rows, raised, *, keys=(), lights=False) -> None:
     if lights:
         heads = ("light", "photos", "order 1", "order 2", "order 4", "even light and lamps", "lamps a photo")
         print("\n" + tables.table(heads, of_lights(rows)))
+    if SPHERES[0] in rows[0]:
+        heads = ("light", "photos", *(kind.replace("_", " ") for kind in SPHERES))
+        print("\n" + tables.table(heads, of_spheres(rows)))
     heads = ("order 1: error, stated, ratio", "order 2: error, stated, ratio", "68 %", "95 %", "95 % range")
     for key in keys:
         print("\n" + tables.table((key, *heads), of_ranges(rows, key)))
@@ -230,6 +255,7 @@ def main(arguments) -> int:
     )
     options.add_argument("--objects", nargs="+", help="some of the objects")
     options.add_argument("--cost", action="store_true", help="milliseconds alone")
+    options.add_argument("--spheres", action="store_true", help="the three spheres, too: a second or two a photo")
     options.add_argument("--repeats", type=int, default=15, help="of --cost")
     options.add_argument("--views", type=int, default=6, help="of --cost, spread over the objects and materials")
     given = options.parse_args(arguments)
