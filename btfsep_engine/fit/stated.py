@@ -12,9 +12,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
-from btfsep_engine.light.maps import natural_amplitude
+from btfsep_engine.light.log_field import natural_spread
 
-DETERMINED = 0.5  # of what nature varies a coefficient by: known to better than that
+DETERMINED = 0.5  # of what a coefficient could be: known to better than that
 REFLECTANCE = 0.1  # of all light: a material's reflectance differs from piece to piece
 RANGE = (2.5, 97.5)  # percentiles of what is stated as the range
 MIDDLE = (15.9, 84.1)  # of a standard deviation: tails of an exponential would make the mean square say anything
@@ -95,12 +95,17 @@ class Fit:
 
 
 def determined(coefficients, stddev) -> np.ndarray:
-    """Which coefficients the photo determines: those it knows to better than half of what nature varies them by.
+    """Which coefficients the photo determines: those it knows to better than half of what they could be.
+
+    What a coefficient could be is what natural light varies it by (`light.log_field.natural_spread`), or its own size,
+    where that is larger: no nature varies the high orders as a lamp does.
 
     (terms, 3), (terms, 3) -> (terms,) bool
     """
-    natural = natural_amplitude(sh.order_of(len(coefficients))) * np.abs(coefficients[0]).mean()
-    return np.sqrt((np.asarray(stddev) ** 2).mean(1)) < DETERMINED * natural
+    x = np.asarray(coefficients)
+    nature = natural_spread()[: len(x)] * np.abs(x[0]).mean()
+    size = np.sqrt(np.square(x).mean(1))
+    return np.sqrt(np.square(stddev).mean(1)) < DETERMINED * np.maximum(nature, size)
 
 
 def restated(fit: Fit, samples) -> Fit:

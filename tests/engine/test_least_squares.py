@@ -7,7 +7,7 @@ import pytest
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.least_squares import block_labels, solve
 from btfsep_engine.fit.stated import determined
-from btfsep_engine.light.maps import natural_amplitude
+from btfsep_engine.light.log_field import natural_field, natural_spread
 
 
 def problem(rng, pixels=3000, terms=9):
@@ -78,8 +78,18 @@ def test_blocks_are_squares_of_the_picture():
     assert (np.bincount(labels) == 256).all()
 
 
-def test_determined_compares_with_what_nature_varies_by():
+def test_determined_compares_with_what_nature_varies_by_or_its_own_size():
     coefficients = np.array([[2.0] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3])
-    half = 0.5 * 2 * natural_amplitude(1)
-    stddev = half[:, None] * np.array([[0.01] * 3, [0.9] * 3, [1.1] * 3, [0.9] * 3])
+    half = 0.5 * 2 * natural_spread()[1]
+    stddev = half * np.array([[0.01] * 3, [0.9] * 3, [1.1] * 3, [0.9] * 3])
     assert determined(coefficients, stddev).tolist() == [True, True, False, True]
+    coefficients[2] = 10 * half
+    assert determined(coefficients, stddev).all()
+
+
+def test_what_natural_light_alone_says_is_not_determined():
+    """Of a photo that tells nothing: every light is as probable as nature has it."""
+    field = natural_field()
+    lights = field.coefficients(field.radiance(np.random.default_rng(1).standard_normal((200, field.unknowns))))
+    relative = (lights / lights[..., :1]).transpose(0, 2, 1)
+    assert not determined(np.median(relative, 0), relative.std(0))[1:].any()

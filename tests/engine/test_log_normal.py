@@ -9,8 +9,7 @@ from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.log_normal import LightSolver, hidden_lamps
 from btfsep_engine.fit.products import NEARLY_RIGHT
 from btfsep_engine.fit.search import EXACT
-from btfsep_engine.light.log_field import natural_field
-from btfsep_engine.light.maps import natural_amplitude
+from btfsep_engine.light.log_field import natural_field, natural_spread
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, off, project, shown, side_light
 
 
@@ -133,9 +132,10 @@ def test_what_is_stated_are_the_ends_and_the_middle_of_the_samples(rng):
     np.testing.assert_allclose(fit.interval, np.percentile(few, [2.5, 97.5], axis=0))
     assert (fit.interval[0] <= fit.interval[1]).all() and fit.samples.shape == (200, 100, 3)
     wide = np.sqrt((np.maximum(fit.stddev**2 - (0.1 * fit.coefficients) ** 2, 0)).mean(1))
-    natural = natural_amplitude(9)[:25] * fit.coefficients[0].mean()
+    natural = natural_spread()[:25] * fit.coefficients[0].mean()
+    size = np.sqrt(np.square(fit.coefficients).mean(1))
     assert 0 < fit.determined.sum() < 25
-    np.testing.assert_array_equal(fit.determined, wide < 0.5 * natural)
+    np.testing.assert_array_equal(fit.determined, wide < 0.5 * np.maximum(natural, size))
 
 
 def test_the_order_that_is_reported_changes_no_number(rng):
