@@ -105,7 +105,7 @@ def _estimate(options) -> None:
     scene = scene_of(options)
     folder = headless.write_job(options, scene)
     out = Path(options.out).absolute() if options.out else folder / "result"
-    arguments = request.engine_arguments("estimate", folder, scene, "--out", out, given=options)
+    arguments = request.engine_arguments("estimate", folder, scene, "--out", out, options=options)
     result = headless.run_engine(arguments, options.engine)
     for sentence in take_estimate(scene, result, mode=_mode(options), lamp=_lamp(options)):
         say(sentence)
@@ -115,7 +115,7 @@ def _estimate(options) -> None:
 def _recognise(options) -> None:
     scene = scene_of(options)
     folder = headless.write_job(options, scene)
-    arguments = request.engine_arguments("recognise", folder, scene, given=options)
+    arguments = request.engine_arguments("recognise", folder, scene, options=options)
     objects = headless.run_engine(arguments, options.engine).get("objects") or []
     for sentence, found in zip(take_materials(scene, objects), objects, strict=True):
         say(sentence)

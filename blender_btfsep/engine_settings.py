@@ -47,7 +47,7 @@ class EngineSetting:
         """The option of the engine and of the command line."""
         return self.option or f"--{self.name.replace('_', '-')}"
 
-    def told(self, properties):
+    def value_of(self, properties):
         """The value that the engine is told, of Blender's properties; None: nothing."""
         if self.default is None or properties is None:
             return None
@@ -107,12 +107,12 @@ def add_options(parser: argparse.ArgumentParser, settings, default: str) -> None
         parser.add_argument(s.flag, required=s.required, **about, **takes)
 
 
-def engine_options(settings, properties, given=None) -> list:
-    """What the engine is told: as ``given`` (argparse.Namespace, of the command line), else as the properties say."""
+def engine_options(settings, properties, options=None) -> list:
+    """What the engine is told: as ``options`` (argparse.Namespace, of the command line), else as the properties say."""
     out = []
     for s in settings:
-        value = getattr(given, s.name, None)
-        value = s.told(properties) if value is None else value
+        value = getattr(options, s.name, None)
+        value = s.value_of(properties) if value is None else value
         if value is not None:
             out += [s.flag] if s.kind is bool else [s.flag, value]
     return out

@@ -29,9 +29,9 @@ def default_name(material) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", material.name).strip("-.") or "material"
 
 
-def library_folder(given: str = "") -> Path:
-    """Where a measured material goes: ``given``, else the preferences' library. Raises InputError."""
-    folder = given or preferences.get().library
+def library_folder(folder: str = "") -> Path:
+    """Where a measured material goes: ``folder``, else the preferences' library. Raises InputError."""
+    folder = folder or preferences.get().library
     if not folder:
         raise InputError(
             "the material library",
@@ -66,9 +66,9 @@ def write_maps(scene, thing, material, folder, *, size_mm: float, height_mm: flo
     return bake.write_maps(maps, folder, millimetres=millimetres, height_mm=height_mm), maps.warnings
 
 
-def engine_arguments(maps, name: str, library: Path, baked, properties, given=None) -> list:
-    """The engine's command for baked maps, ``baked`` the options of :func:`write_maps`; ``given`` as of `request`'s."""
-    told = engine_settings.engine_options(engine_settings.MEASURE, properties, given)
+def engine_arguments(maps, name: str, library: Path, baked, properties, options=None) -> list:
+    """The engine's command for baked maps, ``baked`` of :func:`write_maps`; ``options``: as of `request`."""
+    told = engine_settings.engine_options(engine_settings.MEASURE, properties, options)
     return ["library", "measure", "--maps", maps, "--name", name, *baked, *told, "--library", library]
 
 

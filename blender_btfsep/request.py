@@ -113,7 +113,7 @@ def write_job(
     return path.parent
 
 
-def engine_arguments(command: str, folder, scene, *own, given=None) -> list:
+def engine_arguments(command: str, folder, scene, *own, options=None) -> list:
     """The engine's command for the job in ``folder``.
 
     Parameters
@@ -121,13 +121,13 @@ def engine_arguments(command: str, folder, scene, *own, given=None) -> list:
     command : key of `engine_settings.COMMANDS`
     scene : its panel says the settings
     own : what else this command is told
-    given : argparse.Namespace, what the command line says instead of the panel and the preferences
+    options : argparse.Namespace, what the command line says instead of the panel and the preferences
     """
-    told = engine_settings.engine_options(engine_settings.COMMANDS[command], scene.btfsep, given)
-    return [command, folder, *own, *told, *library_arguments(getattr(given, "library", None))]
+    told = engine_settings.engine_options(engine_settings.COMMANDS[command], scene.btfsep, options)
+    return [command, folder, *own, *told, *library_arguments(getattr(options, "library", None))]
 
 
-def library_arguments(given=None) -> list:
-    """The option that names the library, ``given`` or the preferences', if there is one."""
-    library = given or preferences.get().library
+def library_arguments(folder=None) -> list:
+    """The option that names the library, ``folder`` or the preferences', if there is one."""
+    library = folder or preferences.get().library
     return ["--library", Path(bpy.path.abspath(str(library))).absolute()] if library else []

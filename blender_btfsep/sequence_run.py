@@ -63,10 +63,10 @@ def photos(image, camera, pattern: str, start: int | None) -> tuple[list[Path], 
     return files, start_of(image, camera, frames.split(files[0].name)[1]) if start is None else start
 
 
-def engine_arguments(folder: Path, scene, files, out: Path, *, pattern: str, given=None) -> list:
-    """The engine's command for the job in ``folder``; ``given`` as of `request.engine_arguments`."""
+def engine_arguments(folder: Path, scene, files, out: Path, *, pattern: str, options=None) -> list:
+    """The engine's command for the job in ``folder``; ``options`` as of `request.engine_arguments`."""
     images = pattern or frames.pattern_of(files)
-    return request.engine_arguments("sequence", folder, scene, "--images", images, "--out", out, given=given)
+    return request.engine_arguments("sequence", folder, scene, "--images", images, "--out", out, options=options)
 
 
 def write_world(scene, result: dict, files, start, *, apply: bool, interpolation: str) -> str:
@@ -158,7 +158,7 @@ def _run(options) -> None:
     files, start = photos(settings.image, camera, pattern, options.frame_start)
     folder = headless.write_job(options, scene, image=files[0])
     out = Path(options.out).absolute() if options.out else folder / OUT
-    arguments = engine_arguments(folder, scene, files, out, pattern=pattern, given=options)
+    arguments = engine_arguments(folder, scene, files, out, pattern=pattern, options=options)
     result = headless.run_engine(arguments, options.engine)
     for sentence in take_materials(scene, result.get("objects")):
         headless.say(sentence)

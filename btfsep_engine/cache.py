@@ -54,11 +54,11 @@ def read(path, shapes: dict | None = None) -> dict | None:
     return found if shapes is None or _fits(found, shapes) else None
 
 
-def _fits(found: dict, shapes: dict) -> bool:
+def _fits(arrays: dict, shapes: dict) -> bool:
     """Whether the arrays are those that `read` is asked for."""
     lengths = {}
     for name, shape in shapes.items():
-        array = found.get(name, np.array(None))
+        array = arrays.get(name, np.array(None))
         if shape is TEXT:
             if array.dtype.kind != "U" or array.ndim:
                 return False
@@ -68,7 +68,7 @@ def _fits(found: dict, shapes: dict) -> bool:
         )
         if len(shape) != array.ndim or array.shape != wanted or array.dtype.kind not in "fiu":
             return False
-    return all(np.isfinite(array).all() for array in found.values() if array.dtype.kind == "f")
+    return all(np.isfinite(array).all() for array in arrays.values() if array.dtype.kind == "f")
 
 
 def write(path, arrays: dict) -> None:

@@ -77,20 +77,20 @@ def render_objects(
     return out
 
 
-def write_estimate_report(path, found) -> None:
+def write_estimate_report(path, estimate) -> None:
     """The report of an estimate: photo, recognised material, estimated light, re-rendering, difference.
 
     Parameters
     ----------
     path : PNG
-    found : pipeline.estimation.Estimate
+    estimate : pipeline.estimation.Estimate
     """
-    scene, settings = found.scene.at_most(SIDE), found.settings
+    scene, settings = estimate.scene.at_most(SIDE), estimate.settings
     photo = scene.job.photo.radiance.astype(np.float64)  # a photo may be in any unit, and its squares overflow
-    materials = [m.material for m in found.materials]
+    materials = [m.material for m in estimate.materials]
     textured = settings.appearance == "textured"
     region = (scene.view.mesh >= 0) & (scene.view.mesh < len(materials))
-    light = found.lighting
+    light = estimate.lighting
     whole, sky = seen_lighting(light)
     indirect = scene.indirect(materials, whole, settings, bounces=settings.reflections)
     shown = [m if textured or m.lines_up else m.mean_material() for m in materials]
@@ -112,10 +112,10 @@ def write_estimate_report(path, found) -> None:
     compared = region & scene.job.photo.usable & np.isfinite(again).all(-1)
     error = np.linalg.norm((again - photo)[compared]) / max(np.linalg.norm(photo[compared]), 1e-30)
     size = (128, 256)
-    estimated = lighting_map(light, *size, radiance=found.radiance)  # as lighting.exr has it
+    estimated = lighting_map(light, *size, radiance=estimate.radiance)  # as lighting.exr has it
     count = len(light.suns)
     suns = {0: "", 1: " and a sun"}.get(count, f" and {count} suns")
-    names = ", ".join(dict.fromkeys(m.name for m in found.materials))
+    names = ", ".join(dict.fromkeys(m.name for m in estimate.materials))
     panels = [
         ("photo", display(photo, factor)),
         (names, display(np.where(region[..., None], sample * exposure(sample, region), background))),

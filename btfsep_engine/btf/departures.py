@@ -27,9 +27,9 @@ LEAST_COSINE = 1e-3
 
 @dataclass(frozen=True)
 class Departure:
-    """``material`` in place of another, ``words`` : what it is; ``log_prior`` : against the other itself."""
+    """``material`` in place of another, ``description`` : what it is; ``log_prior`` : against the other itself."""
 
-    words: str
+    description: str
     material: Material
     log_prior: float
 

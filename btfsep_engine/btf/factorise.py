@@ -94,7 +94,7 @@ class StreamingFactoriser:
             "random": np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8),
         }
 
-    def restore(self, kept: dict) -> None:
+    def restore(self, state: dict) -> None:
         """Goes on after the blocks that :meth:`state` gave, in a factoriser made alike; bit by bit the same factors.
 
         Raises
@@ -102,15 +102,15 @@ class StreamingFactoriser:
         ValueError
             They do not follow on what is here.
         """
-        if int(kept["start"]) != len(self.means):
-            raise ValueError(f"blocks from number {int(kept['start'])} on, after {len(self.means)} blocks")
-        ends = np.cumsum(kept["lengths"])[:-1]
-        self.means += np.split(kept["means"], ends)
-        self.scales += np.split(kept["scales"], ends)
-        self.w += np.split(kept["w"], np.cumsum(np.minimum(kept["lengths"], self.kept_columns))[:-1], 1)
-        self.y += np.split(kept["y"], ends, 1)
-        self.total, self.floor = (float(v) for v in kept["total_and_floor"])
-        self.rng.bit_generator.state = json.loads(bytes(kept["random"]))
+        if int(state["start"]) != len(self.means):
+            raise ValueError(f"blocks from number {int(state['start'])} on, after {len(self.means)} blocks")
+        ends = np.cumsum(state["lengths"])[:-1]
+        self.means += np.split(state["means"], ends)
+        self.scales += np.split(state["scales"], ends)
+        self.w += np.split(state["w"], np.cumsum(np.minimum(state["lengths"], self.kept_columns))[:-1], 1)
+        self.y += np.split(state["y"], ends, 1)
+        self.total, self.floor = (float(v) for v in state["total_and_floor"])
+        self.rng.bit_generator.state = json.loads(bytes(state["random"]))
 
     def finish(self) -> Factors:
         """The factors of all blocks, in the order they came."""

@@ -200,8 +200,8 @@ def _write_index(folder: Path, entries: dict) -> None:
     atomic.write_text(folder / INDEX, json.dumps(index, indent=1) + "\n")
 
 
-def unknown_material(name: str, known) -> InputError:
-    """The error of a name that a library does not have; ``known``: the names that it has."""
+def unknown_material(name: str, names) -> InputError:
+    """The error of a name that a library does not have; ``names``: those that it has."""
     if name == GIVEN:
         return InputError(
             f"material '{name}'", "it is made from the key 'surface' of an object", "give that key in every job"
@@ -210,7 +210,7 @@ def unknown_material(name: str, known) -> InputError:
         return InputError(
             f"material '{name}'", "it is not in the library", f"make it: btfsep library build FOLDER --only {name}"
         )
-    near = difflib.get_close_matches(name, known, 1, 0.0)
+    near = difflib.get_close_matches(name, names, 1, 0.0)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return InputError(f"material '{name}'", "it is not in the library", f"{hint}btfsep library list shows all names")
 

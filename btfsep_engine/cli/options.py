@@ -45,12 +45,14 @@ def together(*decorators):
     return lambda function: functools.reduce(lambda inner, outer: outer(inner), reversed(decorators), function)
 
 
-def field_options(known: dict[str, Meaning], defaults: dict):
-    """An option for each setting in ``known``: None where it is not given, else text (of flags: bool).
+def field_options(settings: dict[str, Meaning], defaults: dict):
+    """An option for each of ``settings``: None where it is not given, else text (of flags: bool).
 
     ``defaults``: name of a preset -> settings, the usual one first.
     """
-    return together(*(_field_option(n, m, [(p, getattr(s, n)) for p, s in defaults.items()]) for n, m in known.items()))
+    return together(
+        *(_field_option(n, m, [(p, getattr(s, n)) for p, s in defaults.items()]) for n, m in settings.items())
+    )
 
 
 def _field_option(name: str, meaning: Meaning, defaults):

@@ -48,10 +48,10 @@ def recognise(result: dict) -> str:
     return "\n".join(lines)
 
 
-def _object_line(found: dict) -> str:
-    how = "recognised" if found["recognised"] else "given"
-    doubt = " (like none of the library)" if found["unknown"] else ""
-    return f"{found['name']}: {found['material']} ({how}){doubt}"
+def _object_line(record: dict) -> str:
+    how = "recognised" if record["recognised"] else "given"
+    doubt = " (like none of the library)" if record["unknown"] else ""
+    return f"{record['name']}: {record['material']} ({how}){doubt}"
 
 
 def train(result: dict) -> str:

@@ -37,24 +37,24 @@ class Effect:
     chi2: float
 
 
-def effect(left, columns, blocks) -> Effect:
+def effect(residual, columns, blocks) -> Effect:
     """The test above.
 
     Parameters
     ----------
-    left : (p, 3), r
+    residual : (p, 3), r
     columns : (k, p, 3), C', what the light cannot imitate
     blocks : (p,) int
     """
     _, labels = np.unique(blocks, return_inverse=True)
     labels = labels.reshape(-1)
     k = len(columns)
-    flat, r = columns.reshape(k, -1), np.ravel(left)
+    flat, r = columns.reshape(k, -1), np.ravel(residual)
     gram, score = flat @ flat.T, flat @ r
     if not np.trace(gram) > 0 or not r.any():
         return Effect(np.zeros(k), 0.0)
     size = np.linalg.solve(gram + 1e-9 * np.trace(gram) / k * np.eye(k), score)
-    rest = (r - size @ flat).reshape(left.shape)
+    rest = (r - size @ flat).reshape(residual.shape)
     each = np.stack([np.bincount(labels, (c * rest).sum(1)) for c in columns])
     spread = each @ each.T
     spread += 1e-12 * max(float(np.trace(spread)), 1e-300) * np.eye(k)

@@ -64,7 +64,7 @@ class ToneCurve:
         return float(np.log(PRIOR[self.steepness]) + np.log(OFFSET_PRIOR if self.offset else 1 - OFFSET_PRIOR))
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """The curve for people."""
         t = self.steepness
         text = {0.0: "linear", 1.0: "sRGB"}.get(

@@ -122,7 +122,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     with reporter.stage("transport"):
         model = first_model(scenes, materials, settings)
     read = [problem.scene for problem in model.problems]  # their photos read by the curve that was chosen
-    if any(not m.given for each in materials for m in each) and any(map(read_otherwise, read)):
+    if any(not m.is_given for each in materials for m in each) and any(map(read_otherwise, read)):
         anew = materials_of_all(read, library, settings, name=material)
         changes = changed_materials(scenes, materials, anew)
         for change in changes:

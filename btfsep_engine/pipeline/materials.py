@@ -17,7 +17,7 @@ class ObjectMaterial:
 
     name: str
     material: Material
-    given: bool
+    is_given: bool
     candidates: tuple = ()
     unknown: bool = False
     unknown_score: float | None = None
@@ -28,7 +28,7 @@ class ObjectMaterial:
         return {
             "material": self.name,
             "class": self.material.material_class,
-            "recognised": not self.given,
+            "recognised": not self.is_given,
             "unknown": self.unknown,
             "unknown_score": self.unknown_score,
             "candidates": [{"name": name, "score": score} for name, score in self.candidates],

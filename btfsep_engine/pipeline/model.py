@@ -8,7 +8,7 @@ import numpy as np
 from btfsep_engine.btf.model import Material
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.points import chosen_points, names_of, photographed_regions
-from btfsep_engine.pipeline.problem import Problem, pose
+from btfsep_engine.pipeline.problem import Problem, make_problem
 from btfsep_engine.pipeline.real_photo import as_real_photo, left_out_words, scale_words
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.order import cross_validated_order, reported_order
@@ -28,7 +28,7 @@ class Model:
     Attributes
     ----------
     settings : as asked for: order, appearance and bounces may be "auto"
-    looks : appearance ("mean" or "textured") -> Problem of each photograph; those that were posed
+    looks : appearance ("mean" or "textured") -> Problem of each photograph; those that were made
     appearance : the one that is fitted
     bounces : reflections in the basis images
     materials : for each photograph the ObjectMaterial of each object
@@ -71,7 +71,7 @@ def view_problem(scene: PreparedScene, materials: list[Material], settings: Sett
     """What any photo of a view is fitted with, whatever it shows; ``materials`` : of each object."""
     textured = settings.appearance == "textured"
     points = chosen_points(scene, settings, regions=scene.regions, textured=textured)
-    return pose(scene, stand_ins(materials, settings.appearance), points, settings)
+    return make_problem(scene, stand_ins(materials, settings.appearance), points, settings)
 
 
 def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> Model:
@@ -101,23 +101,23 @@ def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> M
                 "give a photo with a shorter exposure, or one that is opaque where the object is",
             )
     shown = [stand_ins([m.material for m in each], appearance) for each in materials]
-    problems = [pose(*each, model.modelled) for each in zip(scenes, shown, points, strict=True)]
+    problems = [make_problem(*each, model.modelled) for each in zip(scenes, shown, points, strict=True)]
     for problem in problems:
         if np.mean([basis[:, 0].any(1).mean() for basis in problem.basis if len(basis)]) <= LEAKS:
             raise InputError(
                 names_of(problem.scene),
-                "no light from outside gets by way of it to the camera",
+                "it reflects no light from outside towards the camera",
                 "check that the camera is not inside closed geometry, and that the material is not black",
             )
     if settings.estimator == "map":
         problems = with_curves(problems, settings)
-        recognised = [[not m.given for m in each] for each in materials]
+        recognised = [[not m.is_given for m in each] for each in materials]
         problems = [as_real_photo(p, settings, recognised=r) for p, r in zip(problems, recognised, strict=True)]
     looks = {appearance: problems}
     if untried is None:
         how = replace(model.modelled, appearance="textured")
-        rich = [stand_ins([m.material for m in each], "textured") for each in materials]
-        looks["textured"] = [p.of_materials(each, how) for p, each in zip(problems, rich, strict=True)]
+        of_btfs = [stand_ins([m.material for m in each], "textured") for each in materials]
+        looks["textured"] = [p.of_materials(each, how) for p, each in zip(problems, of_btfs, strict=True)]
     return replace(model, looks=looks)
 
 

@@ -62,10 +62,10 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
         noise = max(_expected_noise(problem, i, m) for i, m in enumerate(materials))
     with reporter.stage("plan"):
         order = min(settings.order, settings.fit_order)
-        found = foresee(problem.all_basis, normals=problem.normals, order=order, noise=noise, seed=settings.seed)
+        foresight = foresee(problem.all_basis, normals=problem.normals, order=order, noise=noise, seed=settings.seed)
     eye = np.concatenate([p.to_eye for p in problem.points]).mean(0)
     with reporter.stage("writing"):
-        draw_plan(out / "plan.png", found, eye / max(np.linalg.norm(eye), 1e-12), names)
+        draw_plan(out / "plan.png", foresight, eye / max(np.linalg.norm(eye), 1e-12), names)
     result = {
         "format": "btfsep-plan",
         "version": 1,
@@ -76,14 +76,16 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
         "order": order,
         "fit_order": settings.fit_order,
         "assumed_noise": noise,
-        "determined": determined_words(found.determined, found.all_determined).replace("determines", "could determine"),
-        "determined_coefficients": found.determined,
-        "stddev": found.stddev,
-        "prior_share": found.share,
-        "effective_degrees_of_freedom": found.effective_degrees_of_freedom,
-        "expected_error": found.expected,
-        "condition_number": found.condition,
-        "advice": advice(found),
+        "determined": determined_words(foresight.determined, foresight.all_determined).replace(
+            "determines", "could determine"
+        ),
+        "determined_coefficients": foresight.determined,
+        "stddev": foresight.stddev,
+        "prior_share": foresight.share,
+        "effective_degrees_of_freedom": foresight.effective_degrees_of_freedom,
+        "expected_error": foresight.expected,
+        "condition_number": foresight.condition,
+        "advice": advice(foresight),
         **run_record(settings, reporter),
     }
     result["seconds"]["total"] = round(time.perf_counter() - started, 4)
@@ -98,16 +100,16 @@ def _expected_noise(problem: Problem, index: int, material) -> float:
     return float(np.hypot(SHAPE_NOISE, TEXTURE_SHARE * min(texture, 0.8)))
 
 
-def advice(found: Foresight) -> list[str]:
+def advice(foresight: Foresight) -> list[str]:
     """What a photographer can do about it, in words."""
     out = []
-    first = found.determined[: min(4, len(found.determined))]
+    first = foresight.determined[: min(4, len(foresight.determined))]
     if not first.all():
         out.append(
             "not even the main direction of the light could be determined: show more of the object, from a side where "
             "its normals differ more, or put something glossy or round beside it"
         )
-    error = found.expected.get("order_2")
+    error = foresight.expected.get("order_2")
     if error and error["median"] > POOR_ERROR:
         out.append(
             f"half of all lights would be {100 * error['median']:.0f} % or more off up to order 2: a glossier "
@@ -123,7 +125,7 @@ def without_level(covariance) -> np.ndarray:
     return out
 
 
-def draw_plan(path, found: Foresight, eye, names) -> None:
+def draw_plan(path, foresight: Foresight, eye, names) -> None:
     """The picture: what would stay unknown of the light from every direction.
 
     Parameters
@@ -133,13 +135,13 @@ def draw_plan(path, found: Foresight, eye, names) -> None:
     names : of the materials
     """
     directions = pixel_directions(*MAP)
-    after = over_directions(found.covariance, directions)
+    after = over_directions(foresight.covariance, directions)
     # how bright the light is on the whole any photo tells: what is asked here is its pattern
-    pattern, natural = (over_directions(without_level(c), directions) for c in (found.covariance, found.prior))
+    pattern, natural = (over_directions(without_level(c), directions) for c in (foresight.covariance, foresight.prior))
     level = sh.evaluate(0, np.array([[0.0, 0.0, 1.0]]))[0, 0]  # radiance of even light of level 1
     figure = Figure(figsize=(8.2, 7.6), dpi=110, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
-    order = sh.order_of(len(found.share))
+    order = sh.order_of(len(foresight.share))
     panels = (
         ("Expected standard deviation of the radiance, over the light's mean radiance", after / level, None, "magma"),
         (
@@ -169,11 +171,11 @@ def draw_plan(path, found: Foresight, eye, names) -> None:
             axes.annotate(
                 label, (x, y), (shift, 7), textcoords="offset points", color="white", fontsize=9, ha=side, weight="bold"
             )
-    error = found.expected.get("order_2") or found.expected.get("order_1")
+    error = foresight.expected.get("order_2") or foresight.expected.get("order_1")
     text = f"expected error of order 2: {error['median']:.2f}" if error else ""
-    count = int(found.all_determined.sum())
+    count = int(foresight.all_determined.sum())
     figure.suptitle(
-        f"What {', '.join(dict.fromkeys(names))} could determine here: {count} of {len(found.all_determined)} "
+        f"What {', '.join(dict.fromkeys(names))} could determine here: {count} of {len(foresight.all_determined)} "
         f"coefficients; {text}\n(light up to order {order}, seen from the object, world axes)",
         fontsize=11,
     )

@@ -81,20 +81,22 @@ class Problem:
         """Rows of all points, (p, …), cut by object; views into them."""
         return np.split(values, np.cumsum([len(p) for p in self.points])[:-1])
 
-    def kept(self, chosen) -> "Problem":
-        """The same with some of its points: ``chosen`` (p,) bool."""
-        parts = self.by_object(chosen)
+    def subset(self, used) -> "Problem":
+        """The same with some of its points: ``used`` (p,) bool."""
+        parts = self.by_object(used)
         return replace(
             self,
             points=[p.take(np.flatnonzero(u)) for p, u in zip(self.points, parts, strict=True)],
             basis=[a[u] for a, u in zip(self.basis, parts, strict=True)],
-            measured=None if self.measured is None else self.measured[chosen],
-            weights=None if self.weights is None else self.weights[chosen],
+            measured=None if self.measured is None else self.measured[used],
+            weights=None if self.weights is None else self.weights[used],
         )
 
     def of_materials(self, materials, settings: Settings) -> "Problem":
         """The same points, objects made of other ``materials``."""
-        return replace(self, materials=materials, basis=pose(self.scene, materials, self.points, settings).basis)
+        return replace(
+            self, materials=materials, basis=make_problem(self.scene, materials, self.points, settings).basis
+        )
 
     def up_to(self, order: int) -> "Problem":
         """The same with fewer basis lights."""
@@ -111,7 +113,7 @@ class Problem:
         return np.concatenate(out).astype(np.float64) * unit
 
 
-def pose(scene, materials, points, settings: Settings) -> Problem:
+def make_problem(scene, materials, points, settings: Settings) -> Problem:
     """The basis images of ``points`` (a SurfacePoints for each object), whose ``materials`` stand for the objects."""
     basis, transport = basis_images(scene, materials, points, SHBasis(settings.fit_order), settings)
     return Problem(scene, materials, points, basis, transport)

@@ -33,11 +33,11 @@ def as_real_photo(problem: Problem, settings: FitSettings, *, recognised) -> Pro
     if clipped.any():
         measured, weights = working_values(light_solver([problem], solving), problem.radiance(), clipped)
         problem = replace(problem, measured=measured, weights=weights)
-        problem = problem.kept(_some_of_each(problem, weights.any(1)))
+        problem = problem.subset(_some_of_each(problem, weights.any(1)))
     if settings.robust:
         stiff = light_solver([problem], solving, coarsening=STIFF)
         kept = _some_of_each(problem, ~outliers(stiff, problem.radiance(), weights=problem.weights))
-        problem = replace(problem, left_out=int((~kept).sum())).kept(kept)
+        problem = replace(problem, left_out=int((~kept).sum())).subset(kept)
     scales = scales_of(problem, recognised)
     if scales is None:
         return problem

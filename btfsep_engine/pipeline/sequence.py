@@ -67,7 +67,7 @@ class FrameSolver:
         """
         usable, problem, solver = self.problem.values_of(photo.usable), self.problem, self.solver
         if not usable.all():
-            problem = problem.kept(usable)
+            problem = problem.subset(usable)
             solver = light_solver([problem], self.settings)
         b, before = problem.values_of(photo.radiance), self.before
         fit = solver.solve(b, start=before)

@@ -158,7 +158,7 @@ class Microfacets:
 
     def lobe(self, facet: Facet, u1, u2):
         """A direction that a facet visible to the eye reflects to it (Dupuy and Benyoub 2023), of the density
-        D G1(n.v) / (4 n.v); perhaps below the surface. ``u1, u2`` are random numbers in [0, 1)."""
+        D G1(n.v) / (4 n.v); it may lie below the surface. ``u1, u2`` : random numbers in [0, 1)."""
         frame, alpha = mi.Frame3f(facet.normal), dr.sqrt(facet.alpha2)
         eye = frame.to_local(facet.view)
         eye.z = facet.cosine

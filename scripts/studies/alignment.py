@@ -131,7 +131,7 @@ def main(arguments) -> int:
     options.add_argument("--work", type=Path, help="folder for each photo's numbers: what is there is not done again")
     given = options.parse_args(arguments)
     library, rows = open_library(None), []
-    for photo in tqdm(photos.found(given.photos, lights=given.lights)[:: given.every]):
+    for photo in tqdm(photos.photographs_in(given.photos, lights=given.lights)[:: given.every]):
         kept = given.work / f"{photo.folder.name}.json" if given.work else None
         if kept is None or not kept.exists():
             some = study(photo, library, starts=[STARTS[i] for i in given.starts], light=not given.pose)

@@ -143,7 +143,7 @@ def main(arguments) -> int:
     options.add_argument("--only", nargs="+", choices=list(VARIANTS), default=list(VARIANTS), metavar="VARIANT")
     options.add_argument("--objects", nargs="+", help="some of the objects")
     given = options.parse_args(arguments)
-    shown = photos.found(given.photos, objects=given.objects, materials=None if given.all else SOME)
+    shown = photos.photographs_in(given.photos, objects=given.objects, materials=None if given.all else SOME)
     library = open_library(None)
     rows = [study(photo, name, library) for photo, name in tqdm(list(product(shown, given.only)))]
     for title, some in tables.groups(rows, "material", every="all"):

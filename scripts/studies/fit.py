@@ -38,7 +38,7 @@ from btfsep_engine.pipeline import doubts
 from btfsep_engine.pipeline.light_account import sky_radiance
 from btfsep_engine.pipeline.model import stand_ins
 from btfsep_engine.pipeline.points import chosen_points, photographed_regions
-from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.order import cross_validated_order
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -74,12 +74,12 @@ class View:
     def problem(self, name: str, **changes):
         """The pixels' basis images in a material."""
         how = choose("balanced", **changes)
-        return pose(self.scene, stand_ins([self.library.load(name)], how.appearance), [self.points], how)
+        return make_problem(self.scene, stand_ins([self.library.load(name)], how.appearance), [self.points], how)
 
     def solver(self, *of, **changes):
         return light_solver([self.problem(*of, **changes)], choose("balanced", **changes))
 
-    def at(self, photo) -> np.ndarray:
+    def values(self, photo) -> np.ndarray:
         """The pixels' values (p, 3)."""
         return photo[tuple(self.points.pixels.T)].astype(np.float64)
 
@@ -95,13 +95,13 @@ class View:
 
     def doubtful(self, solver, others: dict, photo):
         """(what is given, solver, values, photograph) of everything that should be doubted, and of what should not."""
-        b = self.at(photo)
+        b = self.values(photo)
         yield "right", solver, b, photo
         for kind, each in others.items():
             yield kind.split(":")[0], each, b, photo
         for pixels in SHIFTS:
             moved = np.roll(photo, pixels, 1)
-            yield f"{pixels} px to the right", solver, self.at(moved), moved
+            yield f"{pixels} px to the right", solver, self.values(moved), moved
         place = self.points.position - self.points.position.mean(0)
         radius = np.sqrt(np.square(place).sum(1).max())
         yield "light nearby", solver, b / (1 - place @ LAMP / (LAMP_RADII * radius))[:, None] ** 2, photo
@@ -126,7 +126,7 @@ def study(shown: list, library, given):
     rows, raised = [], []
     for shot in shown:
         photo = load_job(shot.folder).photo.radiance
-        b, tuned, truth = view.at(photo), shot.light in given.tuned, shot.truth(4)
+        b, tuned, truth = view.values(photo), shot.light in given.tuned, shot.truth(4)
         fit, basis, blocks = solver.solve(b), view.right.all_basis, view.right.blocks
         order, _ = cross_validated_order(basis, b, blocks, view.settings.fit_order)
         *plain, chosen = (solve(basis[:, : (n + 1) ** 2], b, blocks=blocks).coefficients[:25] for n in (*ORDERS, order))
@@ -154,7 +154,7 @@ def study(shown: list, library, given):
 def cost(shown: list, library, repeats: int) -> dict:
     """Milliseconds of what is compared, of one object in one material: {name: median}."""
     view = View(shown, library)
-    images = [view.at(load_job(p.folder).photo.radiance) for p in shown]
+    images = [view.values(load_job(p.folder).photo.radiance) for p in shown]
     a = np.ascontiguousarray(view.right.all_basis).reshape(len(images[0]), -1).astype(np.float64)
     solver, turn = light_solver([view.right], view.settings), count()
     before = [solver.solve(image) for image in images]
@@ -260,7 +260,7 @@ def main(arguments) -> int:
     options.add_argument("--views", type=int, default=6, help="of --cost, spread over the objects and materials")
     given = options.parse_args(arguments)
     library, rows, raised = open_library(None), [], []
-    views = list(photos.views(photos.found(given.photos, objects=given.objects)).values())
+    views = list(photos.views(photos.photographs_in(given.photos, objects=given.objects)).values())
     if given.cost:
         print(tables.table(("", "ms", "over the floor"), of_cost(views, library, given)))
         return 0

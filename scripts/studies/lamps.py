@@ -136,6 +136,6 @@ def main(arguments) -> int:
         make(given.make.resolve())
     library = open_library(None)
     for root in [*([given.make] if given.make else []), *given.photos]:
-        shown = photos.found(root, lights=given.lights)
+        shown = photos.photographs_in(root, lights=given.lights)
         print(tables.table(HEADS, lines([study(p, library) for p in tqdm(shown)])) + "\n")
     return 0

@@ -275,7 +275,7 @@ PAIRS = ("shades",)  # of two objects
 SHARES = ("stated",)  # no errors: means of shares, the least in brackets
 
 
-def chosen(shown: list, *, every: bool) -> list:
+def chosen_views(shown: list, *, every: bool) -> list:
     """The photographs of each view: two materials of each object, or all."""
     by_object, out = {}, []
     for view in photos.views(shown).values():
@@ -344,7 +344,7 @@ def main(arguments) -> int:
     options.add_argument("--only", nargs="+", choices=list(AXES), default=list(AXES), metavar="AXIS")
     options.add_argument("--chart", type=Path, default=ROOT / "docs" / "results" / "images" / "photo-flaws.png")
     given = options.parse_args(arguments)
-    views = chosen(photos.found(given.photos, lights=given.lights), every=given.all)
+    views = chosen_views(photos.photographs_in(given.photos, lights=given.lights), every=given.all)
     found = {name: rows for name, rows in answers(views, open_library(None), given).items() if rows}
     if not found:
         raise InputError(str(given.photos), "no photo of a view under its light", "make more, or say --lights, --all")

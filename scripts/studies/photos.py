@@ -93,20 +93,20 @@ def take(shots, *, resolution: int = 256, samples: int = 64, threads: int = 0, n
     """Takes the photographs that are not there yet, in a process of its own with Blender."""
     if not shots:
         return
-    told = {"resolution": resolution, "samples": samples, "threads": threads, "noise": noise}
-    told["shots"] = [asdict(s) for s in shots]
-    in_blender("scripts.cycles.shoot", told)
+    task = {"resolution": resolution, "samples": samples, "threads": threads, "noise": noise}
+    task["shots"] = [asdict(s) for s in shots]
+    in_blender("scripts.cycles.shoot", task)
 
 
-def in_blender(module: str, told) -> None:
+def in_blender(module: str, task) -> None:
     """Runs a module that needs Blender, with JSON on its standard input."""
     code = f"import bpy, runpy; runpy.run_module({module!r}, run_name='__main__')"  # bpy first: it brings bmesh
-    child = subprocess.run([sys.executable, "-c", code], input=json.dumps(told), text=True, cwd=ROOT, check=False)
+    child = subprocess.run([sys.executable, "-c", code], input=json.dumps(task), text=True, cwd=ROOT, check=False)
     if child.returncode:
         raise SystemExit(child.returncode)
 
 
-def found(folder: Path, *, objects=None, materials=None, lights=None) -> list[Photograph]:
+def photographs_in(folder: Path, *, objects=None, materials=None, lights=None) -> list[Photograph]:
     """The photographs in a folder, some of the objects, materials (as folders are named) and lights.
 
     Raises

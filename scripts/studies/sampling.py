@@ -25,7 +25,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.light.maps import natural_amplitude
 from btfsep_engine.pipeline.model import Model
-from btfsep_engine.pipeline.problem import Problem, pose
+from btfsep_engine.pipeline.problem import Problem, make_problem
 from btfsep_engine.pipeline.refine.interreflection import own_light, with_own_light
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, choose
@@ -76,7 +76,7 @@ class Study:
         """Every measurement of one object in one material; ``views`` are (photo, truth)."""
         points = scene.points(0, textured=False)
         points = points.take(np.flatnonzero(scene.usable(points)))
-        pool = pose(scene, [material], [points], self.settings)
+        pool = make_problem(scene, [material], [points], self.settings)
         few = part(pool, sampling.choose_pixels(points, COUNT))
         if self.between_surfaces(f"{material_name}, {name}", few, views):
             pool = with_own_light(pool, MODELLED)
@@ -101,7 +101,9 @@ class Study:
     def directions(self, material_name, few, material, views):
         """How many directions, and what the doubling foretells."""
         scene, points = few.scene, few.points[0].take(sampling.spread(few.points[0], DIRECTION_PIXELS))
-        by_count = {n: pose(scene, [material], [points], choose(directions=n, bounces=1)) for n in (*DIRECTIONS, EXACT)}
+        by_count = {
+            n: make_problem(scene, [material], [points], choose(directions=n, bounces=1)) for n in (*DIRECTIONS, EXACT)
+        }
         _, exact = errors(by_count[EXACT], views, self.settings)
         natural = natural_amplitude(9)[:, None]
 
@@ -144,7 +146,7 @@ class Study:
         mesh = TriangleMesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32), normals.astype(np.float32))
         scene = PreparedScene(stage.job_of([mesh], stage.looking_down(256, 480.0), metres_per_unit=0.05), Reporter())
         points = scene.points(0, textured=False)
-        pool = pose(scene, [Lambertian("white", np.full(3, 0.8))], [points], self.settings)
+        pool = make_problem(scene, [Lambertian("white", np.full(3, 0.8))], [points], self.settings)
         rng, views = np.random.default_rng(0), []
         for light in LIGHTS:
             truth, image = true_lighting(light, 9), np.zeros_like(scene.job.photo.radiance)

@@ -214,7 +214,7 @@ def main(arguments) -> int:
     options.add_argument("--quick", action="store_true", help="fewer settings")
     options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "speed-accuracy.md")
     given = options.parse_args(arguments)
-    library, warm, found, shown = open_library(None), set(), [], photos.found(given.photos)
+    library, warm, found, shown = open_library(None), set(), [], photos.photographs_in(given.photos)
     total = len(shown)
     random.Random(0).shuffle(shown)
     shown = shown[: given.count]

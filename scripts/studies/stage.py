@@ -90,7 +90,7 @@ class Stage:
         points = surface.surface_points(surface.camera_view(self.tracer, self.job), self.job, 0)
         self.points = surface.with_texture(points, self.job, 0) if textured else surface.with_any_tangent(points)
 
-    def some(self, count: int = WARM):
+    def sample(self, count: int = WARM):
         """About ``count`` of the points, spread over the picture."""
         return self.points.take(spread(self.points, count))
 

@@ -104,7 +104,7 @@ def main(arguments) -> int:
         make(given.folder.resolve())
         return 0
     library, rows = open_library(None), []
-    todo = [(p, k, w) for k in given.tables for p in photos.found(given.folder / k) for w in given.ways]
+    todo = [(p, k, w) for k in given.tables for p in photos.photographs_in(given.folder / k) for w in given.ways]
     for photo, kind, way in tqdm([(p, k, w) for p, k, w in todo if k != "alone" or w == given.ways[0]]):
         rows.append(study(photo, kind, way, library))
     if given.numbers:

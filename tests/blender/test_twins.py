@@ -92,8 +92,8 @@ def test_every_row_is_a_property_and_an_option_and_reaches_the_engine(addon, com
     value = row.items[-1][0] if row.items else str(row.high or 2)
     words = {r.name: (r.flag, r.items[0][0] if r.items else "2") for r in TABLES[command_name] if r.required}
     words[row.name] = (row.flag,) if row.kind is bool else (row.flag, value)
-    given = command._parser().parse_args([command_name, *[word for pair in words.values() for word in pair]])
-    told = [str(word) for word in engine_settings.engine_options([row], None, given)]
+    options = command._parser().parse_args([command_name, *[word for pair in words.values() for word in pair]])
+    told = [str(word) for word in engine_settings.engine_options([row], None, options)]
     assert told[0] == row.flag and (
         row.kind is bool or row.kind(told[1]) == row.kind(value) if not row.items else told[1] == value
     )
@@ -108,8 +108,8 @@ def test_what_the_panel_leaves_to_the_engine_is_not_said(photographed):
     assert request.engine_arguments("estimate", "job", photographed) == ["estimate", "job", *rest]
     assert "auto" not in request.engine_arguments("sequence", "job", photographed)  # one order for all of its frames
     assert request.engine_arguments("recognise", "job", photographed)[2:] == ["--preset", "draft"]
-    given = command._parser().parse_args(["estimate", "--appearance", "auto", "--order", "0"])
-    told = request.engine_arguments("estimate", "job", photographed, given=given)
+    options = command._parser().parse_args(["estimate", "--appearance", "auto", "--order", "0"])
+    told = request.engine_arguments("estimate", "job", photographed, options=options)
     assert told[2:] == ["--preset", "draft", "--order", 0, "--appearance", "auto"]  # said where it was typed
 
 

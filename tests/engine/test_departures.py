@@ -88,7 +88,7 @@ def test_a_table_may_be_duller_and_keeps_its_albedo():
     w = ubo2014_directions()
     table = Tabulated("test/shiny", "plastic", np.ones((1, 1, 1), np.float32), lobe, w, w, 1.0)
     less, more = departures(table)
-    assert (less.words, more.words) == ("less gloss", "a little more gloss")
+    assert (less.description, more.description) == ("less gloss", "a little more gloss")
     steep = w[:, 2] > 0.5
     before, after = (energies(m.angular[..., 0])[steep].mean(0) for m in (table, less.material))
     np.testing.assert_allclose(after, before, rtol=0.1)

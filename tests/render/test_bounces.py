@@ -9,7 +9,7 @@ import pytest
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
-from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.interreflection import with_own_light
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
@@ -32,7 +32,7 @@ def brightness(scene, how, albedo, bounces) -> float:
     points, materials = [points.take(spread(points, 200))], [Lambertian("test/grey", np.full(3, albedo))]
     settings = replace(SETTINGS, bounces=bounces, transport="reference" if how == "reference" else "kernel")
     if how == "added later":
-        straight = pose(scene, materials, points, replace(settings, bounces=1))
+        straight = make_problem(scene, materials, points, replace(settings, bounces=1))
         return float(with_own_light(straight, settings).basis[0].mean(dtype=np.float64))
     return float(basis_images(scene, materials, points, SHBasis(0), settings)[0][0].mean(dtype=np.float64))
 

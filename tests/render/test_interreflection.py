@@ -18,7 +18,7 @@ from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.model import Model
-from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine import interreflection
 from btfsep_engine.pipeline.refine.interreflection import carried_over, even_sky_bound, own_light, with_own_light
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -47,7 +47,7 @@ def photographed(meshes, materials, *, settings=STRAIGHT, occluders=(), count=50
         values = np.einsum("ptc,tc->pc", a, positive_light(2))
         image[p.pixels[:, 0], p.pixels[:, 1]] = values * noise.normal(1, 0.03, values.shape)
     scene.job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
-    return pose(scene, materials, points, settings)
+    return make_problem(scene, materials, points, settings)
 
 
 def answer(problem, settings=STRAIGHT):

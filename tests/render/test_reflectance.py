@@ -11,7 +11,7 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.model import Model
-from btfsep_engine.pipeline.problem import pose
+from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
@@ -38,7 +38,7 @@ def found_for(material, light, noise=0.01):
     random = np.random.default_rng(0)
     image[points.pixels[:, 0], points.pixels[:, 1]] = values * random.normal(1, noise, values.shape)
     scene.job = replace(scene.job, photo=Photo(image, np.ones((96, 96), bool), 0))
-    problems = [pose(scene, [GREY], [points.take(np.arange(0, len(points), 3))], SETTINGS)]
+    problems = [make_problem(scene, [GREY], [points.take(np.arange(0, len(points), 3))], SETTINGS)]
     light = fit_together(problems, SETTINGS)
     _, nearer, words = nearer_materials(Model(SETTINGS, {"mean": problems}), light)
     return light.fit, nearer.fit, words["reflectance"]

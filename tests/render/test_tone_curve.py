@@ -87,7 +87,7 @@ def test_an_unknown_curve_is_found_and_the_light_with_it(ball, curve):
     curves = found.scene.curves
     share = {c.steepness: share for c, share in zip(curves.curves, curves.shares, strict=True) if not c.offset}
     assert share[curve.steepness] > (0.9 if curve in (LINEAR, SRGB) else 0.25)  # seldom ones are believed less
-    assert curve.words in found.choice["curve"]
+    assert curve.description in found.choice["curve"]
     assert off(found) < 0.15
     if curve is LINEAR:
         assert off(estimate(seen(ball, curve, "srgb"), Grey(), SETTINGS, material="grey")) > 2 * off(found)

@@ -51,7 +51,7 @@ def curve_words(problems) -> str:
         stated, bits, curves = scene.job.image_colorspace, scene.job.photo.bits, scene.curves
         if curves is not None:
             each = [
-                f"{curve.words} (probability {share:.2f})"
+                f"{curve.description} (probability {share:.2f})"
                 for curve, share in zip(curves.curves, curves.shares, strict=True)
                 if share > PLAUSIBLE or curve is curves.curves[0]
             ]

@@ -33,10 +33,10 @@ def key_lights(model, light):
         for lamp in light.fit.lamps
         if lamp.share >= LEAST and lamp.degrees <= NARROW
     )
-    return model, replace(light, suns=suns), {"key_light": words(suns, light.fit)}
+    return model, replace(light, suns=suns), {"key_light": key_light_words(suns, light.fit)}
 
 
-def words(suns, fit: Fit) -> str:
+def key_light_words(suns, fit: Fit) -> str:
     """The lamps for people."""
     if not suns:
         if not fit.lamps:

@@ -34,14 +34,14 @@ def shading_left(problems, light: SolvedLight) -> float:
     return effect(left, column[None], stacked(problems)[1]).chi2
 
 
-def simpler(departed: Fit, fit: Fit) -> bool:
+def is_simpler(trial: Fit, fit: Fit) -> bool:
     """Whether a fit's light is of lamps and plain, or has far fewer effective unknowns than another's.
 
     Under light without a lamp roughness only makes all of it a little brighter: nothing could tell.
     """
-    plain = departed.election.rival is not None
-    fewer = departed.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
-    return bool(departed.lamps) and (plain or fewer)
+    plain = trial.election.rival is not None
+    fewer = trial.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
+    return bool(trial.lamps) and (plain or fewer)
 
 
 def nearer_materials(model, light):
@@ -69,11 +69,11 @@ def _nearer(model, light):
             ]
             answer = fit_together(trial, settings)
             evidence = answer.fit.evidence + near.log_prior
-            if evidence > largest and simpler(answer.fit, light.fit):
+            if evidence > largest and is_simpler(answer.fit, light.fit):
                 largest, better = evidence, (near, trial, answer)
         if better is not None:
             near, problems, light = better
-            departed.append(f"'{problems[0].scene.job.objects[i].name}' with {near.words}")
+            departed.append(f"'{problems[0].scene.job.objects[i].name}' with {near.description}")
     if not departed:
         return (
             model,

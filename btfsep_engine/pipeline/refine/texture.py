@@ -21,11 +21,11 @@ def textures(model, light):
     """The refinement: the textured BTFs in place of their mean ABRDFs."""
     if model.untried is not None:
         return model, light, {}
-    rich = replace(model, appearance="textured")
-    other = fit_together(rich.problems, replace(model.settings, order=light.order))
-    left = light.left_over(model.problems), other.left_over(rich.problems)
+    with_texture = replace(model, appearance="textured")
+    other = fit_together(with_texture.problems, replace(model.settings, order=light.order))
+    left = light.left_over(model.problems), other.left_over(with_texture.problems)
     name, why = appearance_choice(*left, stacked(model.problems)[1])
-    return (rich, other, {"appearance": why}) if name == "textured" else (model, light, {"appearance": why})
+    return (with_texture, other, {"appearance": why}) if name == "textured" else (model, light, {"appearance": why})
 
 
 def reason_against(scenes, materials, settings: TransportSettings) -> str | None:
@@ -70,16 +70,16 @@ def texture_may_help(obj, material, footprint_mm: float) -> tuple[bool, str]:
     return True, f"the camera resolves it (contrast {100 * contrast:.0f} %)"
 
 
-def better_by_blocks(simple, rich, blocks) -> tuple[float, float]:
+def better_by_blocks(by_mean, by_texture, blocks) -> tuple[float, float]:
     """How much less squared misfit the richer model leaves: the mean over blocks, and its standard error.
 
     Parameters
     ----------
-    simple, rich : (p, 3), what each leaves over of the photo
+    by_mean, by_texture : (p, 3), what each leaves over of the photo
     blocks : (p,) int
     """
     _, labels, counts = np.unique(blocks, return_inverse=True, return_counts=True)
-    gain = (np.square(simple) - np.square(rich)).sum(1)
+    gain = (np.square(by_mean) - np.square(by_texture)).sum(1)
     each = np.bincount(labels.reshape(-1), gain) / counts
     if len(each) < 2:
         return float(each.mean()), np.inf
@@ -88,10 +88,10 @@ def better_by_blocks(simple, rich, blocks) -> tuple[float, float]:
     return float(mean), float(spread)
 
 
-def appearance_choice(simple, rich, blocks) -> tuple[str, str]:
+def appearance_choice(by_mean, by_texture, blocks) -> tuple[str, str]:
     """ "mean" or "textured", and the reason, from what both leave over (see `better_by_blocks`)."""
-    mean, error = better_by_blocks(simple, rich, blocks)
-    total = float(np.square(simple).sum() / max(len(simple), 1))
+    mean, error = better_by_blocks(by_mean, by_texture, blocks)
+    total = float(np.square(by_mean).sum() / max(len(by_mean), 1))
     share = 100 * mean / max(total, 1e-300)
     if mean > error:
         return "textured", f"the texture explains {share:.0f} % of what the mean ABRDF leaves over"

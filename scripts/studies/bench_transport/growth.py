@@ -30,9 +30,9 @@ def growth(options) -> str:
         for used in materials:
             transport.radiance(used, SHBasis(order))
 
-    some, pixels = stage.some(), (500, 1000, 2000, 4000, 8000, 16000, 32000)
+    some, pixels = stage.sample(), (500, 1000, 2000, 4000, 8000, 16000, 32000)
     series = {
-        "pixels": [(len(p), lambda p=p: run(p)) for p in map(stage.some, pixels)],
+        "pixels": [(len(p), lambda p=p: run(p)) for p in map(stage.sample, pixels)],
         "directions": [(n, lambda n=n: run(some, n)) for n in (64, 128, 256, 512, 1024, 2048, 4096)],
         "order": [(n, lambda n=n: run(some, order=n)) for n in range(1, 10)],
         "triangles": [],
@@ -41,7 +41,7 @@ def growth(options) -> str:
     built = {}
     for level in (2, 4, 5) if options.quick else (2, 4, 5, 6, 7, 8):
         other = Stage(level=level, size=400, textured=False)
-        points, triangles = other.some(), len(other.shape.faces)
+        points, triangles = other.sample(), len(other.shape.faces)
         built[triangles] = other.built
         mean = (material.mean_material(),)
         series["triangles"].append((triangles, lambda p=points, o=other, m=mean: run(p, materials=m, on=o)))

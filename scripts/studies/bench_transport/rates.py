@@ -35,7 +35,7 @@ STEPS = (  # of the transport, and where each is called; the innermost counts
 def rays(options) -> str:
     """Rays a second inside the kernel against a bare loop of the same rays, called in turn."""
     stage, lights = Stage(), SHBasis(9)
-    points, tracer = stage.some(), stage.tracer
+    points, tracer = stage.sample(), stage.tracer
     material = open_library(None).load(MATERIALS[0])
     directions = stage.transport(points, DIRECTIONS).directions
     point, direction = np.nonzero(points.flat_normal @ directions.T > 0)
@@ -97,7 +97,7 @@ def steps(dr):
 def warm(options) -> str:
     """The transport of an estimate when everything is compiled, whole and by step."""
     stage, lights = Stage(), SHBasis(9)
-    points, material = stage.some(), open_library(None).load(MATERIALS[0])
+    points, material = stage.sample(), open_library(None).load(MATERIALS[0])
     albedo, rows, parts = [radiosity.diffuse_albedo(material)], [], []
     for label, used in (("mean ABRDF", material.mean_material()), (f"BTF {MATERIALS[0]}", material)):
         truth = stage.transport(points, TRUE).radiance(used, lights)
@@ -146,7 +146,7 @@ def _both(seconds):
 def between(options) -> str:
     """What the light between surfaces needs: samples of the surfaces, and directions of each sample and pixel."""
     stage, lights, white = Stage(textured=False), SHBasis(4), Lambertian("white", np.full(3, 0.8))
-    points = stage.some(1000)
+    points = stage.sample(1000)
     direct = np.linalg.norm(stage.transport(points, 512).radiance(white, lights))
 
     def run(samples, gathered, directions):
@@ -171,7 +171,7 @@ def between(options) -> str:
 def lookups(options) -> str:
     """Evaluations of the BTF a second, against the same count of bare Dr.Jit gathers."""
     stage = Stage()
-    points = stage.some()
+    points = stage.sample()
     transport, n = stage.transport(points, DIRECTIONS), len(points) * DIRECTIONS
     everything, rng = dr.full(mi.Bool, True, n), np.random.default_rng(0)
     table_of = mi.Float(rng.random(len(points) * 453).astype(np.float32))
