@@ -202,7 +202,7 @@ def compare(*, a, b, job, order, library_folder, material, protocol, reporter):
     else:
         library = opened_library(library_folder) if job else None
         result = run_compare(a, b, order=order, job=job, library=library, material=material, reporter=reporter)
-    return result, words.facts(result)
+    return result, words.compare(result)
 
 
 cli.add_command(batch)

@@ -67,6 +67,19 @@ def doctor(result: dict) -> str:
     return "\n".join(f"{name:<14} {value}" for name, value in result["facts"].items())
 
 
+def compare(result: dict) -> str:
+    """Error measures, a line each, and what the two lights have to say of one another."""
+    found = result.get("agreement")
+    if found is None:
+        return facts(result)
+    told = f"they differ by {100 * found['difference']:.0f} % up to order {found['order']}, "
+    told += f"{100 * found['stated']:.0f} % is what they state"
+    if found["degrees"] is not None:
+        told += f"; by {found['degrees']:.1f}° in their main direction, {found['stated_degrees']:.1f}° is stated"
+    verdict = "the two agree" if found["agree"] else "the two DISAGREE: something that one of them assumes is wrong"
+    return f"{facts(result)}\n{verdict} ({told})"
+
+
 def facts(result: dict, indent: str = "") -> str:
     """Any plain result as indented lines."""
     lines = []

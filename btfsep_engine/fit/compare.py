@@ -23,6 +23,7 @@ FRONT = (0.0, 1.0, 0.0)
 SILVER_ROUGHNESS = 0.5  # Blender's roughness; GGX alpha is its square
 GREY = 0.5
 PERCENTILES = (0.01, 99.9)
+LIMIT = 2.0  # times what is stated: 95 % of a normal distribution, were it all in one coefficient
 
 
 def compare(estimate: Lighting, reference: Lighting, *, view=FRONT, size: int = 128) -> dict:
@@ -43,6 +44,7 @@ def compare(estimate: Lighting, reference: Lighting, *, view=FRONT, size: int = 
         main_direction_degrees  angle between the order-1 vectors of the luminance
         within_two_sigma        share of the coefficients whose truth lies within two stated standard deviations,
                                 None where the estimate states none
+        agreement               of :func:`agreement`
         band_limited_spheres    {diffuse, silver, mirror: {si_rmse, angular_degrees, normalised_rmse}}
     """
     order = min(estimate.order, reference.order)
@@ -58,6 +60,7 @@ def compare(estimate: Lighting, reference: Lighting, *, view=FRONT, size: int = 
         "coefficients": bands,
         "main_direction_degrees": direction_error(a, b),
         "within_two_sigma": float((np.abs(a - b) <= 2 * deviation).mean()) if (deviation > 0).any() else None,
+        "agreement": agreement(estimate, reference),
         "band_limited_spheres": {kind: image_errors(pictures[0][kind], pictures[1][kind]) for kind in pictures[0]},
     }
 
@@ -101,6 +104,56 @@ def direction_error(a, b) -> float | None:
     if p is None or q is None:
         return None
     return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(p, q)), p @ q)))
+
+
+def agreement(a: Lighting, b: Lighting) -> dict | None:
+    """Whether two estimates of one light differ by no more than what they state, for want of a truth.
+
+    Errors are taken as independent between the two, and as the same in a coefficient's three channels. What both have
+    wrong alike (a prior, a tone curve, a table that is left out) no comparison of the two can show.
+
+    Returns
+    -------
+    None where neither states an uncertainty, else::
+
+        order           up to which: 2, or the smaller of the two
+        difference      relative L2 of the coefficients, one free scale; stated: what the deviations make of it
+        degrees         between the main directions, None where one has none; stated_degrees
+        agree           whether neither is more than `LIMIT` times what is stated
+    """
+    order = min(a.order, b.order, 2)
+    terms = sh.term_count(order)
+    x, y = a.coefficients[:terms], b.coefficients[:terms]
+    spread = [light.stddev[:terms] for light in (a, b)]
+    if not any((s > 0).any() for s in spread) or not np.linalg.norm(y) > 0:
+        return None
+    found = relative_l2(x, y)
+    off, scale = found["relative_l2_free_scale"], found["scale"]
+    stated = float(np.hypot(scale * np.linalg.norm(spread[0]), np.linalg.norm(spread[1])) / np.linalg.norm(y))
+    degrees = direction_error(x, y)
+    turns = [_direction_deviation(*pair) for pair in ((x, spread[0]), (y, spread[1]))]
+    stated_degrees = None if degrees is None else float(np.hypot(*turns))
+    agree = off <= LIMIT * stated and (degrees is None or degrees <= LIMIT * stated_degrees)
+    return {
+        "order": order,
+        "difference": off,
+        "stated": stated,
+        "degrees": degrees,
+        "stated_degrees": stated_degrees,
+        "agree": bool(agree),
+    }
+
+
+def _direction_deviation(coefficients, stddev) -> float:
+    """Root mean square angle in degrees, at most 180, by which a main direction may be off."""
+    rows = np.array([3, 1, 2])
+    if len(coefficients) < 4 or main_direction(coefficients) is None:
+        return 180.0
+    direction = main_direction(coefficients)
+    length = np.linalg.norm(coefficients[rows] @ REC709_LUMINANCE)
+    across = 1 - direction**2  # what of an axis lies across the direction
+    spread = (stddev[rows] @ REC709_LUMINANCE) ** 2 @ across
+    return float(min(np.degrees(np.sqrt(spread) / length), 180.0))
 
 
 def sphere_normals(size: int, view=FRONT):

@@ -2,12 +2,14 @@
 """Error measures: values known by construction, and spheres against brute-force integration."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from btfsep_engine import sh
+from btfsep_engine.cli import words
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit import compare as c
 from btfsep_engine.light.files import Lighting, exactly
@@ -176,3 +178,60 @@ def test_image_errors_in_numbers():
     s = 2 / 3  # best scale: <a, b> = 2, |a|^2 = 3
     rms = np.sqrt((s**2 + 1 + 2 * (1 - s) ** 2) / 9)
     assert errors["si_rmse"] == pytest.approx(rms, rel=0.01)
+
+
+def stated(x, deviation):
+    """A Lighting of coefficients with one standard deviation for all."""
+    x = np.asarray(x, np.float64)
+    return Lighting(sh.order_of(len(x)), x, np.full_like(x, deviation), np.ones(len(x), bool))
+
+
+def test_two_estimates_agree_as_often_as_they_should(light, rng):
+    """Both are off by what they state, one of them at another exposure."""
+    truth, shares = light.coefficients, []
+    for factor in (1.0, 3.0):
+        lights = [stated(truth + 0.15 * rng.normal(size=truth.shape), 0.15) for _ in range(400)]
+        pairs = zip(lights[::2], lights[1::2], strict=True)
+        found = [c.agreement(stated(factor * a.coefficients, factor * 0.15), b) for a, b in pairs]
+        shares.append(np.mean([f["agree"] for f in found]))
+        ratio = np.sqrt(np.mean([(f["difference"] / f["stated"]) ** 2 for f in found]))
+        assert ratio == pytest.approx(1, abs=0.1)
+        turned = np.sqrt(np.mean([(f["degrees"] / f["stated_degrees"]) ** 2 for f in found]))
+        assert 0.5 < turned < 1.1  # channels that err together would make it 1
+    assert min(shares) > 0.95
+
+
+def test_two_estimates_that_state_too_little_disagree(light, rng):
+    truth = light.coefficients
+    a, b = (stated(truth + 0.15 * rng.normal(size=truth.shape), 0.03) for _ in range(2))
+    assert not c.agreement(a, b)["agree"]
+    turned = stated(sh.rotation_matrix(4, Rotation.from_euler("x", 40, degrees=True).as_matrix()) @ truth, 0.03)
+    found = c.agreement(turned, stated(truth, 0.03))
+    assert found["degrees"] == pytest.approx(c.direction_error(turned.coefficients, truth))
+    assert not found["agree"]
+    other = truth.copy()
+    other[4:9] += 0.5  # the direction stays
+    found = c.agreement(stated(other, 0.03), stated(truth, 0.03))
+    assert found["degrees"] < 1e-5
+    assert not found["agree"]
+    unsure = replace(turned, stddev=np.where(np.arange(75).reshape(25, 3) < 12, 0.03, 1.0))
+    found = c.agreement(unsure, stated(truth, 0.03))
+    assert found["difference"] < found["stated"]
+    assert not found["agree"]
+
+
+def test_what_two_estimates_say_of_one_another_is_said_in_words(light):
+    a, b = stated(light.coefficients, 0.03), stated(light.coefficients, 0.02)
+    assert words.compare(c.compare(a, b)).splitlines()[-1].startswith("the two agree (they differ by 0 % up to order 2")
+    wrong = stated(light.coefficients[[0, 2, 1, *range(3, 25)]], 0.03)
+    assert "DISAGREE" in words.compare(c.compare(wrong, b)).splitlines()[-1]
+    assert "agree" not in words.compare(c.compare(exactly(a.coefficients), exactly(b.coefficients))).splitlines()[-1]
+
+
+def test_a_light_without_a_direction_agrees_by_its_difference(light):
+    even = np.zeros((9, 3))
+    even[0] = 4
+    found = c.agreement(stated(even, 0.1), stated(even, 0.1))
+    assert found["agree"]
+    assert found["degrees"] is None
+    assert c.agreement(exactly(even), light) is None
