@@ -13,7 +13,7 @@ from btfsep_engine.render.homogeneous import homogeneous, pictured
 
 @dataclass(frozen=True)
 class ObjectMaterial:
-    """The material an object is taken to have, and why."""
+    """The material an object is taken to have, and why; ``likely`` as of `recognise.Recognition`."""
 
     name: str
     material: Material
@@ -21,6 +21,7 @@ class ObjectMaterial:
     candidates: tuple = ()
     unknown: bool = False
     unknown_score: float | None = None
+    likely: tuple[str, ...] | None = None
 
     @property
     def record(self) -> dict:
@@ -31,6 +32,7 @@ class ObjectMaterial:
             "recognised": not self.is_given,
             "unknown": self.unknown,
             "unknown_score": self.unknown_score,
+            "likely": self.likely,
             "candidates": [{"name": name, "score": score} for name, score in self.candidates],
         }
 
@@ -67,8 +69,9 @@ def object_materials(scene: PreparedScene, library, settings: Settings, *, names
         from btfsep_engine.pipeline.recognition import recognise_object  # takes a tenth of a second to import
 
         answer = recognise_object(scene, index, library, settings)
-        doubt = answer.candidates, answer.unknown, answer.unknown_score
-        materials.append(ObjectMaterial(answer.material, library.load(answer.material), False, *doubt))
+        doubt = answer.candidates, answer.unknown, answer.unknown_score, answer.likely
+        name = answer.stand_in or answer.material
+        materials.append(ObjectMaterial(name, library.load(name), False, *doubt))
     return materials
 
 

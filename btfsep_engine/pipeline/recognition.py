@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Training on renders of the job's own geometry, and recognising its objects."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from btfsep_engine.btf.surfaces import SURFACES
@@ -9,6 +11,7 @@ from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings
 from btfsep_engine.pipeline.verification import Verification
+from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.model_file import cached
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import METHODS, render_samples, train
@@ -125,10 +128,20 @@ def recognise_object(scene: PreparedScene, index: int, library, settings: Recogn
     with scene.reporter.stage("recognition"):
         verification = Verification(scene, index, region, window, settings) if settings.verify else None
         answer = recognised(scene.job.photo, region, window, recogniser, library, verification, name=name)
-    if answer.unknown:
+    if answer.unknown and answer.stand_in:
+        scene.reporter.warn(
+            f"object '{name}' looks like none of the library's materials (the nearest is {answer.material}): it is "
+            f"taken to be of one kind all over, {answer.stand_in}; give its material, or its 'surface', if you know it"
+        )
+    elif answer.unknown:
         scene.reporter.warn(
             f"object '{name}' looks like none of the library's materials; "
             f"the nearest, {answer.material}, is used (give --material to choose another)"
+        )
+    elif len(answer.likely or ()) > 1:
+        scene.reporter.warn(
+            f"object '{name}' may be {' or '.join(answer.likely)}: the photo does not tell them apart "
+            "(give --material, if you know it)"
         )
     return answer
 
@@ -140,7 +153,28 @@ def recognised(photo, region, window, recogniser: Recogniser, library, verificat
     """
     radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)[window]
     vectors = recogniser.describe(radiance, region[window], what=f"object '{name}'")
-    answer = recogniser.judged(vectors)
-    if verification is None:
+    calibrated = recogniser.settings != METHODS["paper"].settings and recogniser.model.kind == "svm"
+    if not verification and not calibrated:
+        return recogniser.judged(vectors)
+    names, cues = candidate_cues(radiance, vectors, recogniser, library, verification)
+    answer = judgements()["verified" if verification else "votes"].answer(names, cues)
+    if not calibrated:  # the order counts, but the sets are those of another classifier
+        first = recogniser.judged(vectors)
+        return replace(answer, likely=None, unknown=first.unknown, unknown_score=first.unknown_score)
+    if not answer.unknown or verification is None:
         return answer
-    return verification.verified(answer, recogniser, radiance, vectors[-1], library.load)
+    evidence = {s: verification.explained(library.load(s), radiance).evidence for s in SURFACES}
+    return replace(answer, stand_in=max(evidence, key=evidence.get))
+
+
+def candidate_cues(radiance, vectors, recogniser: Recogniser, library, verification) -> tuple[tuple[str, ...], dict]:
+    """The candidates, the classifier's likeliest first, and {cue: (candidates,) float} of `recognise.judgement`.
+
+    ``radiance`` : (h, w, 3), the window of the photograph, NaN where unusable; ``vectors`` : what it is described as
+    """
+    names, scores = zip(*recogniser.judged(vectors).candidates, strict=True)
+    # a root, because a classifier that is wrong is wrong by far: its training lights did not have this photo's
+    cues = {"classifier": -np.sqrt(-np.log(np.clip(scores, 1e-12, 1)))}
+    if verification:
+        cues |= verification.cues(names, recogniser, radiance, vectors, library.load)
+    return names, cues

@@ -1,28 +1,63 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a candidate looks like the photo under the light that it implies: recognition by re-rendering.
+"""What each candidate explains of the photo under the light that it implies: recognition by re-rendering.
 
 The classifier has seen the materials under its training lights, never under the photo's. But each candidate says what
-that light is: its mean ABRDF is fitted to the photo's pixels, the BTF is rendered under the light that comes out, and
-the rendering is described as the photo was. With s the cosine between the two VLAD vectors of the whole object, a
-candidate's score becomes proportional to score · exp(WEIGHT s). A wrong candidate gets a light that explains the
-shading with its own colour, and is betrayed by its texture; a right one is seen under the right light.
+that light is: the most probable one for its mean ABRDF and the photo's pixels. How probable that makes the photo is the
+first cue, the evidence: a wrong candidate needs an unusual light, in shape or in colour. The BTF is then rendered under
+that light, and described as the photo was; the cosines between both, of the colour patches and of SIFT, are the next:
+a light that explains the shading does not explain the texture; and the last, how strong that is (`recognise.contrast`).
+`recognise.judgement` says what all of it is worth.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.products import Basis, Photograph, one_thread
+from btfsep_engine.fit.search import solve
 from btfsep_engine.light.lightings import SHBasis, SHLighting
-from btfsep_engine.recognise.recogniser import Recogniser, Recognition
+from btfsep_engine.light.log_field import natural_field
+from btfsep_engine.recognise.contrast import Contrast, contrast, unlike
+from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.render.sampling import choose_pixels
 
-WEIGHT = 10.0  # of the cosine against the logarithm of the classifier's score
-LARGEST_GAIN = 0.5  # in cosine that is to be expected between two candidates
-CANDIDATES = 6
+CANDIDATES = 8  # the first of the classifier's: others keep what the worst of these has
 PIXELS = 1500  # of the fit of the light
 ORDER = 9
+ROUGHLY = {"rounds": 2, "steps": 6}  # of the first search, from which the misfit's size is learned
+SIMILARITIES = ("colour", "texture", "contrast", "skewness")
 NOISE = 0.05  # of a rendering that is compared, relative to the mean: a photo has some
+
+
+@dataclass(frozen=True)
+class Explained:
+    """The light under which a material explains a photo best.
+
+    Attributes
+    ----------
+    light : SHLighting, in the photo's unit
+    evidence : logarithm of how probable the photo is
+    """
+
+    light: SHLighting
+    evidence: float
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """What candidates are compared with.
+
+    Attributes
+    ----------
+    radiance : (h, w, 3), the window of the photograph, NaN where a pixel is unusable
+    vector : (length,) VLAD of the whole object
+    contrast : recognise.contrast.Contrast
+    """
+
+    radiance: np.ndarray
+    vector: np.ndarray
+    contrast: Contrast
 
 
 class Verification:
@@ -43,57 +78,65 @@ class Verification:
         self.few = choose_pixels(self.points, PIXELS, seed=settings.seed)
         self.few_transport = scene.transport(self.points.take(self.few), directions=settings.training_directions)
         self.region, self.window, self.seed = region[window], window, settings.seed
+        self._bases: dict = {}  # of the materials that were asked for: they are the same for every photo
 
-    def verified(self, answer: Recognition, recogniser: Recogniser, radiance, described, load) -> Recognition:
-        """The answer with its candidates' scores weighed anew; that of the classifier alone where it is certain.
+    def cues(self, names, recogniser: Recogniser, radiance, vectors, load) -> dict:
+        """{cue: (candidates,) float} of the materials ``names``, the classifier's likeliest first.
 
         Parameters
         ----------
-        answer : Recognition by the classifier
         radiance : (h, w, 3), the window of the photograph, NaN where a pixel is unusable
-        described : (length,) VLAD vector of the whole object in the photograph
+        vectors : (windows + 1, length), VLAD of the photograph
         load : material name -> Material
         """
-        hopeless = answer.candidates[0][1] * np.exp(-WEIGHT * LARGEST_GAIN)
-        asked = {name: load(name) for name, score in answer.candidates[:CANDIDATES] if score > hopeless}
-        if len(asked) < 2:
-            return answer
-        # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
-        similar = {
-            name: self.similarity(material, recogniser, radiance, described)
-            for name, material in asked.items()
-            if material.mirror_reflectance is None
-        }
-        if not similar:
-            return answer
-        best = max(similar.values())
-        similar = dict.fromkeys(asked, float(np.mean(list(similar.values())))) | similar
-        weighed = [
-            (name, score * np.exp(WEIGHT * (similar[name] - best)) if name in similar else 0.0)
-            for name, score in answer.candidates
-        ]
-        total = sum(score for _, score in weighed)
-        candidates = tuple(sorted(((name, float(s / total)) for name, s in weighed), key=lambda c: -c[1]))
-        return replace(answer, material=candidates[0][0], candidates=candidates)
+        photo, found = Photographed(radiance, vectors[-1], contrast(radiance, self.region)), []
+        for name in names[:CANDIDATES]:
+            material = load(name)
+            explained = self.explained(material, radiance)
+            # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
+            similar = (np.nan,) * len(SIMILARITIES)
+            if material.mirror_reflectance is None:
+                similar = self.similarity(material, explained.light, recogniser, photo)
+            found.append((explained.evidence, *similar))
+        evidence, *similar = np.array(found).T
+        below = np.sqrt(np.maximum(evidence.max() - evidence, 0))  # half of a chi^2's size, of which a root is normal
+        cues = zip(("evidence", *SIMILARITIES), (-below, *similar), strict=True)
+        return {cue: _of_all(values, len(names)) for cue, values in cues}
 
-    def similarity(self, material, recogniser: Recogniser, radiance, described) -> float:
-        """Cosine, -1 to 1, between the photograph and the material under the light that it takes the photo's to be."""
-        image = np.full((*self.region.shape, 3), np.nan, np.float32)
-        image[self.region] = self.transport.radiance(material, self.light(material, radiance))[:, 0]
-        rng = np.random.default_rng(self.seed)
-        mean = max(float(np.nanmean(image)), 1e-30)
-        noise = NOISE * np.sqrt(np.maximum(image, 0) * mean) * rng.standard_normal(image.shape, np.float32)
-        image = np.maximum(image + noise, 1e-4 * mean)
-        usable = self.region & np.isfinite(radiance).all(-1)
-        vector = recogniser.describe(np.where(usable[..., None], image, np.nan), self.region)[-1]
-        return float(vector @ described)
-
-    def light(self, material, radiance) -> SHLighting:
-        """The light under which a material explains the photograph best, by its mean ABRDF."""
-        mean = material.mean_material()
+    def explained(self, material, radiance) -> Explained:
+        """What a material explains by its mean ABRDF of ``radiance`` (h, w, 3), the window of the photograph."""
+        if material.name not in self._bases:
+            self._bases[material.name] = self.few_transport.radiance(material.mean_material(), SHBasis(ORDER))
         rows, columns = (self.points.pixels[self.few] - [s.start for s in self.window]).T
         b = radiance[rows, columns]
         good = np.isfinite(b).all(-1)
-        basis = self.few_transport.radiance(mean, SHBasis(ORDER))[good]
-        fit = LightSolver(basis, normals=self.points.normal[self.few][good], order=ORDER).solve(b[good])
-        return SHLighting(fit.shown)
+        with one_thread():
+            basis = Basis(self._bases[material.name][good], self.points.normal[self.few][good])
+            photo = Photograph(basis, b[good])
+            first = solve(photo, LightModel(natural_field()), **ROUGHLY)
+            photo.learn_from(first.x)
+            best = solve(photo, first.model, white=first.white, v=first.v, rounds=2)
+        return Explained(SHLighting(best.x.T * photo.level), best.evidence)
+
+    def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> tuple[float, ...]:
+        """`SIMILARITIES` of the photograph and a material under a light: cosines, -1 to 1, and differences, <= 0."""
+        image = np.full((*self.region.shape, 3), np.nan, np.float32)
+        image[self.region] = self.transport.radiance(material, light)[:, 0]
+        usable = self.region & np.isfinite(photo.radiance).all(-1)
+        image = np.where(usable[..., None], image, np.nan)
+        differences = unlike(contrast(image, self.region), photo.contrast)
+        mean = max(float(np.nanmean(image)), 1e-30)
+        noise = np.random.default_rng(self.seed).standard_normal(image.shape, np.float32)
+        image = np.maximum(image + NOISE * np.sqrt(np.maximum(image, 0) * mean) * noise, 1e-4 * mean)
+        cosines = recogniser.encoder.cosines(recogniser.describe(image, self.region)[-1], photo.vector)
+        return *cosines, *(-value for value in differences)
+
+
+def _of_all(values, count: int) -> np.ndarray:
+    """Of ``count`` candidates: the first ones' ``values``, their mean where NaN, the lowest for those not looked at."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.zeros(count)
+    out = np.full(count, np.nanmin(values))
+    out[: len(values)] = np.where(known, values, np.nanmean(values))
+    return out

@@ -7,7 +7,9 @@ held out. All squared distances between training vectors are computed once (one 
 whole grid search works on small matrices.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -69,10 +71,22 @@ class Svm:
     known_vote: float = -1.0
     kind = "svm"
 
+    @cached_property
+    def _single(self) -> np.ndarray:
+        """The support vectors as they are multiplied: half floats are widened once."""
+        return self.vectors.astype(np.float32)
+
     def votes(self, vectors) -> np.ndarray:
         """(n, classes) in [-1, 1] for ``vectors : (n, d)``."""
-        kernel = np.exp(-self.gamma * squared_distances(vectors, self.vectors))
+        kernel = np.exp(-self.gamma * squared_distances(vectors, self._single))
         return pair_votes(kernel @ self.weights + self.bias, len(self.classes))
+
+    def without(self, name: str) -> "Svm":
+        """The same with a class left out: its pairs' decisions are not asked for."""
+        out = self.classes.index(name)
+        kept = [out not in pair for pair in combinations(range(len(self.classes)), 2)]
+        classes = tuple(c for c in self.classes if c != name)
+        return replace(self, classes=classes, weights=self.weights[:, kept], bias=self.bias[kept])
 
 
 @dataclass(frozen=True)
@@ -93,6 +107,13 @@ class Nearest:
     def votes(self, vectors) -> np.ndarray:
         """(n, classes) in [-1, 1] for ``vectors : (n, d)``: 1 minus the squared distance to the class's nearest."""
         return nearest_votes(squared_distances(vectors, self.vectors), self.labels, len(self.classes))
+
+    def without(self, name: str) -> "Nearest":
+        """The same with a class left out."""
+        out = self.classes.index(name)
+        kept, classes = self.labels != out, tuple(c for c in self.classes if c != name)
+        labels = self.labels[kept] - (self.labels[kept] > out)
+        return replace(self, classes=classes, vectors=self.vectors[kept], labels=labels)
 
 
 def pair_votes(decisions, class_count: int) -> np.ndarray:

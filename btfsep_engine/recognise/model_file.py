@@ -37,6 +37,7 @@ SHAPES = {  # of an entry, see `cache.read`
 def _arrays(recogniser: Recogniser) -> dict:
     """All of a recogniser as arrays by name."""
     model, encoder = recogniser.model, recogniser.encoder
+    of_model = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)}
     arrays = {
         "encoder.colour": encoder.colour,
         "encoder.sift": encoder.sift,
@@ -49,9 +50,9 @@ def _arrays(recogniser: Recogniser) -> dict:
         "half_contrast": encoder.half_contrast,
         "kind": model.kind,
         "classes": list(model.classes),
-        "numbers": {name: value for name, value in vars(model).items() if isinstance(value, float)},
+        "numbers": {name: value for name, value in of_model.items() if isinstance(value, float)},
     }
-    arrays |= {f"model.{name}": value for name, value in vars(model).items() if isinstance(value, np.ndarray)}
+    arrays |= {f"model.{name}": value for name, value in of_model.items() if isinstance(value, np.ndarray)}
     return {"header": np.array(json.dumps(header)), **arrays}
 
 

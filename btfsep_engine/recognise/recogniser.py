@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A trained recogniser and its answer."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,14 +19,20 @@ class Recognition:
     material : the best candidate's name
     candidates : (name, score in [0, 1]) of every known material, best first; the scores sum to 1
     unknown : whether the object looks like none of the known materials; ``material`` is then only the nearest
-    unknown_score : how far the winning vote falls short of 1, over the shortfall that 99 % of the library's own
-        materials stay below under lights that were held out; above 1 is unknown
+    unknown_score : above 1 is unknown. By `judgement`, how strange the photo is of the likeliest material, over the
+        strangeness at which nothing is left; by the classifier alone, how far the winning vote falls short of 1, over
+        the shortfall that 99 % of the library's own materials stay below under lights that were held out
+    likely : the materials that are not ruled out, the likeliest first: the right one is among them 95 times of 100;
+        none where ``unknown``. None: not stated (by the classifier alone)
+    stand_in : the surface by numbers that explains an unknown object best, where one was looked for
     """
 
     material: str
     candidates: tuple[tuple[str, float], ...]
     unknown: bool
     unknown_score: float
+    likely: tuple[str, ...] | None = None
+    stand_in: str | None = None
 
 
 @dataclass(frozen=True)
@@ -65,8 +71,12 @@ class Recogniser:
         """
         return self.encoder.encode(dense.extract(radiance, mask, settings=self.settings, what=what))
 
+    def without(self, name: str) -> "Recogniser":
+        """The same without a material: the classifier as if it had not been there, the dictionaries as they are."""
+        return replace(self, model=self.model.without(name))
+
     def judged(self, vectors) -> Recognition:
-        """The material of what `describe` gave."""
+        """The material of what `describe` gave, by the classifier alone."""
         votes = self.model.votes(vectors)
         pooled = scores(votes.mean(0), self.model.sharpness)
         order = np.argsort(-pooled, kind="stable")

@@ -154,14 +154,20 @@ class Encoder:
         points = weighted_sift(sift, contrast, self.half_contrast, root=self.encoding.root_sift)
         return (points - self.sift_mean) @ self.sift_axes
 
-    def encode(self, descriptors, *, windows: int | None = None):
+    def cosines(self, a, b) -> tuple[float, float]:
+        """Cosines of the colour parts and of the SIFT parts of two vectors : (length,) of `encode`."""
+        own, ends = np.asarray(a, np.float64) * b, self.colour.size
+        weight = self.encoding.colour_weight
+        return float(own[:ends].sum() / weight), float(own[ends:].sum() / (1 - weight))
+
+    def encode(self, descriptors):
         """The VLAD vectors of an object: one per window, then that of the whole object.
 
         Returns
         -------
         (windows + 1, length) float32, unit; the last row is the whole object
         """
-        count = self.encoding.windows if windows is None else windows
+        count = self.encoding.windows
         window = split_windows(descriptors.xy, count)
         parts = []
         for points, words, weight in (

@@ -2,7 +2,7 @@
 """Recognition of photos by Cycles: displaced geometry, other texels, another UV map, a path tracer's noise.
 
 Small and cheap: a ball at 160 pixels, faces of half a millimetre, four materials. What larger photos of all materials
-come to is `scripts/study bench-recognition`'s to say.
+come to is `scripts/study recognition`'s to say.
 """
 
 from dataclasses import replace

@@ -123,3 +123,22 @@ def test_pooling_is_by_object():
     pooled, truth = classifier.pool_objects(votes, np.array([0, 1, 0]), np.array([7, 3, 7]))
     np.testing.assert_allclose(pooled, [[0, 1], [0.5, 0.25]])
     assert truth.tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("train", [classifier.train_svm, classifier.train_nearest])
+def test_a_class_left_out_leaves_the_decisions_between_the_others(rng, train):
+    """Against a model of the others' own training vectors: the same kernel, the same pairs."""
+    x, labels, light, objects = clusters(rng, 4, spread=0.8)
+    model = train(x, labels, light, objects, list("abcd"))
+    other = model.without("b")
+    assert other.classes == ("a", "c", "d")
+    if model.kind == "svm":
+        some = labels != 1
+        kernel = np.exp(-model.gamma * classifier.squared_distances(x, x))
+        weights, bias = classifier._fit_pairs(
+            kernel[np.ix_(some, some)], np.unique(labels[some], return_inverse=True)[1], model.c, 3
+        )
+        expected = classifier.pair_votes(kernel[:, some] @ weights + bias * model.bias.any(), 3)
+        np.testing.assert_allclose(other.votes(x), expected, atol=5e-3)
+    else:
+        np.testing.assert_allclose(other.votes(x), model.votes(x)[:, [0, 2, 3]], atol=1e-6)

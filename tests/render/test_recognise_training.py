@@ -8,13 +8,16 @@ import pytest
 import trimesh
 
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
+from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.recognition import recognise_object, trained_recogniser
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings, choose
 from btfsep_engine.progress import Reporter
+from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
 
@@ -133,22 +136,41 @@ def test_the_likeliest_are_rendered_again_before_one_is_named(monkeypatch, scene
     undecided = Recognition(FEW[1], ((FEW[1], 0.45), (FEW[0], 0.4), (FEW[2], 0.15)), False, 0.5)
     monkeypatch.setattr(Recogniser, "judged", lambda self, vectors: undecided)
     assert recognise_object(scene, 0, library, settings).material == FEW[0]
-    assert recognise_object(scene, 0, library, replace(settings, verify=False)) is undecided
+    assert recognise_object(scene, 0, library, replace(settings, verify=False)).material == FEW[1]
 
 
 @pytest.mark.parametrize("strict", [False, True])
-def test_a_material_left_out_is_named_by_its_nearest_and_said_to_be_unknown_below_the_limit(
+def test_what_is_like_no_material_is_said_to_be_unknown_and_a_surface_by_numbers_stands_in(
     monkeypatch, scene, library, settings, strict
 ):
-    """The limit is what 99 % of the known materials reach; here one that the photo does, or does not, reach."""
+    """A material left out, judged as if known materials were always, or never, as strange as it is."""
     without = replace(library, entries={name: library.entries[name] for name in FEW[:2]})
     scene.job = replace(scene.job, photo=photographed(scene, library, FEW[2]))
-    recogniser = trained_recogniser(scene, 0, without, settings)
-    asked = replace(recogniser, model=replace(recogniser.model, known_vote=0.999 if strict else -1.0))
-    monkeypatch.setattr(recognition, "trained_recogniser", lambda *_: asked)
+    shipped = judgements()["verified"]
+    asked = replace(shipped, strangeness=np.full(40, 1e-6 if strict else 50.0))
+    monkeypatch.setattr(recognition, "judgements", lambda: {"verified": asked})
     scene.reporter = Reporter()
     answer = recognise_object(scene, 0, without, settings)
-    assert answer.material in asked.materials and FEW[2] not in asked.materials
     assert answer.unknown is strict and (answer.unknown_score > 1) is strict
+    assert (len(answer.likely) == 0) is strict and (answer.stand_in in SURFACES) is strict
     said = [text for text in scene.reporter.warnings if "looks like none of the library's materials" in text]
-    assert len(said) == strict and all(answer.material in text for text in said)
+    assert len(said) == strict and all(answer.material in text and answer.stand_in in text for text in said)
+    (used,) = object_materials(scene, without, choose("draft", seed=settings.seed), names=[None]) if strict else (None,)
+    assert not strict or (used.name == answer.stand_in and used.unknown and used.record["likely"] == ())
+
+
+def test_what_the_photo_does_not_tell_apart_is_named_together(monkeypatch, scene, library, settings):
+    scene.job = replace(scene.job, photo=photographed(scene, library, FEW[0]))
+    lenient = replace(judgements()["verified"], strangeness=np.full(40, 50.0))
+    monkeypatch.setattr(recognition, "judgements", lambda: {"verified": lenient})
+    scene.reporter = Reporter()
+    answer = recognise_object(scene, 0, library, settings)
+    assert answer.likely[0] == answer.material == FEW[0] and set(answer.likely) > set(FEW)
+    (said,) = [text for text in scene.reporter.warnings if "may be" in text]
+    assert all(name in said for name in answer.likely)
+
+
+def test_another_classifier_has_the_order_of_the_cues_and_its_own_limit(monkeypatch, scene, library, settings):
+    scene.job = replace(scene.job, photo=photographed(scene, library, FEW[0]))
+    answer = recognise_object(scene, 0, library, replace(settings, classifier="nearest"))
+    assert answer.material == FEW[0] and answer.likely is None

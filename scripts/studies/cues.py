@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What recognition sees of photographs by Cycles, kept beside each of them: for learning what it is worth, and judging.
+
+The cues of a photograph's candidates (`pipeline.recognition.candidate_cues`) are those of an estimate with the same
+preset, and know nothing of what is made of them. Each photograph is asked twice: with all materials of the library, and
+without its own, as if the library had never had it (its dictionaries and the kernel of its classifier have seen it).
+"""
+
+import inspect
+import json
+import zlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from btfsep_engine.atomic import write_text
+from btfsep_engine.cache import digest
+from btfsep_engine.images import linear_to_srgb, srgb_to_linear
+from btfsep_engine.job.load import load_job
+from btfsep_engine.pipeline import recognition
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.verification import Verification
+from btfsep_engine.recognise.model_file import source_digest
+from scripts.studies.photos import Photograph
+
+FLAWS = ("clean", "blurred", "noisy", "jpeg", "all three")
+BLUR, NOISE, QUALITY = (0.6, 1.6), (0.05, 0.2), (30, 80)  # pixels; of the region's mean; of JPEG
+
+
+class Remembering(Verification):
+    """A verification that renders each material once for a photograph, however often it is asked."""
+
+    def __init__(self, *scene_and_more):
+        super().__init__(*scene_and_more)
+        self.known: dict = {}
+
+    def explained(self, material, radiance):
+        key = "explained", material.name
+        if key not in self.known:
+            self.known[key] = super().explained(material, radiance)
+        return self.known[key]
+
+    def similarity(self, material, *about):
+        key = "similarity", material.name
+        if key not in self.known:
+            self.known[key] = super().similarity(material, *about)
+        return self.known[key]
+
+
+class View:
+    """All photographs of one object: its geometry is traced and trained on once.
+
+    The engine lays its textures by charts of its own: nothing lines up with the photograph's.
+    """
+
+    def __init__(self, photograph: Photograph, library, settings, reporter):
+        job = load_job(photograph.folder)
+        self.scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv="xatlas"),)), reporter)
+        self.library, self.region = (
+            library,
+            recognition.training_region(self.scene.regions[0], settings.training_pixels),
+        )
+        self.window = recognition.bounding_window(self.region)
+        self.recogniser = recognition.trained_recogniser(self.scene, 0, library, settings)
+        self.verification = Remembering(self.scene, 0, self.region, self.window, settings)
+
+    def cues(self, radiance, *, without: str | None = None) -> dict:
+        """{"names": candidates, "cues": {cue: values}} of a photograph (h, w, 3), NaN where a pixel is unusable."""
+        recogniser = self.recogniser if without is None else self.recogniser.without(without)
+        seen = radiance[self.window]
+        vectors = recogniser.describe(seen, self.region[self.window])
+        names, cues = recognition.candidate_cues(seen, vectors, recogniser, self.library, self.verification)
+        return {"names": names, "cues": {cue: np.round(values, 4).tolist() for cue, values in cues.items()}}
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A photograph's cues with all materials, and without its own (None: the library never had it)."""
+
+    photograph: Photograph
+    flaw: str
+    known: dict
+    left_out: dict | None
+
+
+def flawed(radiance, region, flaw: str, random) -> np.ndarray:
+    """A photograph as a worse camera would have kept it; NaN where it is saturated."""
+    image, every = np.nan_to_num(np.asarray(radiance, np.float32)), flaw == "all three"
+    if flaw == "blurred" or every:
+        image = cv2.GaussianBlur(image, (0, 0), random.uniform(*BLUR))
+    if flaw == "noisy" or every:
+        shot = np.sqrt(np.maximum(image, 0) * image[region].mean())
+        image = image + random.uniform(*NOISE) * shot * random.standard_normal(image.shape).astype(np.float32)
+    if flaw == "jpeg" or every:
+        white = np.percentile(image[region], 99) / 0.9
+        coded = (linear_to_srgb(np.clip(image / white, 0, 1)) * 255).round().astype(np.uint8)
+        how = [cv2.IMWRITE_JPEG_QUALITY, int(random.integers(*QUALITY))]
+        coded = cv2.imdecode(cv2.imencode(".jpg", coded, how)[1], cv2.IMREAD_COLOR)
+        image = np.where((coded == 255).any(-1, keepdims=True), np.nan, white * srgb_to_linear(coded / 255))
+        image = image.astype(np.float32)
+    return image
+
+
+def cues_of(photographs: list[Photograph], library, settings, reporter, *, flaw: str = "clean") -> list[Seen]:
+    """The cues of photographs, those of an object together; what is kept beside them already is not made again."""
+    code = Path(inspect.getfile(Verification)).read_bytes()  # no training depends on it, and so no digest
+    key, out, view, of = digest(source_digest(), code, library.digest, settings), [], None, None
+    for photograph in photographs:
+        path = photograph.folder / f"cues-{flaw.replace(' ', '-')}.json"
+        kept = json.loads(path.read_text()) if path.exists() else {}
+        if kept.get("key") != key:
+            if of != photograph.object:
+                view, of = View(photograph, library, settings, reporter), photograph.object
+            photo = load_job(photograph.folder).photo
+            radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)
+            if flaw != "clean":
+                random = np.random.default_rng(zlib.crc32(f"{photograph.folder.name} {flaw}".encode()))
+                radiance = flawed(radiance, view.region, flaw, random)
+            view.verification.known.clear()
+            known = photograph.material in view.recogniser.materials
+            left_out = view.cues(radiance, without=photograph.material) if known else None
+            kept = {"key": key, "known": view.cues(radiance), "left_out": left_out}
+            write_text(path, json.dumps(kept))
+        out.append(Seen(photograph, flaw, kept["known"], kept["left_out"]))
+    return out
+
+
+def seen_in(folder: Path, shots) -> list[Photograph]:
+    """The photographs of ``shots`` (photos.Shot) that have been taken."""
+    made = [Path(shot.folder) for shot in shots]
+    return [Photograph(f, *f.name.split("_")) for f in made if (f / "job.json").exists()]

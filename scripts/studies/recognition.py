@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How often the material is recognised, how sure it is said to be, and whether what is not known is said to be so.
+
+scripts/study recognition FOLDER                    150 photographs by Cycles, taken into FOLDER unless they are there
+scripts/study recognition FOLDER --no-take --flaws clean noisy
+scripts/study recognition FOLDER --light            the error of the light, too, with the sets, with the true material
+
+Five objects, each in six of the library's materials, under six of Blender's studio lights; meso-structure as displaced
+geometry with other texels than the library's and another UV map. No object and no light of theirs is among those on
+which the weights and the sets' size were learned (`scripts/study learn-recognition`). The answers are those of an
+estimate with the same preset. Shares come with the range that holds the true one with 95 % (Wilson's, as if photos
+were independent; those of one object in one material are not quite).
+"""
+
+import json
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import binomtest, rankdata
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.job.load import load_job
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from btfsep_engine.recognise.judgement import judgements
+from scripts.studies import ROOT, cues, measures, parser, photos, tables
+from scripts.studies.photos import WHITE
+
+OBJECTS = ("knot", "vase", "pebble", "cushion", "sphere")
+LIGHTS = ("courtyard", "forest", "interior", "night", "studio", "sunset")
+OBJECTS_EACH, LIGHTS_EACH = 2, 5  # of a material
+RESOLUTION, SAMPLES = 256, 20
+BINS = 10  # of the calibration
+PICTURES = ROOT / "docs" / "results"
+
+
+def shots(folder: Path, materials) -> list:
+    """The photographs of the evaluation: those of an object in a material stand together."""
+    out = []
+    for turn in range(OBJECTS_EACH):
+        for j, material in enumerate(materials):
+            shown, name = "white" if material == WHITE else material, OBJECTS[(j + 2 * turn) % len(OBJECTS)]
+            for k in range(LIGHTS_EACH):
+                out.append(photos.shot(folder, name, shown, LIGHTS[(j + turn + k) % len(LIGHTS)]))
+    return out
+
+
+def share(right) -> str:
+    """The share of true values and the range that holds it with 95 %."""
+    right = [bool(r) for r in right]
+    if not right:
+        return "none asked"
+    low, high = binomtest(sum(right), len(right)).proportion_ci(method="wilson")
+    return f"{np.mean(right):.1%} ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def area_under(higher, lower) -> float:
+    """The share of pairs in which the value of ``higher`` is larger (AUROC)."""
+    ranks = rankdata(np.concatenate([higher, lower]))[: len(higher)]
+    return float((ranks.sum() - len(higher) * (len(higher) + 1) / 2) / (len(higher) * len(lower)))
+
+
+def calibration(confidence, right) -> tuple[float, list]:
+    """The expected calibration error in `BINS` bins, and (mean confidence, share right, number) of those in use."""
+    confidence, right = np.asarray(confidence), np.asarray(right, np.float64)
+    number = np.minimum((confidence * BINS).astype(int), BINS - 1)
+    bins = [(confidence[number == b].mean(), right[number == b].mean(), (number == b).sum()) for b in np.unique(number)]
+    return float(sum(n * abs(c - r) for c, r, n in bins) / len(right)), bins
+
+
+def asked(seen, model) -> list[dict]:
+    """What is answered of photographs (cues.Seen)."""
+    out = []
+    for s in seen:
+        truth, known = s.photograph.material, model.answer(s.known["names"], s.known["cues"])
+        order = [name for name, _ in known.candidates]
+        out.append(
+            {
+                "truth": truth,
+                "object": s.photograph.object,
+                "light": s.photograph.light,
+                "answer": known.material,
+                "rank": order.index(truth) if truth in order else len(order),
+                "confidence": known.candidates[0][1],
+                "likely": known.likely,
+                "strangeness": known.unknown_score,
+                "left_out": s.left_out and model.answer(s.left_out["names"], s.left_out["cues"]).unknown_score,
+            }
+        )
+    return out
+
+
+def of_class(name: str) -> str:
+    return name.split("/")[0]
+
+
+def judge(answers, title: str) -> dict:
+    """Prints what came out, and gives the row of the table."""
+    right = [a["answer"] == a["truth"] for a in answers]
+    same_class = [of_class(a["answer"]) == of_class(a["truth"]) for a in answers]
+    error, bins = calibration([a["confidence"] for a in answers], right)
+    row = {
+        "photos": f"{title} ({len(answers)})",
+        "material": share(right),
+        "class": share(same_class),
+        "first three": share(a["rank"] < 3 for a in answers),
+        "in the set": share(a["truth"] in a["likely"] for a in answers),
+        "size of the set": f"{np.mean([len(a['likely']) for a in answers]):.2f}",
+        "calibration error": f"{error:.3f}",
+    }
+    print(f"\n## {title}: {len(answers)} photos")
+    print("; ".join(f"{k} {v}" for k, v in list(row.items())[1:]))
+    print("confidence, right, photos:", "; ".join(f"{c:.2f} {r:.2f} {n}" for c, r, n in bins))
+    if hidden := [a["left_out"] for a in answers if a["left_out"] is not None]:
+        known = [a["strangeness"] for a in answers]
+        row["said unknown"] = share(v > 1 for v in hidden)
+        row["AUROC"] = f"{area_under(hidden, known):.3f}"
+        print(f"its material left out: said unknown {row['said unknown']}; AUROC {row['AUROC']}")
+        print(f"known, said unknown: {share(v > 1 for v in known)}")
+    for key in ("light", "object"):
+        print(f"by {key}: ", end="")
+        groups = tables.groups(answers, key, every=None)
+        print(
+            "; ".join(f"{name} {np.mean([a['answer'] == a['truth'] for a in g]):.0%} of {len(g)}" for name, g in groups)
+        )
+    print("confusions (truth -> answer: times, of them with the truth in the set)")
+    wrong = [a for a in answers if a["answer"] != a["truth"]]
+    for (truth, answer), times in Counter((a["truth"], a["answer"]) for a in wrong).most_common():
+        held = sum(a["truth"] in a["likely"] for a in wrong if (a["truth"], a["answer"]) == (truth, answer))
+        print(f"  {truth} -> {answer}: {times}, {held}")
+    return row
+
+
+def confusion_picture(answers, path: Path) -> None:
+    """Rows: what is photographed; columns: what it is taken for."""
+    names = sorted({a["truth"] for a in answers} | {a["answer"] for a in answers})
+    counts = np.zeros((len(names), len(names)))
+    for a in answers:
+        counts[names.index(a["truth"]), names.index(a["answer"])] += 1
+    made = tables.figure(7.2, 6.4)
+    axes = made.subplots()
+    axes.imshow(counts / np.maximum(counts.sum(1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1)
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        dark = counts[i, j] > 0.6 * counts[i].sum()
+        axes.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
+    axes.set_yticks(range(len(names)), names, fontsize=7)
+    axes.set(xlabel="taken for", ylabel="photographed")
+    tables.save(made, path)
+
+
+def calibration_picture(answers_of: dict, path: Path) -> None:
+    """Left: share right over stated confidence; right: share of photos said to be unknown, over the limit."""
+    made = tables.figure(8.4, 3.6)
+    left, right = made.subplots(1, 2)
+    left.plot((0, 1), (0, 1), color="#999999", linewidth=0.8)
+    for (flaw, answers), colour in zip(answers_of.items(), tables.COLOURS, strict=False):
+        bins = calibration([a["confidence"] for a in answers], [a["answer"] == a["truth"] for a in answers])[1]
+        left.plot([b[0] for b in bins], [b[1] for b in bins], "o-", color=colour, label=flaw, markersize=3, linewidth=1)
+        for key, line in (("strangeness", "-"), ("left_out", "--")):
+            values = np.sort([a[key] for a in answers if a[key] is not None])
+            if len(values):
+                shares = 1 - np.arange(len(values)) / len(values)
+                right.plot(np.maximum(values, 1e-3), shares, line, color=colour, linewidth=1)
+    left.set(xlabel="stated confidence", ylabel="share right", xlim=(0, 1), ylim=(0, 1.02))
+    left.legend(fontsize=7, frameon=False)
+    right.axvline(1, color="#999999", linewidth=0.8)
+    right.set(xscale="log", xlabel="unknown_score (dashed: its material left out)", ylabel="share of photos above")
+    for axes in (left, right):
+        tables.plain(axes)
+    tables.save(made, path)
+
+
+def light_errors(photographs, library, settings, reporter) -> list[dict]:
+    """The error of the light with what recognition leaves, and with the true material: one photo of each mesh."""
+    out, before = [], None
+    for p in photographs:
+        if (p.object, p.shown) == before:
+            continue
+        before = p.object, p.shown
+        job = load_job(p.folder)
+        scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv="xatlas"),)), reporter)
+        truth = p.truth(measures.ERROR_ORDER)
+        with_truth = estimate(scene, library, settings, material=p.material)
+        found = estimate(scene, library, settings)
+        rows = {"true": with_truth.fit, "first": found.light.fit, "set": found.fit}
+        errors = {k: measures.order2(fit.coefficients, truth) for k, fit in rows.items()}
+        inside = {k: measures.judged(fit, fit.samples, truth, free_scale=True)["inside"] for k, fit in rows.items()}
+        out.append({"photo": p.folder.name, "found": found.materials[0].name, "errors": errors, "inside": inside})
+        print(p.folder.name, found.materials[0].name, errors, inside, flush=True)
+    return out
+
+
+def light_words(rows) -> str:
+    """The ratio of errors, and how much of the truth the ranges hold."""
+    mean = {k: np.mean([r["errors"][k] for r in rows]) for k in ("true", "first", "set")}
+    inside = {k: np.mean([r["inside"][k] for r in rows]) for k in mean}
+    return (
+        f"error of the light, order 2, of {len(rows)} photos: {mean['true']:.3f} with the true material, "
+        f"{mean['first']:.3f} with the likeliest ({mean['first'] / mean['true']:.2f} times), {mean['set']:.3f} with "
+        f"the set ({mean['set'] / mean['true']:.2f} times); coefficients inside the stated ranges: "
+        f"{inside['true']:.0%}, {inside['first']:.0%}, {inside['set']:.0%}"
+    )
+
+
+def main(arguments) -> int:
+    options = parser("recognition", __doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--no-take", dest="take", action="store_false", help="only photographs that are there")
+    options.add_argument("--flaws", nargs="+", default=["clean"], choices=cues.FLAWS)
+    options.add_argument("--preset", default="balanced", help="whose training is measured")
+    options.add_argument("--light", action="store_true", help="estimates the light of one photo of each object in each")
+    options.add_argument("--pictures", action="store_true", help="writes those of docs/results/recognition.md")
+    given = options.parse_args(arguments)
+    library, settings, reporter = open_library(), choose(given.preset), Reporter()
+    wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
+    if given.take:
+        photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES)
+    found = cues.seen_in(given.folder, wanted)
+    found.sort(key=lambda p: OBJECTS.index(p.object))  # an object's training is loaded once
+    rows, answers_of = [], {}
+    for flaw in given.flaws:
+        begun = time.perf_counter()
+        seen = cues.cues_of(found, library, settings, reporter, flaw=flaw)
+        print(f"{flaw}: {time.perf_counter() - begun:.0f} s")
+        answers_of[flaw] = asked(seen, judgements()["verified"])
+        rows.append(judge(answers_of[flaw], flaw))
+        if flaw == "clean":
+            rows.append(judge(asked(seen, judgements()["votes"]), "clean, by the classifier alone"))
+    heads = list(rows[0])
+    print("\n" + tables.table(heads, [[row.get(h, "–") for h in heads] for row in rows]))
+    (given.folder / "answers.json").write_text(json.dumps(answers_of, indent=1))
+    if given.pictures:
+        confusion_picture(answers_of[given.flaws[0]], PICTURES / "recognition-confusions.png")
+        calibration_picture(answers_of, PICTURES / "recognition-calibration.png")
+    if given.light:
+        print(light_words(light_errors(found, library, settings, reporter)))
+    return 0

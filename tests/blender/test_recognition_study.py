@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The study of recognition: apart from what was learned on, its figures right, photographs asked with and without."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from btfsep_engine.recognise.judgement import Judgement
+from scripts.studies import cues, photos, recognition
+from scripts.studies.makers import learn_recognition as learn
+
+THREE = ("leather/brown-grain", "wallpaper/damask-teal", "wood/oak-boards")
+
+
+def test_nothing_that_was_learned_on_is_judged_by(tmp_path):
+    materials = [photos.WHITE, *open_library().entries]
+    shots = recognition.shots(tmp_path, materials)
+    assert len(shots) == len({s.folder for s in shots}) == 150
+    assert {s.object for s in shots} == set(recognition.OBJECTS) and {s.light for s in shots} == set(recognition.LIGHTS)
+    assert not set(recognition.OBJECTS) & set(learn.OBJECTS) and not set(recognition.LIGHTS) & set(learn.LIGHTS)
+    assert {s.variation for s in shots} == {1} and learn.VARIATION not in (0, 1)
+    counts = [sum(photos.library_name(s.material) == m for s in shots) for m in materials]
+    assert counts == [10] * 15
+
+
+def test_shares_come_with_their_range():
+    assert recognition.share(i < 22 for i in range(30)) == "73.3% (56 to 86)"
+    assert recognition.share([False] * 12) == "0.0% (0 to 24)"
+
+
+def test_the_area_under_the_curve_is_the_share_of_pairs_in_order():
+    rng = np.random.default_rng(4)
+    high, low = rng.integers(0, 6, 40) + 1.0, rng.integers(0, 6, 30)
+    pairs = [(a > b) + 0.5 * (a == b) for a in high for b in low]
+    assert recognition.area_under(high, low) == pytest.approx(np.mean(pairs))
+
+
+def test_calibration_is_the_mean_distance_of_what_is_said_from_what_is_so():
+    """Half said at 0.95 of which 0.75 are right, half said at 0.55 of which half are right."""
+    confidence, right = np.repeat([0.95, 0.55], 20), np.concatenate([np.arange(20) < 15, np.arange(20) < 10])
+    error, bins = recognition.calibration(confidence, right)
+    assert error == pytest.approx(0.5 * 0.2 + 0.5 * 0.05) and [b[2] for b in bins] == [20, 20]
+
+
+def test_the_weights_are_those_that_made_the_data():
+    """Photographs whose right material is drawn from known weights; a cue that says nothing gets none."""
+    rng, data = np.random.default_rng(0), []
+    for _ in range(1500):
+        seen = {name: rng.normal(size=5) for name in ("a", "b", "noise")}
+        z = np.append(2.0 * seen["a"] + 0.5 * seen["b"], 1.0)
+        p = np.exp(z) / np.exp(z).sum()
+        right = rng.choice(6, p=p)
+        data.append((seen, None if right == 5 else int(right), 1.0, "x", True))
+    weights, none = learn.learned(data, ("a", "b", "noise"))
+    assert weights["a"] == pytest.approx(2, abs=0.25) and weights["b"] == pytest.approx(0.5, abs=0.15)
+    assert weights["noise"] < 0.1 and none == pytest.approx(1, abs=0.25)
+
+
+def test_drawn_lights_are_lights():
+    maps = [learn.drawn_light(np.random.default_rng(seed)) for seed in range(8)]
+    assert all(m.shape == (128, 256, 3) and np.isfinite(m).all() and m.min() >= 0 and m.max() > 0 for m in maps)
+    assert len({float(m.max()) for m in maps}) == 8
+
+
+def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, monkeypatch):
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+    shipped, reporter = open_library(), Reporter()
+    library = replace(shipped, entries={name: shipped.entries[name] for name in THREE})
+    shot = photos.shot(tmp_path / "photos", "sphere", THREE[1], "studio")
+    photos.take([shot], resolution=96, samples=4)
+    settings = choose("draft", training_turns=1)
+    (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings, reporter)
+    known, left_out = seen.known["names"], seen.left_out["names"]
+    assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome"} == {*left_out, THREE[1]}
+    (answer,) = recognition.asked([seen], learned_by_hand())
+    assert answer["truth"] == THREE[1] and answer["left_out"] > answer["strangeness"]
+    kept = json.loads((seen.photograph.folder / "cues-clean.json").read_text())
+    monkeypatch.setattr(cues, "View", None)  # what is kept is not asked again
+    again = cues.cues_of([seen.photograph], library, settings, reporter)
+    assert again[0].known == kept["known"]
+    with pytest.raises(TypeError):
+        cues.cues_of([seen.photograph], library, choose("draft"), reporter)
+
+
+def learned_by_hand():
+    return Judgement({"classifier": 1.0, "texture": 5.0}, -2.0, np.linspace(0, 1, 40))
+
+
+@pytest.mark.parametrize("flaw", cues.FLAWS[1:])
+def test_a_flaw_changes_a_photograph_and_not_its_brightness(flaw):
+    rng = np.random.default_rng(1)
+    image = rng.uniform(0.2, 1.0, (64, 64, 3)).astype(np.float32)
+    region = np.ones((64, 64), bool)
+    spoilt = cues.flawed(image, region, flaw, rng)
+    assert spoilt.shape == image.shape and np.nanmean(np.abs(spoilt - image)) > 0.005
+    assert np.nanmean(spoilt) == pytest.approx(image.mean(), rel=0.1)

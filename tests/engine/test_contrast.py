@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Contrast by octaves: of which size and strength a texture is, whatever the light's level and slow changes."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from btfsep_engine.recognise.contrast import SIGMAS, contrast, unlike
+
+MASK = np.hypot(*(np.indices((160, 160)) - 80.0)) < 70
+
+
+def texture(rng, sigma, strength):
+    """A surface whose log2 radiance varies by ``strength`` over about ``sigma`` pixels."""
+    grain = gaussian_filter(rng.standard_normal(MASK.shape), sigma)
+    return 2.0 ** (strength * grain[..., None] / grain.std() * np.ones(3))
+
+
+def test_an_octave_shows_the_texture_of_its_size(rng):
+    sizes = [contrast(texture(rng, sigma, 0.4), MASK).deviation.argmax() for sigma in (0.7, 1.6, 3.5, 7.0)]
+    assert sizes == [0, 1, 2, 3] and len(SIGMAS) == 5
+
+
+def test_the_strength_is_measured_and_neither_exposure_nor_outline_matters(rng):
+    weak, strong = (contrast(texture(np.random.default_rng(3), 1.6, s), MASK) for s in (0.15, 0.3))
+    assert strong.deviation[1] / weak.deviation[1] == pytest.approx(2, rel=0.1)
+    image = texture(rng, 1.6, 0.3)
+    around = np.where(MASK[..., None], image, 1e4)
+    assert unlike(contrast(5 * image, MASK), contrast(around, MASK)) == pytest.approx((0, 0), abs=1e-4)
+
+
+def test_pits_and_grains_are_unlike_and_noise_is_not(rng):
+    """Log radiance with a heavy tail down, or up; and of two nearly even surfaces, which have only noise."""
+    bumps = np.maximum(gaussian_filter(rng.standard_normal(MASK.shape), 2), 0) ** 2
+    bumps = (1.2 * bumps / bumps.max())[..., None] * np.ones(3)
+    pits, grains = contrast(2.0**-bumps, MASK), contrast(2.0**bumps, MASK)
+    assert pits.skewness[1] < -0.5 < 0.5 < grains.skewness[1] and unlike(pits, grains)[1] > 0.3
+    faint = contrast(2.0 ** (-0.02 * bumps), MASK), contrast(2.0 ** (0.02 * bumps), MASK)
+    assert unlike(*faint)[1] < 0.02
+
+
+def test_unusable_pixels_have_no_say(rng):
+    image = texture(rng, 1.6, 0.3)
+    spoilt = image.copy()
+    spoilt[60:70, 60:70] = np.nan
+    assert max(unlike(contrast(image, MASK), contrast(spoilt, MASK))) < 0.05
