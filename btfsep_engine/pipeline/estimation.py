@@ -12,6 +12,7 @@ from btfsep_engine import report
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
+from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixed_radiance, mixture, mixture_words
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
@@ -46,16 +47,23 @@ class PhotoFit:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Everything that an estimate found, before it is written; ``choice`` : what was chosen, and why in words."""
+    """Everything that an estimate found, before it is written.
+
+    Attributes
+    ----------
+    choice : what was chosen, and why in words
+    alternatives : the lights of all materials that the objects may have, where recognition leaves several
+    """
 
     model: Model
     light: SolvedLight
     choice: dict
+    alternatives: tuple[Alternative, ...] = ()
 
-    @property
+    @cached_property
     def fit(self) -> Fit:
-        """The light's."""
-        return self.light.fit
+        """What is stated: the light's, or of all alternatives together."""
+        return mixture(self.alternatives) if self.alternatives else self.light.fit
 
     @property
     def scene(self) -> PreparedScene:
@@ -75,6 +83,8 @@ class Estimate:
     @property
     def radiance(self):
         """The sky's own radiance (`light_account.sky_radiance`); None where its series is all that is known."""
+        if self.alternatives:
+            return mixed_radiance(self.alternatives, self.lighting)
         return None if self.fit.election is None else sky_radiance(self.fit, self.lighting)
 
     @cached_property
@@ -91,7 +101,7 @@ class Estimate:
         out = []
         for problem, exposure in zip(self.model.problems, self.light.exposures, strict=True):
             b = problem.radiance()
-            left = b - exposure * problem.predicted(self.fit.shown)
+            left = b - exposure * problem.predicted(self.light.fit.shown)
             residuals = [
                 float(np.linalg.norm(r) / max(np.linalg.norm(c), 1e-30))
                 for r, c in zip(problem.by_object(left), problem.by_object(b), strict=True)
@@ -132,7 +142,11 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
                 model = first_model(scenes, anew, settings)
     model, light, choice = refined(*solve_model(model), REFINEMENTS)
     choice |= {"light": light_words(light.fit), "colour": colour_words(light.fit)}
-    found = Estimate(model, light, choice)
+    with reporter.stage("alternatives"):
+        others = tuple(alternatives(model, light, library))
+    if others:
+        choice["materials"] = mixture_words(others)
+    found = Estimate(model, light, choice, others)
     with reporter.stage("checks"):
         doubts = all_doubts(found)
     for doubt in doubts:
