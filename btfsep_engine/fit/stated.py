@@ -126,6 +126,12 @@ def restated(fit: Fit, samples) -> Fit:
     )
 
 
+def widened(fit: Fit, factor: float) -> Fit:
+    """The fit with all that its samples depart from it by made ``factor`` times as large."""
+    x = fit.all_coefficients
+    return restated(fit, x + factor * (fit.samples - x))
+
+
 def decided_unknowns(factor) -> float:
     """Of a channel's unknowns of variance 1, how many the photo decides; ``factor``: of I + J^T J, lower Cholesky."""
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)

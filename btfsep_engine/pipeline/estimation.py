@@ -22,6 +22,7 @@ from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
+from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.surroundings import surroundings
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
@@ -118,7 +119,15 @@ def left_as_it_is(model: Model, light: SolvedLight):
     return model, light, words
 
 
-REFINEMENTS = (light_between_surfaces, left_as_it_is, nearer_materials, key_lights, other_curves, surroundings)
+REFINEMENTS = (
+    light_between_surfaces,
+    left_as_it_is,
+    nearer_materials,
+    key_lights,
+    other_curves,
+    surroundings,
+    misplaced,
+)
 
 
 def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None, others=()) -> Estimate:

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where the photo shows the object elsewhere than the geometry, ranges are wider, and the light is the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline import estimation
+from btfsep_engine.pipeline.basis import basis_images
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+
+
+def photographed(shift: int) -> PreparedScene:
+    """A white ball before black, its photo ``shift`` pixels to the right."""
+    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.6))
+    job = job_of([mesh], looking_down())
+    scene = PreparedScene(job, Reporter())
+    points = scene.points(0, textured=False)
+    light = SHLighting(positive_light(2))
+    settings = choose("draft", bounces=1)
+    seen = basis_images(scene, [Lambertian("white", np.full(3, 0.8))], [points], light, settings)[0][0][:, 0]
+    image = np.zeros((96, 96, 3), np.float32)
+    image[tuple(points.pixels.T)] = seen
+    image = np.roll(image, shift, axis=1)
+    job = replace(job, photo=Photo(image, np.ones((96, 96), bool), 0))
+    return PreparedScene(job, Reporter())
+
+
+@pytest.mark.parametrize("shift", [0, 4])
+def test_ranges_are_twice_as_wide_where_the_outlines_lie_elsewhere(monkeypatch, shift):
+    found = []
+    for refinements in (estimation.REFINEMENTS[:-1], estimation.REFINEMENTS):
+        monkeypatch.setattr(estimation, "REFINEMENTS", refinements)
+        settings = choose("draft", key_light="never")
+        found.append(
+            estimation.estimate(photographed(shift), open_library(None), settings, material="reference/white-diffuse")
+        )
+    without, wider = (f.lighting for f in found)
+    np.testing.assert_array_equal(wider.coefficients, without.coefficients)
+    factor = 2 if shift else 1
+    np.testing.assert_allclose(np.ptp(wider.interval, 0), factor * np.ptp(without.interval, 0), rtol=1e-6)
+    np.testing.assert_allclose(wider.stddev, factor * without.stddev, rtol=1e-6)
+    assert ("stated" in found[1].choice) == bool(shift)
+    assert any("line up" in text for text in found[1].scene.reporter.warnings) == bool(shift)
