@@ -3,13 +3,15 @@
 
 An entry holds arrays by name. It is called by a :func:`digest` of all that it depends on. In front of them stands the
 SHA-256 of the entry's own folder and name and of all that follows, so that a file that a disk, a crash or a person has
-changed, or put in the place of another, is made again.
+changed, or put in the place of another, is made again. Each kind has a folder, of `MOST_BYTES` at most: what has been
+unused for longest gives way.
 """
 
 import dataclasses
 import hashlib
 import os
 import shutil
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from btfsep_engine import atomic
 
 ENVIRONMENT = "BTFSEP_CACHE"  # names another folder
 DIGEST = 32  # bytes
+MOST_BYTES = 2 << 30  # of a folder of entries: some sixty recognisers
 TEXT = "text"  # what an entry holds instead of numbers
 
 
@@ -49,6 +52,8 @@ def read(path, shapes: dict | None = None) -> dict | None:
             file.seek(DIGEST)
             names = np.load(file, allow_pickle=False)
             found = {str(name): np.load(file, allow_pickle=False) for name in names}
+        with suppress(OSError):  # of another user, perhaps
+            os.utime(path)  # the time of an entry is that of its last use
     except (OSError, ValueError, EOFError):
         return None
     return found if shapes is None or _fits(found, shapes) else None
@@ -92,6 +97,22 @@ def write(path, arrays: dict) -> None:
         digest = _digest(path, file)
         file.seek(0)
         file.write(digest)
+    _make_room(path)
+
+
+def _make_room(kept: Path) -> None:
+    """Removes the entries beside ``kept`` that were unused for longest, until the folder is no larger than allowed."""
+    found = []
+    for entry in kept.parent.glob("*.entry"):
+        with suppress(OSError):  # another process may have removed it
+            about = entry.stat()
+            found.append((entry != kept, -about.st_mtime_ns, about.st_size, entry))
+    total = 0
+    for removable, _, size, entry in sorted(found):
+        total += size
+        if removable and total > MOST_BYTES:
+            with suppress(OSError):
+                entry.unlink()
 
 
 def _digest(path: Path, file) -> bytes:

@@ -136,3 +136,18 @@ def test_an_entry_that_is_whole_and_holds_something_else_is_none(tmp_path, wrong
     for name in shapes:
         cache.write(tmp_path / "kind" / "less.entry", {k: v for k, v in arrays.items() if k != name})
         assert cache.read(tmp_path / "kind" / "less.entry", shapes) is None
+
+
+def test_a_full_folder_gives_up_what_was_unused_for_longest(tmp_path, monkeypatch):
+    paths = [tmp_path / "kind" / f"{i}.entry" for i in range(5)]
+    for i, path in enumerate(paths[:4]):
+        cache.write(path, ARRAYS)
+        os.utime(path, (1000 + i, 1000 + i))
+    (tmp_path / "kind" / "other.txt").write_text("no entry")
+    assert holds(paths[0])  # it is used: now the second is the oldest
+    monkeypatch.setattr(cache, "MOST_BYTES", int(3.5 * paths[0].stat().st_size))
+    cache.write(paths[4], ARRAYS)
+    assert [p.exists() for p in paths] == [True, False, False, True, True]
+    monkeypatch.setattr(cache, "MOST_BYTES", 1)
+    cache.write(paths[1], ARRAYS)
+    assert {p.name for p in (tmp_path / "kind").iterdir()} == {"1.entry", "other.txt"}  # what is written stays
