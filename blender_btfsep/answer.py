@@ -26,7 +26,7 @@ def take_materials(scene, objects: list, ids=None) -> list:
 
 
 def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lamp: bool | None = None) -> list:
-    """Puts the engine's estimate into the scene; gives sentences about it.
+    """Puts the engine's estimate into the scene; gives sentences about it: what matters, "", and the details.
 
     ``ids`` : as of :func:`take_materials`; ``mode``, ``lamp`` : as of :func:`apply_light`. Raises InputError where the
     lighting cannot be read; nothing is changed then.
@@ -35,7 +35,7 @@ def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lam
     sentences = take_materials(scene, result.get("objects"), ids) + findings(result)
     if (mode or scene.btfsep.world_mode) != "NONE":
         sentences.append(apply_light(scene, lighting, mode=mode, lamp=lamp))
-    return sentences
+    return [*sentences, "", *details(result)]
 
 
 def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool | None = None, lamp=None) -> str:
@@ -52,12 +52,20 @@ def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool |
 
 
 def findings(result: dict) -> list:
-    """What the engine says of an estimate, in sentences: what the photo determines, the error to expect, choices."""
+    """What matters most of an estimate, in sentences: what the photo determines, the error to expect, the key light."""
     words = [str(result["determined"])] if result.get("determined") else []
     expected = (result.get("expected_error") or {}).get("order_2")
     if expected:
         median, low, high = (f"{100 * expected[key]:.0f}" for key in ("median", "low", "high"))
         words.append(f"Error to expect up to order 2: {median}% ({low}% to {high}%)")
-    words += [str(why) for why in (result.get("choice") or {}).values()]
-    # A sentence that begins with a material's name keeps that name as it is.
+    return _capitalised([*words, str((result.get("choice") or {}).get("key_light", ""))])
+
+
+def details(result: dict) -> list:
+    """What else the engine chose, and why, in sentences."""
+    return _capitalised(str(why) for key, why in (result.get("choice") or {}).items() if key != "key_light")
+
+
+def _capitalised(words) -> list:
+    """Sentences; one that begins with a material's name keeps that name as it is."""
     return [word[:1].upper() + word[1:] if word.split()[0].isalpha() else word for word in words if word.strip()]

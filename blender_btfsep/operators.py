@@ -49,7 +49,7 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         sentences = take_estimate(self.scene(), result, self._ids)
         report = os.path.join(result["out"], "report.png")
         runs.run_state().report = report if os.path.isfile(report) else ""
-        return "\n".join(sentences)
+        return "\n".join(sentences).strip()
 
 
 class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):

@@ -153,8 +153,13 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
                 _wrapped(context, box, part, icon="BLANK1" if number else "ERROR")
         elif run.summary:
             box = layout.box()
-            for number, part in enumerate(run.summary.splitlines()):
+            first, _, details = run.summary.partition("\n\n")
+            for number, part in enumerate(first.splitlines()):
                 _wrapped(context, box, part, icon="BLANK1" if number else "CHECKMARK")
+            if details:
+                box.prop(run, "show_details", icon="TRIA_DOWN" if run.show_details else "TRIA_RIGHT", emboss=False)
+                for part in details.splitlines() if run.show_details else ():
+                    _wrapped(context, box, part, icon="BLANK1")
         if run.warnings:
             box = layout.box()
             for warning in run.warnings:

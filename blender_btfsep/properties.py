@@ -142,6 +142,7 @@ class BTFSEP_PG_run(bpy.types.PropertyGroup):
     message: StringProperty()
     error: StringProperty()
     summary: StringProperty()
+    show_details: BoolProperty(name="Details", description="What else was chosen, and why")
     report: StringProperty(subtype="FILE_PATH")
     folder: StringProperty(subtype="DIR_PATH")
     warnings: CollectionProperty(type=BTFSEP_PG_name)

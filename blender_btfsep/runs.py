@@ -170,7 +170,7 @@ class EngineOperator:
         except InputError as error:
             self._fail(str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, state.summary.replace("\n", "; "))
+        self.report({"INFO"}, state.summary.partition("\n\n")[0].replace("\n", "; "))
         return {"FINISHED"}
 
     def _fail(self, message: str) -> None:

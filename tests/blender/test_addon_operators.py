@@ -96,9 +96,10 @@ def test_estimate_writes_the_world(photographed, fake_engine, tmp_path):
         "Cube: wood/oak (unsure)\n"
         "The photo determines 3 of 4 coefficients; of order 2 and above: none\n"
         "Error to expect up to order 2: 12% (8% to 20%)\n"
+        "The World is now the lighting of order 1\n"
+        "\n"
         "wood/oak has no texture\n"
-        "The order is 4\n"
-        "The World is now the lighting of order 1"
+        "The order is 4"
     )
     entry = photographed.btfsep.objects[0]
     assert (entry.recognised, entry.unknown) == ("wood/oak", True)

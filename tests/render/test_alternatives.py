@@ -13,7 +13,7 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline import materials
+from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.alternatives import alternatives, combinations, mixture
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
@@ -97,7 +97,7 @@ def test_one_material_is_no_mixture(scene):
 
 def test_an_estimate_says_between_what_it_could_not_decide(scene, monkeypatch):
     answer = Recognition(BOTH[0][0], BOTH, False, 0.5, ("test/grey", "test/dark"))
-    monkeypatch.setattr(materials, "recognise_object", lambda *_: answer)
+    monkeypatch.setattr(recognition, "recognise_object", lambda *_: answer)
     found = estimate(scene, Shelf(), SETTINGS)
     record = plain(result_record(found))
     assert record["objects"][0]["likely"] == ["test/grey", "test/dark"]
