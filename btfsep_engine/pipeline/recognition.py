@@ -140,10 +140,16 @@ def recognise_object(scene: PreparedScene, index: int, library, settings: Recogn
         )
     elif len(answer.likely or ()) > 1:
         scene.reporter.warn(
-            f"object '{name}' may be {' or '.join(answer.likely)}: the photo does not tell them apart "
+            f"object '{name}' may be {several(answer.likely)}: the photo does not rule them out "
             "(give --material, if you know it)"
         )
     return answer
+
+
+def several(names, *, most: int = 3) -> str:
+    """Names for people, "a or b": of many the first, and how many others."""
+    named = " or ".join(names[:most])
+    return named if len(names) <= most else f"{named}, or one of {len(names) - most} others"
 
 
 def recognised(photo, region, window, recogniser: Recogniser, library, verification, *, name: str) -> Recognition:

@@ -92,11 +92,12 @@ def shots(folder: Path, materials) -> list:
 
 
 def examples(seen) -> list:
-    """(cues, number of the right one or None, how much it counts, object, whether its light is real) of cues.Seen."""
+    """(cues, number of the right one or None, how much it counts, object, light) of photographs (cues.Seen)."""
     out = []
     for s in seen:
         right = s.known["names"].index(s.photograph.material)
-        about = s.photograph.object, not s.photograph.light.startswith(DRAWN)
+        light = s.photograph.light
+        about = s.photograph.object, light if light.startswith(DRAWN) else light.split("-")[0]  # a turn is the same
         out.append((s.known["cues"], right, 1.0, *about))
         out.append((s.left_out["cues"], None, LEFT_OUT, *about))
     return out
@@ -121,15 +122,16 @@ def learned(data, names) -> tuple[dict, float]:
 
 
 def strangeness(data, names) -> list:
-    """-log p of each right material, under weights learned on the other objects."""
-    out = []
+    """-log p of the right material of one photograph of each light, under weights learned on the other objects."""
+    of_light: dict = {}
     for name in sorted({of for *_, of, _ in data}):
         weights, none = learned([d for d in data if d[3] != name], names)
-        for cues_, right, _, of, real in data:
-            if of == name and real and right is not None:
+        for cues_, right, _, of, light in data:
+            if of == name and right is not None:
                 p = judged(utilities(weights, cues_), none, np.zeros(1)).probabilities[right]
-                out.append(round(-float(np.log(max(p, 1e-300))), 4))
-    return sorted(out)
+                of_light.setdefault(light, []).append(round(-float(np.log(max(p, 1e-300))), 4))
+    random = np.random.default_rng(0)
+    return sorted(float(random.choice(values)) for values in of_light.values())
 
 
 def main(arguments) -> int:
@@ -152,7 +154,7 @@ def main(arguments) -> int:
     table = {
         "photographs": len(seen),
         "objects": sorted({s.photograph.object for s in seen}),
-        "lights": len({s.photograph.light for s in seen}),
+        "lights": len({d[-1] for d in data}),
         "made_by": "scripts/study learn-recognition",
         "models": {},
     }
