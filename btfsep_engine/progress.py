@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 log = logging.getLogger("btfsep")
 
 _SCENE = {"reading": 3, "geometry": 5}
+_ALIGNED = {**_SCENE, "alignment": 2}  # seldom
 _LEARNING = {"training rays": 4, "training images": 23, "dictionaries": 10, "classifier": 10, "recognition": 5}
 _SEEN = {**_SCENE, **_LEARNING, "transport": 20}
 RUNS = {
-    "estimate": {**_SEEN, "fit": 5, "reflectance": 2, "checks": 3, "report": 9, "writing": 3},
+    "estimate": {**_ALIGNED, **_SEEN, "fit": 5, "reflectance": 2, "checks": 3, "report": 9, "writing": 3},
     "align": {**_SCENE, "alignment": 40, "writing": 2},
     "recognise": {**_SCENE, **_LEARNING},
     "train": {**_SCENE, **_LEARNING},

@@ -31,7 +31,7 @@ PRESET = click.option(
 )
 RECOGNITION = ("classifier", "verify", "seed")
 ESTIMATE = ("order", "estimator", "colorspace", "robust", "key_light", "appearance", "pixels", "directions", "bounces")
-ESTIMATE += ("transport", "samples", *RECOGNITION)
+ESTIMATE += ("transport", "samples", "align", *RECOGNITION)
 ONE_SOLVER = ("order", "appearance", "pixels", "directions", "bounces", "seed")  # of `plan` and `sequence`
 
 

@@ -12,7 +12,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.images import write_png
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Camera
-from btfsep_engine.pipeline.alignment import Alignment, Left, align, refuse_depth, with_camera
+from btfsep_engine.pipeline.alignment import Alignment, Left, align, camera_keys, refuse_depth, with_camera
 from btfsep_engine.pipeline.record import peak_memory_mb, versions, write_json
 from btfsep_engine.pipeline.scene import PreparedScene
 
@@ -34,7 +34,7 @@ def write_job(source: Path, out: Path, camera: Camera) -> None:
     tree = json.loads((source / "job.json").read_text(encoding="utf-8-sig"))
     for name in named_files(tree):
         atomic.write_bytes(out / name, atomic.read_bytes(source / name))
-    tree["camera"] |= {"fx": camera.fx, "fy": camera.fy, "to_world": camera.to_world.tolist()}
+    tree["camera"] |= camera_keys(camera)
     write_json(out / "job.json", tree)
 
 
@@ -93,6 +93,7 @@ def run_align(folder, *, out=None, reporter) -> dict:
         "moved_px": found.moved_px,
         "degrees": found.degrees,
         "focal_percent": found.focal_percent,
+        "gain": None if found.gain is None else vars(found.gain),
         "objective": {"before": _left(found.before), "after": _left(found.after)},
         "warnings": list(reporter.warnings),
         "seconds": {stage: round(seconds, 4) for stage, seconds in reporter.seconds.items()},

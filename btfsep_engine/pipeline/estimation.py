@@ -16,6 +16,7 @@ from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixed
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
+from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.record import result_record, write_json
 from btfsep_engine.pipeline.refine import refined
@@ -186,7 +187,7 @@ def run_estimate(
         for note in (note for job in jobs for note in job.warnings):
             reporter.warn(note)
     out = Path(out) if out is not None else jobs[0].folder / "result"
-    scene, *further = (PreparedScene(job, reporter) for job in jobs)
+    scene, *further = (mended(PreparedScene(job, reporter), settings) for job in jobs)
     found = estimate(scene, library, settings, material=material, others=further)
     if with_report:
         with reporter.stage("report"):

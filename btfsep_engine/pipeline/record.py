@@ -15,6 +15,7 @@ from btfsep_engine import __version__, sh
 from btfsep_engine.atomic import write_text
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.pipeline.light_account import lamp_record
+from btfsep_engine.pipeline.mending import mending_record
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.backend import choose_backend
 
@@ -74,6 +75,13 @@ def determined_words(reported, fitted) -> str:
     return f"{text}; {all_of}, none above order {highest}"
 
 
+def photo_record(photo) -> dict:
+    """What is kept of one photograph, of an `estimation.PhotoFit`."""
+    shown = {"exposure": photo.exposure, "residuals": photo.residuals, "pixels": photo.pixels}
+    moved = mending_record(photo.scene)
+    return {"job": photo.scene.job.folder.name, **shown, **({} if moved is None else {"alignment": moved})}
+
+
 def result_record(estimate) -> dict:
     """The content of ``result.json``, of an `estimation.Estimate`."""
     fit, settings, job = estimate.fit, estimate.settings, estimate.scene.job
@@ -97,10 +105,7 @@ def result_record(estimate) -> dict:
         "determined": determined_words(fit.determined, fit.all_determined),
         "expected_error": None if fit.samples is None else expected_error(fit.coefficients, fit.samples),
         "choice": estimate.choice,
-        "photos": [
-            {"job": p.scene.job.folder.name, "exposure": p.exposure, "residuals": p.residuals, "pixels": p.pixels}
-            for p in estimate.photos
-        ],
+        "photos": [photo_record(p) for p in estimate.photos],
         "condition_number": fit.condition,
         "transport": estimate.model.problems[0].transport,
         "saturated_pixels": job.photo.saturated,

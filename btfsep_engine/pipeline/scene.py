@@ -55,6 +55,7 @@ class PreparedScene:
         self.job, self.reporter = job, reporter
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
         self.greys = None  # surroundings.Greys, where occluders were of an unknown grey and it is chosen
+        self.mended_by = None  # alignment.Alignment, where the camera is not the job's
         self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):
             beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]

@@ -24,6 +24,7 @@ MORE_BOUNCES = "more where that changes an estimate by more than its stated unce
 BASIS_IMAGES = "What makes the basis images; reference: the paper's path-traced image for each basis light"
 BEST_ORDER = "the highest of which the photo determines something; with least-squares by cross-validation"
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
+ALIGN = "Whether a camera that is a little off is moved into line for this estimate, where its own doubt speaks"
 LAMPS = "Whether lamps of a fifth of the light or more are told apart from the sky"
 
 
@@ -121,6 +122,7 @@ class PhotoSettings(Seeded):
     """What is taken of the photo."""
 
     colorspace: str | None = setting(None, "The photo's curve instead of the job's; unknown: found", choices=CURVES)
+    align: str = setting("never", ALIGN, choices=("auto", "never"))
     pixels: int = setting(3000, "Pixels used for the fit, 0: all", low=0, unit="pixels")
 
 

@@ -9,10 +9,12 @@ off:
 
     start, rest      mean way of the visible surface in the picture from where it belongs, pixels: median (90 %)
     degrees          of the camera's turn, before and after: median
-    moved            photos in which the command moved anything
+    moved, farther   photos in which the command moved anything, and in which that was away from the true camera
     error before,    of the light up to order 2 (relative, one free scale) over that with the true camera, by an
       after          estimate of preset draft with the right material: median (90 %)
     worse            photos whose error is larger after than before by more than a hundredth and a twentieth of it
+    estimate mends,  photos that an estimate with --align auto moves, since its own doubt speaks; those of them that get
+      then worse     worse
     seconds          of the alignment, reading and geometry left out: median
 """
 
@@ -29,6 +31,7 @@ from btfsep_engine.fit.pose import Frame
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.alignment import align, with_camera
 from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.mending import mends
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -82,14 +85,14 @@ def study(photo, library, *, starts, light: bool) -> list[dict]:
         row |= dict(zip(("rest_px", "rest_degrees"), off(scene, found.camera), strict=True))
         before = error(camera) if pixels or degrees else best
         row |= {"before": before, "after": error(found.camera) if found.aligned else before}
-        row |= {"aligned": found.aligned, "why": found.why, "seconds": seconds}
+        row |= {"aligned": found.aligned, "why": found.why, "seconds": seconds, "mended": mends(moved, found)}
         out.append(row)
     return out
 
 
 HEADS = (
-    "off by", "photos", "start, px", "rest, px", "start, degrees", "rest, degrees", "moved", "error before", "after",
-    "worse", "seconds",
+    "off by", "photos", "start, px", "rest, px", "start, degrees", "rest, degrees", "moved", "farther", "error before",
+    "after", "worse", "estimate mends", "then worse", "seconds",
 )  # fmt: skip
 
 
@@ -114,9 +117,12 @@ def lines(rows):
             f"{np.median(of['from_degrees']):.1f}",
             f"{np.median(of['rest_degrees']):.1f}",
             tables.percent(of["aligned"]),
+            tables.percent(of["rest_px"] > of["from_px"]),
             tables.spread(of["before"] / of["true"], far=most),
             tables.spread(of["after"] / of["true"], far=most),
             tables.percent(worse),
+            tables.percent(of["mended"]),
+            tables.percent(worse * of["mended"]),
             f"{np.median(of['seconds']):.1f}",
         )
 

@@ -9,15 +9,19 @@ import pytest
 import trimesh
 
 from btfsep_engine import images, sh
+from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli.commands import main
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.pose import Frame
 from btfsep_engine.job.load import load_job
+from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
-from btfsep_engine.pipeline.alignment import align, with_camera
+from btfsep_engine.pipeline.alignment import Aligner, align, camera_keys, with_camera
+from btfsep_engine.pipeline.estimation import run_estimate
 from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from tests.render.scenes import looking_down, positive_light
+from tests.render.scenes import looking_down, off_as_seen, positive_light
 
 
 def potato():
@@ -95,6 +99,22 @@ def test_what_is_in_place_stays(potatoes):
     assert found.camera is potatoes.job.camera
 
 
+def test_the_way_to_a_worse_place_is_a_loss(potatoes):
+    """The way from a better place is a loss, and hardly any way is neither."""
+    off = off_by(potatoes, (0, 0, 0, 2, -1, 0, 0))
+    back = np.array([0, 0, 0, -2.0, 1.0, 0, 0])
+    gain = Aligner(off).gain(back)
+    assert gain.outline > 0.02
+    assert gain.shading > 0.02
+    assert gain.significance > 2
+    loss = Aligner(potatoes).gain(-back)
+    assert loss.outline < -0.01
+    assert loss.shading < -0.01
+    assert loss.significance < -2
+    still = Aligner(potatoes).gain(0.05 * back)
+    assert abs(still.outline + still.shading) < 0.1 * (gain.outline + gain.shading)
+
+
 def test_the_turn_of_a_ball_stays(tmp_path):
     """Nothing in a picture of a smooth ball says how it is turned."""
     ball = photographed(tmp_path, trimesh.creation.icosphere(5))
@@ -130,19 +150,25 @@ def test_a_photo_without_edges_moves_nothing(potatoes):
     assert not align(flat).aligned
 
 
-def test_the_command_writes_a_job_that_can_be_used(potatoes, tmp_path):
-    moved = off_by(potatoes, (0, 0, 1, 5, -3, 0, 0)).job.camera
-    source = potatoes.job.folder
+def job_off_by(scene, pixels, folder):
+    """The scene's job folder anew, with a camera that seven numbers, in pixels, have moved."""
+    source = scene.job.folder
     tree = json.loads((source / "job.json").read_text())
-    tree["camera"]["to_world"] = moved.to_world.tolist()
-    folder = tmp_path / "job"
+    tree["camera"] |= camera_keys(off_by(scene, pixels).job.camera)
     folder.mkdir()
     (folder / "job.json").write_text(json.dumps(tree))
     for name in ("photo.exr", "shape.ply"):
         (folder / name).write_bytes((source / name).read_bytes())
+    return folder
+
+
+def test_the_command_writes_a_job_that_can_be_used(potatoes, tmp_path):
+    folder = job_off_by(potatoes, (0, 0, 1, 5, -3, 0, 0), tmp_path / "job")
     result = run_align(folder, reporter=Reporter())
     assert result["aligned"]
     assert result["objective"]["after"]["outline"] < result["objective"]["before"]["outline"]
+    assert result["gain"]["outline"] > 0
+    assert result["gain"]["significance"] > 3
     again = load_job(folder / "aligned")
     assert away(potatoes, again.camera) < 0.6
     assert json.loads((folder / "aligned" / RESULT).read_text())["moved_px"] == result["moved_px"]
@@ -164,3 +190,39 @@ def test_a_depth_is_refused(potatoes, tmp_path, capsys):
     assert main(["align", str(tmp_path)]) == 2
     assert "its geometry is a depth" in capsys.readouterr().err
     assert not (tmp_path / "aligned").exists()
+
+
+def estimated(folder, align):
+    """What an estimate of a white job finds: its result, its light, and what it warned of."""
+    told, reporter = choose("draft", pixels=800, align=align, key_light="never"), Reporter()
+    name = "reference/white-diffuse"
+    result = run_estimate(folder, open_library(None), told, material=name, with_report=False, reporter=reporter)
+    return result, read_lighting(result["lighting"]).coefficients, reporter.warnings
+
+
+def test_an_estimate_mends_what_its_own_doubt_speaks_of(potatoes, tmp_path):
+    folder = job_off_by(potatoes, (0, 1, 0, 3, -2, 0, 0), tmp_path / "job")
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    left, light, doubts = estimated(folder, "never")
+    assert any("do not line up" in doubt for doubt in doubts)
+    assert "alignment" not in left["photos"][0]
+    mended, better, said = estimated(folder, "auto")
+    assert [word for word in said if "for this estimate the camera is moved" in word]
+    assert not any("do not line up: the outlines" in word for word in said)
+    assert away(potatoes, replace(potatoes.job.camera, **kept_camera(mended))) < 0.6
+    truth = positive_light(2)
+    assert off_as_seen(better, truth) < 0.7 * off_as_seen(light, truth)
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == files
+
+
+def kept_camera(result) -> dict:
+    """The camera of the first photograph in ``result.json``."""
+    kept = result["photos"][0]["alignment"]["camera"]
+    return kept | {"to_world": np.array(kept["to_world"])}
+
+
+@pytest.mark.parametrize("moved", [(0, 0, 0, 0, 0, 0, 0), (0, 0, 0, 10, 8, 0, 0)])
+def test_an_estimate_mends_neither_what_is_in_place_nor_what_is_far_off(potatoes, tmp_path, moved):
+    result, _, said = estimated(job_off_by(potatoes, moved, tmp_path / "job"), "auto")
+    assert "alignment" not in result["photos"][0]
+    assert any("do not line up: the outlines" in word for word in said) == any(moved)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An estimate's own small alignment: where its doubt of geometry and photo speaks, and no farther than it can be wrong.
+
+The job's files stay as they are; `btfsep align` makes a job of it.
+"""
+
+from btfsep_engine.pipeline.alignment import Alignment, align, camera_keys, with_camera
+from btfsep_engine.pipeline.checks import shift_doubt
+from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
+from btfsep_engine.pipeline.settings import PhotoSettings
+
+MOST_PIXELS, MOST_DEGREES = 6.0, 4.0  # of a move: 4 pixels and 2 degrees, and what is found beside them
+
+
+def mends(scene: PreparedScene, found: Alignment) -> bool:
+    """Whether an estimate takes an alignment of its scene."""
+    small = found.moved_px <= MOST_PIXELS and found.degrees <= MOST_DEGREES
+    return found.aligned and small and shift_doubt(scene) is not None
+
+
+def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
+    """The scene with its camera in line with the photo, and a warning that says so; else the scene itself.
+
+    ``mended_by`` of what is returned is the Alignment, or None.
+    """
+    if settings.align == "never" or unseen_meshes(scene.job) or shift_doubt(scene) is None:
+        return scene
+    with scene.reporter.stage("alignment"):
+        found = align(scene)
+    if not mends(scene, found):
+        return scene
+    out = with_camera(scene, found.camera)
+    out.mended_by = found
+    scene.reporter.warn(
+        f"geometry and photo did not line up: for this estimate the camera is moved by {found.moved_px:.1f} pixels and "
+        f"{found.degrees:.1f}° ({found.why}); the job stays as it is; btfsep align writes one that is in line"
+    )
+    return out
+
+
+def mending_record(scene: PreparedScene) -> dict | None:
+    """For ``result.json``: what was moved, and the camera that stood for the job's; None where nothing was."""
+    found = scene.mended_by
+    if found is None:
+        return None
+    moved = {"moved_px": found.moved_px, "degrees": found.degrees, "focal_percent": found.focal_percent}
+    return {**moved, "camera": camera_keys(found.camera)}
