@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light where recognition leaves several materials: one fit for each of them, and their mixture.
+"""The light where recognition leaves several materials: one fit for each of them, and ranges that cover all.
 
-What is stated of the light is the mixture's: its mean, and the spread and ranges of samples that are drawn from each
-fit as often as its material is probable. A photograph that fits two materials fits two lights, and no single one of
-the fits knows that. Where lamps are told apart from the sky, the coefficients stay those of the likeliest: a lamp here
-and one there are no lamp between.
+What is stated of the light, its spread and its ranges, is of samples that are drawn from each fit as often as its
+material is probable: a photograph that fits two materials fits two lights, and no single one of the fits knows that.
+The coefficients stay those of the likeliest: their mean over materials, of which a dark one asks for bright light, is
+further off (docs/results/recognition.md).
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,6 @@ from itertools import product
 import numpy as np
 
 from btfsep_engine.fit.stated import Fit, restated
-from btfsep_engine.pipeline.light_account import sky_radiance
 from btfsep_engine.pipeline.model import Model, stand_ins
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
 
@@ -78,23 +77,12 @@ def alternatives(model: Model, light: SolvedLight, library) -> list[Alternative]
 
 
 def mixture(found: list[Alternative]) -> Fit:
-    """What all alternatives together say of the light: the first one's fit, restated."""
+    """The first one's fit, with the spread and the ranges of all alternatives together."""
     first = found[0].light.fit
     fits, shares = [a.light.fit for a in found], [a.probability for a in found]
     counts = np.round(np.diff(np.append(0, np.cumsum(shares))) * len(first.samples)).astype(int)
     samples = np.concatenate([fit.samples[: max(1, n)] for fit, n in zip(fits, counts, strict=True)])
-    if not found[0].light.suns:
-        mean = np.average([fit.all_coefficients for fit in fits], axis=0, weights=shares)
-        first = replace(first, all_coefficients=mean)
     return restated(first, samples)
-
-
-def mixed_radiance(found: list[Alternative], lighting):
-    """The sky of all alternatives together, directions (m, 3) -> (m, 3), as of `light_account.sky_radiance`."""
-    several = found[:1] if found[0].light.suns else found
-    parts = [(a.probability, sky_radiance(a.light.fit, lighting)) for a in several]
-    total = sum(p for p, _ in parts)
-    return lambda directions: sum(p / total * radiance(directions) for p, radiance in parts)
 
 
 def mixture_words(found: list[Alternative]) -> str:

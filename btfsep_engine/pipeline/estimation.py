@@ -12,7 +12,7 @@ from btfsep_engine import report
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixed_radiance, mixture, mixture_words
+from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixture, mixture_words
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
@@ -64,7 +64,7 @@ class Estimate:
 
     @cached_property
     def fit(self) -> Fit:
-        """What is stated: the light's, or of all alternatives together."""
+        """The light's; where there are alternatives, with their spread and ranges."""
         return mixture(self.alternatives) if self.alternatives else self.light.fit
 
     @property
@@ -85,8 +85,6 @@ class Estimate:
     @property
     def radiance(self):
         """The sky's own radiance (`light_account.sky_radiance`); None where its series is all that is known."""
-        if self.alternatives:
-            return mixed_radiance(self.alternatives, self.lighting)
         return None if self.fit.election is None else sky_radiance(self.fit, self.lighting)
 
     @cached_property
@@ -103,7 +101,7 @@ class Estimate:
         out = []
         for problem, exposure in zip(self.model.problems, self.light.exposures, strict=True):
             b = problem.radiance()
-            left = b - exposure * problem.predicted(self.light.fit.shown)
+            left = b - exposure * problem.predicted(self.fit.shown)
             residuals = [
                 float(np.linalg.norm(r) / max(np.linalg.norm(c), 1e-30))
                 for r, c in zip(problem.by_object(left), problem.by_object(b), strict=True)

@@ -190,7 +190,7 @@ def light_errors(photographs, library, settings, reporter) -> list[dict]:
         found = estimate(scene, library, settings)
         rows = {"true": with_truth.fit, "first": found.light.fit, "set": found.fit}
         errors = {k: measures.order2(fit.coefficients, truth) for k, fit in rows.items()}
-        inside = {k: measures.judged(fit, fit.samples, truth, free_scale=True)["inside"] for k, fit in rows.items()}
+        inside = {k: measures.judged(f, f.samples, truth, free_scale=True)["inside"] for k, f in rows.items()}
         out.append({"photo": p.folder.name, "found": found.materials[0].name, "errors": errors, "inside": inside})
         print(p.folder.name, found.materials[0].name, errors, inside, flush=True)
     return out
@@ -198,13 +198,12 @@ def light_errors(photographs, library, settings, reporter) -> list[dict]:
 
 def light_words(rows) -> str:
     """The ratio of errors, and how much of the truth the ranges hold."""
-    mean = {k: np.mean([r["errors"][k] for r in rows]) for k in ("true", "first", "set")}
-    inside = {k: np.mean([r["inside"][k] for r in rows]) for k in mean}
+    true, found = (np.mean([r["errors"][k] for r in rows]) for k in ("true", "set"))
+    inside = [f"{np.mean([r['inside'][k] for r in rows]):.0%}" for k in ("true", "first", "set")]
     return (
-        f"error of the light, order 2, of {len(rows)} photos: {mean['true']:.3f} with the true material, "
-        f"{mean['first']:.3f} with the likeliest ({mean['first'] / mean['true']:.2f} times), {mean['set']:.3f} with "
-        f"the set ({mean['set'] / mean['true']:.2f} times); coefficients inside the stated ranges: "
-        f"{inside['true']:.0%}, {inside['first']:.0%}, {inside['set']:.0%}"
+        f"error of the light, order 2, of {len(rows)} photos: {true:.3f} with the true material, {found:.3f} with the "
+        f"recognised one ({found / true:.2f} times); coefficients inside the stated ranges: {inside[0]} with the true "
+        f"material, {inside[1]} with the likeliest alone, {inside[2]} with the set"
     )
 
 

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import sh
 from btfsep_engine.btf.library import REFERENCE
 from btfsep_engine.btf.model import Lambertian
-from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
@@ -76,11 +74,10 @@ def test_each_alternative_is_the_fit_with_its_material_and_the_mixture_covers_al
     one, other = found[0].light.fit, found[1].light.fit
     np.testing.assert_allclose(other.coefficients, as_dark.fit.coefficients, rtol=1e-6)
     both = mixture(found)
-    np.testing.assert_allclose(both.coefficients, 0.6 / 0.98 * one.coefficients + 0.38 / 0.98 * other.coefficients)
+    np.testing.assert_array_equal(both.coefficients, one.coefficients)
     assert len(both.samples) == len(one.samples)
-    with_lamp = [replace(found[0], light=replace(light, suns=("a lamp",))), found[1]]
-    np.testing.assert_array_equal(mixture(with_lamp).coefficients, one.coefficients)
-    np.testing.assert_array_equal(mixture(with_lamp).interval, both.interval)
+    share = (both.samples[:, 0].mean(1) > 0.5 * other.coefficients[0].mean()).mean()
+    assert share == pytest.approx(0.38 / 0.98, abs=0.1)  # of the samples are lights as a dark ball asks for
     for fit in (one, other):
         mean = fit.coefficients[0]
         assert (both.interval[0][0] < mean).all() and (mean < both.interval[1][0]).all()
@@ -103,6 +100,4 @@ def test_an_estimate_says_between_what_it_could_not_decide(scene, monkeypatch):
     assert record["objects"][0]["likely"] == ["test/grey", "test/dark"]
     assert "test/grey (61 %) or test/dark (39 %)" in record["choice"]["materials"]
     assert (found.lighting.stddev[0] > 1.5 * found.light.fit.stddev[0]).all()
-    map_ = found.radiance(pixel_directions(32, 64).reshape(-1, 3)).reshape(32, 64, 3)
-    np.testing.assert_allclose(sh.project_map(map_, 1)[0], found.lighting.coefficients[0], rtol=0.05)
     assert found.photos[0].residuals[0] == pytest.approx(found.light.fit.residual, rel=0.01)  # of one material's fit
