@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import gaussian_filter
 
 from btfsep_engine import images, sh
 from btfsep_engine.btf.library import open_library
@@ -160,6 +161,18 @@ def job_off_by(scene, pixels, folder):
     for name in ("photo.exr", "shape.ply"):
         (folder / name).write_bytes((source / name).read_bytes())
     return folder
+
+
+def test_what_texture_draws_is_no_gain(potatoes):
+    """Blotches on object and wall: a place nearby goes better, but only here and there in the picture."""
+    blotches = gaussian_filter(np.random.default_rng(1).normal(size=potatoes.view.mesh.shape), 2.0)
+    photo = potatoes.job.photo.radiance * np.exp(0.3 / blotches.std() * blotches)[..., None]
+    blotched = PreparedScene(potatoes.job, Reporter())
+    blotched.job = replace(blotched.job, photo=replace(blotched.job.photo, radiance=photo.astype(np.float32)))
+    found = align(blotched)
+    assert found.gain.outline + found.gain.shading > 0.03
+    assert found.gain.significance < 3
+    assert not found.aligned
 
 
 def test_the_command_writes_a_job_that_can_be_used(potatoes, tmp_path):
