@@ -36,7 +36,7 @@ LIGHTS = ("courtyard", "forest", "interior", "night", "studio", "sunset")
 OBJECTS_EACH, LIGHTS_EACH = 2, 5  # of a material
 RESOLUTION, SAMPLES = 256, 20
 BINS = 10  # of the calibration
-PICTURES = ROOT / "docs" / "results"
+PICTURES = ROOT / "docs" / "results" / "images"
 
 
 def shots(folder: Path, materials) -> list:
