@@ -218,7 +218,7 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
     for _ in range(CENTRINGS):
         away = whites[moving] - asked[moving]
         step = cho_solve((best.factor, True), (left[moving] @ jacobian + away).T).T
-        trial = whites[moving] - step * np.minimum(1, LONGEST / np.abs(step).max(1, keepdims=True))
+        trial = whites[moving] - step * (LONGEST / np.maximum(np.abs(step).max(1, keepdims=True), LONGEST))
         lights_there = model.light(trial)[0]
         left_there = off(lights_there, wanted[moving])
         here = np.square(left[moving]).sum(1) + np.square(away).sum(1)

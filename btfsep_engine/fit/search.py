@@ -141,6 +141,8 @@ def _minimised(rows: Rows, model: LightModel, white, most: int):
 
 def _step(jacobian, gram, gradient, damping: float) -> np.ndarray:
     """((1 + damping) I + J^T J)^-1 g; ``gram`` : J J^T or J^T J, the smaller one."""
+    if not len(gram):  # a photo that says nothing
+        return gradient / (1 + damping)
     lower, _ = lapack.spotrf(_and_one(gram.copy(), damping), lower=1)
     if len(gram) == len(gradient):
         return lapack.spotrs(lower, gradient.astype(np.float32), lower=1)[0].astype(float)
