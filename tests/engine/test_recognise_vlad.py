@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Dictionaries and VLAD against naive loops."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,11 +96,25 @@ def test_the_last_vector_is_that_of_the_whole_object(rng):
     some, encoder = described(rng), vlad.learn_encoder(*descriptors(rng, 900), half_contrast=0.05)
     rows = encoder.encode(some)
     assert len(rows) == 5
-    whole, same = encoder.encode(some, windows=1)
+    whole, same = replace(encoder, encoding=replace(encoder.encoding, windows=1)).encode(some)
     np.testing.assert_allclose(rows[-1], whole, atol=1e-4)
     np.testing.assert_array_equal(whole, same)
     np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-5)
     assert np.abs(rows[:4] - rows[-1]).max() > 0.01
+
+
+@pytest.mark.parametrize("weight", [0.5, 0.2])
+def test_cosines_are_those_of_the_two_parts(rng, weight):
+    """Of the same vector 1 and 1; where one part is turned round, that one alone is -1; both add up to the whole's."""
+    encoding = replace(vlad.DEFAULT, colour_weight=weight)
+    encoder = vlad.learn_encoder(*descriptors(rng, 900), half_contrast=0.05, encoding=encoding)
+    a, b = encoder.encode(described(rng))[-1], encoder.encode(described(rng))[-1]
+    assert encoder.cosines(a, a) == pytest.approx((1, 1), abs=1e-4)
+    turned = a.copy()
+    turned[: encoder.colour.size] *= -1
+    assert encoder.cosines(a, turned) == pytest.approx((-1, 1), abs=1e-4)
+    colour, sift = encoder.cosines(a, b)
+    assert weight * colour + (1 - weight) * sift == pytest.approx(float(a @ b), abs=1e-4)
 
 
 def test_the_papers_vectors_are_equation_2_on_raw_sift_and_nothing_else(rng):
