@@ -59,7 +59,7 @@ def alignment_doubt(shift: Shift | None) -> str | None:
     right = f"{abs(shift.columns)} to the {'right' if shift.columns > 0 else 'left'}"
     return (
         f"geometry and photo do not line up: the outlines in the photo lie {down} and {right} of where the camera "
-        "should see them; check the camera's pose and lens, or let --align auto or btfsep align move it"
+        "should see them; check the camera's pose and lens, or let btfsep align move it"
     )
 
 

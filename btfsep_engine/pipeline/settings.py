@@ -122,7 +122,7 @@ class PhotoSettings(Seeded):
     """What is taken of the photo."""
 
     colorspace: str | None = setting(None, "The photo's curve instead of the job's; unknown: found", choices=CURVES)
-    align: str = setting("never", ALIGN, choices=("auto", "never"))
+    align: str = setting("auto", ALIGN, choices=("auto", "never"))
     pixels: int = setting(3000, "Pixels used for the fit, 0: all", low=0, unit="pixels")
 
 
