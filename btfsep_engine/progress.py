@@ -13,7 +13,16 @@ _ALIGNED = {**_SCENE, "alignment": 2}  # seldom
 _LEARNING = {"training rays": 4, "training images": 23, "dictionaries": 10, "classifier": 10, "recognition": 5}
 _SEEN = {**_SCENE, **_LEARNING, "transport": 20}
 RUNS = {
-    "estimate": {**_ALIGNED, **_SEEN, "fit": 5, "reflectance": 2, "checks": 3, "report": 9, "writing": 3},
+    "estimate": {
+        **_ALIGNED,
+        **_SEEN,
+        "fit": 5,
+        "reflectance": 2,
+        "alternatives": 1,
+        "checks": 3,
+        "report": 9,
+        "writing": 3,
+    },
     "align": {**_SCENE, "alignment": 40, "writing": 2},
     "recognise": {**_SCENE, **_LEARNING},
     "train": {**_SCENE, **_LEARNING},
@@ -43,6 +52,7 @@ TITLES = {
     "factorising": "Solving for the light",
     "reflectance": "Looking whether the material is just the library's",
     "fit": "Solving for the light",
+    "alternatives": "Solving for the light, were it another material",
     "photos": "Solving for the lights",
     "checks": "Looking for what speaks against it",
     "report": "Making the report",
