@@ -77,12 +77,17 @@ def alternatives(model: Model, light: SolvedLight, library) -> list[Alternative]
 
 
 def mixture(found: list[Alternative]) -> Fit:
-    """The first one's fit, with the spread and the ranges of all alternatives together."""
+    """The first one's fit, with the spread and the ranges of all alternatives together.
+
+    How much the materials reflect sets the light's scale, which leaves no coefficient undetermined.
+    """
     first = found[0].light.fit
     fits, shares = [a.light.fit for a in found], [a.probability for a in found]
     counts = np.round(np.diff(np.append(0, np.cumsum(shares))) * len(first.samples)).astype(int)
-    samples = np.concatenate([fit.samples[: max(1, n)] for fit, n in zip(fits, counts, strict=True)])
-    return restated(first, samples)
+    parts, x = [fit.samples[: max(1, n)] for fit, n in zip(fits, counts, strict=True)], first.all_coefficients
+    scales = [(f.all_coefficients * x).sum() / max(np.square(f.all_coefficients).sum(), 1e-300) for f in fits]
+    alike = restated(first, np.concatenate([scale * part for scale, part in zip(scales, parts, strict=True)]))
+    return replace(restated(first, np.concatenate(parts)), all_determined=alike.all_determined)
 
 
 def mixture_words(found: list[Alternative]) -> str:

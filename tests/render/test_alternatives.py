@@ -81,6 +81,7 @@ def test_each_alternative_is_the_fit_with_its_material_and_the_mixture_covers_al
     for fit in (one, other):
         mean = fit.coefficients[0]
         assert (both.interval[0][0] < mean).all() and (mean < both.interval[1][0]).all()
+    np.testing.assert_array_equal(both.determined, one.determined)  # the two differ in how much they reflect alone
     truth = positive_light(2)[0]
     inside = [((f.interval[0][0] < truth) & (truth < f.interval[1][0])).sum() for f in (one, both)]
     assert inside == [0, 3]  # grey was wrong by more than it knew
