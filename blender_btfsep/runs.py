@@ -59,17 +59,13 @@ class Greyed:
 
 
 class EngineOperator:
-    """What the operators that start the engine share. Subclasses give ``task``, ``begin`` and ``finish``."""
+    """What the operators that start the engine share. Subclasses give what they do:
 
-    task = "Working"
-
-    def begin(self, context) -> list:
-        """Reads the scene; gives the engine's arguments. Raises InputError."""
-        raise NotImplementedError
-
-    def finish(self, context, result: dict) -> str:
-        """Puts the engine's result into the scene; gives lines for the user. Raises InputError."""
-        raise NotImplementedError
+    - ``task``, in words
+    - ``begin(context)`` reads the scene and gives the engine's arguments; raises InputError
+    - ``finish(context, result)`` puts the engine's result (dict) into the scene and gives lines for the user; raises
+      InputError
+    """
 
     # ------------------------------------------------------------------ the two drivers
 
