@@ -24,7 +24,7 @@ from btfsep_engine import sh
 from btfsep_engine.fit import colour
 from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph, one_thread
-from btfsep_engine.fit.search import EXACT, EXACT_COST, Solution, solve
+from btfsep_engine.fit.search import EXACT, EXACT_COST, ROUNDS, Solution, solve
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, decided_unknowns, restated
 from btfsep_engine.light.log_field import even_field, natural_field
 
@@ -250,11 +250,16 @@ def hidden_lamps(basis: Basis, count: int, random) -> np.ndarray:
     return out
 
 
+def natural_light(photo: Photograph, *, rounds: int = ROUNDS) -> Solution:
+    """The most probable field alone; the photo learns from a rough one what its misfit is a part of."""
+    first = solve(photo, LightModel(natural_field()), rounds=2, steps=ROUGHLY)
+    photo.learn_from(first.x)
+    return solve(photo, first.model, white=first.white, v=first.v, rounds=rounds)
+
+
 def elect(photo: Photograph) -> tuple[Solution, Solution | None]:
     """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one."""
-    field = solve(photo, LightModel(natural_field()), rounds=2, steps=ROUGHLY)
-    photo.learn_from(field.x)
-    field = solve(photo, field.model, white=field.white, v=field.v)
+    field = natural_light(photo)
     plain = with_lamps(photo, solve(photo, LightModel(even_field())), place=most_explained)
     rich = field
     if plain.model.lamps and plain.evidence > field.evidence - HOPELESS:

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.log_normal import natural_light
 from btfsep_engine.fit.products import Basis, Photograph, one_thread
-from btfsep_engine.fit.search import solve
 from btfsep_engine.light.lightings import SHBasis, SHLighting
-from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.recognise.contrast import Contrast, contrast, unlike
 from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.render.sampling import choose_pixels
@@ -25,7 +23,6 @@ from btfsep_engine.render.sampling import choose_pixels
 CANDIDATES = 8  # the first of the classifier's: others keep what the worst of these has
 PIXELS = 1500  # of the fit of the light
 ORDER = 9
-ROUGHLY = {"rounds": 2, "steps": 6}  # of the first search, from which the misfit's size is learned
 SIMILARITIES = ("colour", "texture", "contrast", "skewness")
 NOISE = 0.05  # of a rendering that is compared, relative to the mean: a photo has some
 
@@ -113,9 +110,7 @@ class Verification:
         with one_thread():
             basis = Basis(self._bases[material.name][good], self.points.normal[self.few][good])
             photo = Photograph(basis, b[good])
-            first = solve(photo, LightModel(natural_field()), **ROUGHLY)
-            photo.learn_from(first.x)
-            best = solve(photo, first.model, white=first.white, v=first.v, rounds=2)
+            best = natural_light(photo, rounds=2)
         return Explained(SHLighting(best.x.T * photo.level), best.evidence)
 
     def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> tuple[float, ...]:
