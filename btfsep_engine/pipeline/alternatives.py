@@ -14,6 +14,7 @@ import numpy as np
 
 from btfsep_engine.fit.stated import Fit, restated
 from btfsep_engine.pipeline.model import Model, stand_ins
+from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
 
 MOST = 4  # combinations of the objects' materials
@@ -72,7 +73,8 @@ def alternatives(model: Model, light: SolvedLight, library) -> list[Alternative]
             known = zip(problem.materials, others, names, chosen, strict=True)
             made = [old if name == before else new for old, new, name, before in known]
             problems.append(problem.of_materials(made, settings))
-        out.append(Alternative(names, probability, fit_together(problems, settings)))
+        _, fitted, _ = misplaced(model, fit_together(problems, settings))  # known as little, if that is so
+        out.append(Alternative(names, probability, fitted))
     return out
 
 

@@ -69,12 +69,12 @@ def bounding_window(region) -> tuple[slice, slice]:
 def training_key(scene: PreparedScene, index: int, region, library, lights, settings: RecognitionSettings) -> str:
     """All that a training depends on beside the engine's own code: geometry, camera, library, lights, method."""
     job = scene.job
-    seen, camera = job.objects[index], job.camera
+    seen = job.objects[index]
     return digest(
         [region, scene.view.face[region], scene.view.barycentric[region]],
         [seen.uv, seen.mesh.corner_uv if seen.uv == "mesh" else None, seen.mesh.corner_normals],
         [[m.vertices, m.faces] for m in (seen.mesh, *scene.tracer.meshes)],
-        [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, np.asarray(camera.to_world)],
+        job.camera,
         job.metres_per_unit,
         library.digest,
         [lights.names, lights.maps],
