@@ -12,6 +12,7 @@ import numpy as np
 from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
 
 BLOCK = 1 << 12  # directions evaluated at once: enough that NumPy's calls cost little, few enough for the cache
+FEW, LOW = 24, 12  # so many directions, to such an order, as polynomials: there NumPy's calls are all that it costs
 
 
 def term_count(order: int) -> int:
@@ -49,11 +50,15 @@ def evaluate(order: int, directions) -> np.ndarray:
 def _rows(order: int, directions) -> np.ndarray:
     """The same of (n, 3), a row each: (terms, n)."""
     x, y, z = directions.T
-    step, before_last, diagonal = _recurrence(order)
     turn = np.ones((order + 1, len(x)), complex)  # (x + i y)^m, times sqrt(2) where m > 0
     if order:
         np.multiply.accumulate(np.broadcast_to(x + 1j * y, (order, len(x))), out=turn[1:])
         turn[1:] *= np.sqrt(2)
+    if len(x) <= FEW and order <= LOW:
+        by_power, m = _polynomials(order)
+        turn = np.concatenate([turn.real, turn.imag])
+        return (by_power @ z ** np.arange(order + 1)[:, None]) * turn[m]
+    step, before_last, diagonal = _recurrence(order)
     even, odd = np.ascontiguousarray(turn.real), np.ascontiguousarray(turn.imag)
     out = np.empty((term_count(order), len(x)))
     last = now = None  # normalised P_l^m / sin^m of the degrees before, (m, directions)
@@ -68,6 +73,23 @@ def _rows(order: int, directions) -> np.ndarray:
         np.multiply(now, even[: l + 1], out=out[l * l + l : (l + 1) ** 2])
         np.multiply(now[:0:-1], odd[l:0:-1], out=out[l * l : l * l + l])
     return out
+
+
+@lru_cache(maxsize=16)
+def _polynomials(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """P_l^|m| / sin^|m| of every term by powers of z, (terms, order + 1); and its row among Re and Im (x + i y)^|m|."""
+    step, before_last, diagonal = _recurrence(order)
+    p = np.zeros((order + 1, order + 1, order + 1))  # (l, m, power)
+    for l in range(order + 1):
+        p[l, l, 0] = diagonal[l]
+        if l:
+            p[l, :l, 1:] = p[l - 1, :l, :-1]
+        if l > 1:
+            p[l, : l - 1] -= before_last[l, : l - 1, None] * p[l - 2, : l - 1]
+        p[l, :l] *= step[l, :l, None]
+    l = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    m = np.arange(term_count(order)) - l * l - l
+    return p[l, np.abs(m)], np.where(m < 0, order + 1 - m, m)
 
 
 @lru_cache(maxsize=16)

@@ -67,6 +67,22 @@ class LightModel:
             x = x + irradiance[..., None] * self._harmonics(direction)[..., None, :]
         return x, radiance
 
+    def seen(self, white, rows, by_direction) -> np.ndarray:
+        """R_c x_c of unknowns (…, k): (…, all rows), in their precision.
+
+        Parameters
+        ----------
+        rows : R_c of each channel; by_direction : `LogField.by_direction` of them
+        """
+        of_field, of_lamps = self.parts(white)
+        radiance = self.field.radiance(of_field)
+        out = np.concatenate([radiance[..., c, :] @ r.T for c, r in enumerate(by_direction)], -1)
+        for i in range(len(self.lamps)):
+            direction, irradiance = self.lamp(i, of_lamps[..., i, :])
+            y = self._harmonics(direction)
+            out += np.concatenate([irradiance[..., c, None] * (y @ r.T) for c, r in enumerate(rows)], -1)
+        return out
+
     def sky(self, white) -> np.ndarray:
         """Coefficients (3, terms) of the field alone."""
         return self.field.coefficients(self.field.radiance(self.parts(white)[0]))
@@ -85,14 +101,17 @@ class LightModel:
         """
         if by_direction is None:
             by_direction = self.field.by_direction(rows)
-        columns, of_lamps = [self.field.jacobian(by_direction, radiance)], self.parts(white)[1]
+        of_lamps, k = self.parts(white)[1], self.field.unknowns
+        out = self.field.jacobian(by_direction, radiance, beside=len(white) - k)
         moves = STEP * np.eye(OF_LAMP)[[2, 0, 1]]
         moves[0] = 0
         for i, q in enumerate(of_lamps):
             directions, irradiances = self.lamp(i, q + moves)
             y, *moved = self._harmonics(directions)
             slopes = np.stack([y, *((there - y) / STEP for there in moved)], 1)
-            seen = [e * (r @ slopes) for r, e in zip(rows, irradiances[0], strict=True)]  # (rows, 3) of each channel
-            columns.append(np.concatenate([part[:, 1:] for part in seen]))
-            columns.append(np.concatenate([np.outer(p[:, 0], SIZES * v) for p, v in zip(seen, CHROMA, strict=True)]))
-        return np.column_stack(columns).astype(columns[0].dtype, copy=False)
+            seen = np.concatenate([e * (r @ slopes) for r, e in zip(rows, irradiances[0], strict=True)])
+            channel = np.repeat(SIZES * CHROMA, [len(r) for r in rows], axis=0)
+            own = out[:, k + OF_LAMP * i :]
+            own[:, :2] = seen[:, 1:]
+            own[:, 2:OF_LAMP] = seen[:, :1] * channel
+        return out

@@ -18,7 +18,7 @@ the photo does not show what it says of those that it does, and nobody knows tha
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
@@ -203,32 +203,30 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
     the photo knows how bright it is (randomise, then optimise: Bardsley and others 2014, with the derivative at the
     maximum for all).
     """
-    model = best.model
-    jacobian = model.jacobian(best.white, best.radiance, best.rows.root)
+    model, root = best.model, best.rows.root
+    jacobian = best.jacobian.astype(np.float32)
+    inverse = best.inverse.astype(np.float32)
+    by_direction = model.field.by_direction(root, np.float32)
     delta = WIDER * solve_triangular(best.factor.T, random.standard_normal((len(best.white), count)), lower=False).T
-    wanted = best.rows.residual(best.x) + delta @ jacobian.T
-    whites = best.white + delta
-
-    def off(lights, wanted):
-        parts = zip(lights.transpose(1, 0, 2), best.rows.root, best.rows.target, strict=True)
-        return np.concatenate([x @ root.T - y for x, root, y in parts], 1) - wanted
-
-    asked, lights = whites.copy(), model.light(whites)[0]
-    left, moving = off(lights, wanted), np.arange(count)
+    asked = (best.white + delta).astype(np.float32)
+    # of the photo's own values y nothing is left but what they differ by from R x: small numbers, as single ones want
+    wanted = (np.concatenate([r @ x for r, x in zip(root, best.x, strict=True)]) + delta @ best.jacobian.T).astype(
+        np.float32
+    )
+    whites, left, moving = asked.copy(), model.seen(asked, root, by_direction) - wanted, np.arange(count)
     for _ in range(CENTRINGS):
         away = whites[moving] - asked[moving]
-        step = cho_solve((best.factor, True), (left[moving] @ jacobian + away).T).T
+        step = (left[moving] @ jacobian + away) @ inverse
         trial = whites[moving] - step * (LONGEST / np.maximum(np.abs(step).max(1, keepdims=True), LONGEST))
-        lights_there = model.light(trial)[0]
-        left_there = off(lights_there, wanted[moving])
+        left_there = model.seen(trial, root, by_direction) - wanted[moving]
         here = np.square(left[moving]).sum(1) + np.square(away).sum(1)
         gain = here - np.square(left_there).sum(1) - np.square(trial - asked[moving]).sum(1)
         better = moving[gain > 0]
-        whites[better], lights[better], left[better] = trial[gain > 0], lights_there[gain > 0], left_there[gain > 0]
+        whites[better], left[better] = trial[gain > 0], left_there[gain > 0]
         moving = moving[gain > CENTRED]
         if not len(moving):
             break
-    return whites, lights.transpose(0, 2, 1)
+    return whites, model.light(whites)[0].transpose(0, 2, 1)
 
 
 def hidden_lamps(basis: Basis, count: int, random) -> np.ndarray:

@@ -16,6 +16,9 @@ and the light enters by A^T N^-1 A and A^T N^-1 b alone, of which R (r, terms) a
 
     (b - A x)^T N^-1 (b - A x) = |R x - y|^2 + rest.
 
+At D and v other than 1 the products are those at 1, scaled along the axes of F^T F and of A^T A; the square root is a
+pivoted Cholesky factor, so that directions in which the photo says next to nothing cost nothing.
+
 h > 1 is a coarsened posterior (Miller and Dunson 2019: a model that is nearly right is not trusted more the more pixels
 there are): n pixels in channels whose misfits go together as `effective` independent ones count as at most
 `EVIDENCE` * effective numbers.
@@ -25,7 +28,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack, solve_triangular
 from threadpoolctl import ThreadpoolController
 
 from btfsep_engine import sh
@@ -136,6 +139,28 @@ class Rows:
         return np.concatenate([r @ x[c] - y for c, (r, y) in enumerate(zip(self.root, self.target, strict=True))])
 
 
+@dataclass(frozen=True)
+class Smooth:
+    """A channel's products of F at D = 1 and W = 1, along the axes of F^T F: what `Photograph.rows` scales.
+
+    Attributes
+    ----------
+    squares : (k,), F^T F there; own : (k of Y, k), the axes
+    of_light, of_photo : F^T A (k, terms), F^T b (k,); along : of_light along the axes of A^T A
+    """
+
+    squares: np.ndarray
+    own: np.ndarray
+    of_light: np.ndarray
+    of_photo: np.ndarray
+    along: np.ndarray
+
+    def at(self, w: float, discrepancy: float) -> tuple[np.ndarray, np.ndarray]:
+        """F^T W F (k,), and what makes F^T A and F^T b those of (I + F^T W F)^(-1/2) F^T W: (k,)."""
+        ff = w * discrepancy**2 * self.squares
+        return ff, w * discrepancy / np.sqrt(1 + ff)
+
+
 class Photograph:
     """The products of one photograph with a `Basis`.
 
@@ -185,11 +210,14 @@ class Photograph:
         left = (self.b - predicted) * np.sqrt(self._weight)
         together = left.T @ left
         self.effective = float(np.trace(together) ** 2 / max((together**2).sum(), 1e-300))
-        self._smooth, self._first = [], predicted
+        self._first, self._smooth = predicted, []
         for c in range(3):
             f = self.basis.smooth * predicted[:, c, None]
             weighted = f * self._weight[:, c, None]
-            self._smooth.append((weighted.T @ f, weighted.T @ self.basis.rows(c), weighted.T @ self.b[:, c]))
+            size, own = np.linalg.eigh(weighted.T @ f)
+            of_light = own.T @ (weighted.T @ self.basis.rows(c))
+            of_photo = own.T @ (weighted.T @ self.b[:, c])
+            self._smooth.append(Smooth(np.maximum(size, 0), own, of_light, of_photo, of_light @ self._axes[c][1]))
 
     def rows(self, v, discrepancy: float) -> Rows:
         """The products at the pixels' noise v (3,), relative to the channels' levels, and at a discrepancy D >= 0."""
@@ -197,30 +225,21 @@ class Photograph:
         for c in range(3):
             w = 1 / (v[c] * self.coarsening)
             largest, axes = self._axes[c]
-            axes = axes[:, w * largest > NEGLIGIBLE / 10]  # what is negligible without a discrepancy is so with one
-            gram, moment, energy = (
-                (axes.T @ self.grams[c] @ axes) * w,
-                axes.T @ self.moments[c] * w,
-                self.energies[c] * w,
-            )
+            kept = w * largest > NEGLIGIBLE / 10  # what is negligible without a discrepancy is so with one
+            gram, moment = np.diag(w * largest[kept]), w * (axes[:, kept].T @ self.moments[c])
+            energy = w * self.energies[c]
             if self._smooth is not None:
-                ff, fa, fb = self._discrepancy(c, w, discrepancy)
-                lower = np.linalg.cholesky(ff + np.eye(len(ff)))
-                fa, fb = (solve_triangular(lower, each, lower=True) for each in (fa @ axes, fb))
+                smooth = self._smooth[c]
+                ff, size = smooth.at(w, discrepancy)
+                fa, fb = size[:, None] * smooth.along[:, kept], size * smooth.of_photo
                 gram, moment, energy = gram - fa.T @ fa, moment - fa.T @ fb, energy - fb @ fb
-                log_determinant += float(np.log(np.diag(lower)).sum())
-            values, vectors = np.linalg.eigh(gram)
-            kept = values > NEGLIGIBLE
-            size, vectors = np.sqrt(values[kept]), vectors[:, kept]
-            root.append((axes @ vectors * size).T)
-            target.append(vectors.T @ moment / size)
+                log_determinant += 0.5 * float(np.log1p(ff).sum())
+            lower, order, rank, _ = lapack.dpstrf(gram, lower=1, tol=NEGLIGIBLE)
+            lower, order = np.tril(lower)[:, :rank], order - 1
+            root.append(lower.T @ axes[:, kept].T[order])
+            target.append(solve_triangular(lower[:rank], moment[order[:rank]], lower=True))
             rest += max(float(energy - target[-1] @ target[-1]), 0.0)
         return Rows(root, target, rest, log_determinant)
-
-    def _discrepancy(self, c: int, w: float, size: float) -> tuple:
-        """F^T W F, F^T W A and F^T W b of a channel."""
-        ff, fa, fb = self._smooth[c]
-        return ff * (w * size**2), fa * (w * size), fb * (w * size)
 
     def scores(self, radiance, v, discrepancy: float) -> np.ndarray:
         """A^T N^-1 b of other values b (p, 3) than the photo's, in the photo's own unit: (3, terms)."""
@@ -230,9 +249,9 @@ class Photograph:
             weighted = w * self._weight[:, c] * b[:, c]
             out.append(self.basis.rows(c).T @ weighted)
             if self._smooth is not None:
-                ff, fa, _ = self._discrepancy(c, w, discrepancy)
-                of_f = discrepancy * (self.basis.smooth.T @ (self._first[:, c] * weighted))
-                out[c] = out[c] - fa.T @ np.linalg.solve(ff + np.eye(len(ff)), of_f)
+                smooth = self._smooth[c]
+                of_f = smooth.own.T @ (self.basis.smooth.T @ (self._first[:, c] * weighted))
+                out[c] = out[c] - smooth.of_light.T @ (np.square(smooth.at(w, discrepancy)[1]) / w * of_f)
         return np.stack(out)
 
     def misfit(self, x) -> np.ndarray:
@@ -247,9 +266,8 @@ class Photograph:
         """Mean square of b - A x - F a with the most probable a, at the noise v and a discrepancy: (3,)."""
         out = self.misfit(x)
         for c in range(3 if self._smooth is not None else 0):
-            w = 1 / (v[c] * self.coarsening)
-            ff, fa, fb = self._discrepancy(c, w, discrepancy)
-            score = fb - fa @ x[c]
-            a = np.linalg.solve(np.eye(len(ff)) + ff, score)
-            out[c] += (a @ ff @ a - 2 * a @ score) / (w * max(self.count[c], 1e-300))
+            w, smooth = 1 / (v[c] * self.coarsening), self._smooth[c]
+            ff, size = smooth.at(w, discrepancy)
+            score = size * (smooth.of_photo - smooth.of_light @ x[c])  # of a in its own unit, (I + F^T W F)^(1/2) a
+            out[c] -= (np.square(score) * (2 + ff) / (1 + ff)).sum() / (w * max(self.count[c], 1e-300))
         return np.maximum(out, 0)

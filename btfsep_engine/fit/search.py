@@ -63,6 +63,12 @@ class Solution:
         """(unknowns, unknowns), lower Cholesky factor of I + J^T J."""
         return np.linalg.cholesky(_and_one(self.jacobian.T @ self.jacobian))
 
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """(unknowns, unknowns), (I + J^T J)^-1."""
+        lower, _ = lapack.dpotri(self.factor, lower=1)
+        return np.tril(lower) + np.tril(lower, -1).T
+
 
 def solve(
     photo: Photograph, model: LightModel, *, white=None, v=None, discrepancy=NEARLY_RIGHT, rounds=ROUNDS, steps=STEPS

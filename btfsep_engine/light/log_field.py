@@ -77,12 +77,6 @@ class LogField:
         return y.T * (4 * np.pi / len(y))
 
     @cached_property
-    def _factors(self) -> list:
-        """For each field (n, its unknowns): white numbers to the field in the directions."""
-        y = sh.evaluate(max(self.order, self.chroma_order), self.directions)
-        return [y[:, : part.stop - part.start] * self.deviation[part] for part in self._parts]
-
-    @cached_property
     def _parts(self) -> list:
         ends = np.cumsum([0, sh.term_count(self.order), *[sh.term_count(self.chroma_order)] * 2])
         return [slice(a, b) for a, b in pairwise(ends)]
@@ -90,13 +84,15 @@ class LogField:
     @cached_property
     def _mean_logarithm(self) -> np.ndarray:
         """(3, n)."""
-        y = sh.evaluate(max(self.order, self.chroma_order), self.directions)
+        y = self._harmonics[self.mean.dtype]
         return CHROMA @ np.stack([y[:, : part.stop - part.start] @ self.mean[part] for part in self._parts])
 
     def logarithm(self, white) -> np.ndarray:
-        """u = log L, (…, 3, n), of white unknowns (…, k)."""
-        fields = [white[..., part] @ factor.T for factor, part in zip(self._factors, self._parts, strict=True)]
-        return np.minimum(self._mean_logarithm + CHROMA @ np.stack(fields, -2), LARGEST_LOG)
+        """u = log L, (…, 3, n), of white unknowns (…, k), in their precision."""
+        kind = white.dtype
+        a, y = white * self.deviation.astype(kind), self._harmonics[kind]
+        fields = np.stack([a[..., part] @ y[:, : part.stop - part.start].T for part in self._parts], -2)
+        return np.minimum(self._mean_logarithm.astype(kind) + CHROMA.astype(kind) @ fields, LARGEST_LOG)
 
     def radiance(self, white) -> np.ndarray:
         """L, (…, 3, n), of white unknowns (…, k)."""
@@ -107,25 +103,32 @@ class LogField:
         return radiance @ self.to_coefficients.T
 
     @cached_property
-    def _by_white(self) -> dict:
-        """In double and in single precision: for each channel (n, k), the derivatives of its logarithm."""
-        each = [np.hstack([v * f for v, f in zip(CHROMA[c], self._factors, strict=True)]) for c in range(3)]
-        return {np.dtype(kind): [m.astype(kind) for m in each] for kind in (np.float64, np.float32)}
+    def _harmonics(self) -> dict:
+        """In double and in single precision: (n, terms of the largest field)."""
+        y = sh.evaluate(max(self.order, self.chroma_order), self.directions)
+        return {np.dtype(kind): y.astype(kind) for kind in (np.float64, np.float32)}
 
     def by_direction(self, rows, kind=np.float64) -> list:
         """R_c T, (r_c, n), for each channel's rows R_c (r_c, terms): what `jacobian` needs of them."""
         return [(r @ self.to_coefficients).astype(kind) for r in rows]
 
-    def jacobian(self, by_direction, radiance) -> np.ndarray:
+    def jacobian(self, by_direction, radiance, *, beside: int = 0) -> np.ndarray:
         """The derivatives of R_c x_c by the white unknowns: (all rows, k), in the precision of what it is given.
 
         Parameters
         ----------
         by_direction : R_c T of each channel; radiance : (3, n), L
+        beside : so many columns more, for others to fill
         """
         kind = by_direction[0].dtype
-        by_white = self._by_white[kind]
-        return np.concatenate([(r * radiance[c].astype(kind)) @ by_white[c] for c, r in enumerate(by_direction)])
+        out, start = np.empty((sum(map(len, by_direction)), self.unknowns + beside), kind), 0
+        for r, light, chroma in zip(by_direction, radiance.astype(kind), CHROMA, strict=True):
+            by_term = (r * light) @ self._harmonics[kind]  # all fields are series of the same harmonics
+            rows = slice(start, start := start + len(r))
+            for part, share in zip(self._parts, chroma, strict=True):
+                size = (share * self.deviation[part]).astype(kind)
+                np.multiply(by_term[:, : part.stop - part.start], size, out=out[rows, part])
+        return out
 
     def at(self, white, directions) -> np.ndarray:
         """L in other directions (m, 3): (m, 3)."""
