@@ -14,7 +14,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.stated import Fit, determined
+from btfsep_engine.fit.stated import Fit, Stated, determined
 
 BLOCK = 16  # edge in pixels of the blocks whose residuals are taken to be one piece of evidence
 WORST_CONDITION = 1e10
@@ -85,11 +85,11 @@ def solve(basis, radiance, *, blocks) -> Fit:
         white = inverse * (residual[:, c] @ residual[:, c] / max(p - terms, 1))
         stddev[:, c] = np.sqrt(np.maximum(np.diag(spread), np.diag(white)))
     energy = np.maximum((radiance.astype(np.float64) ** 2).sum(0), 1e-300)
+    stated = Stated(stddev, determined(x, stddev))
     return Fit(
         order=sh.order_of(terms),
         all_coefficients=x,
-        all_stddev=stddev,
-        all_determined=determined(x, stddev),
+        state=lambda: stated,
         residual=float(np.sqrt((residual**2).sum() / energy.sum())),
         residual_per_channel=np.sqrt((residual**2).sum(0) / energy),
         condition=condition,

@@ -16,6 +16,7 @@ the photo does not show what it says of those that it does, and nobody knows tha
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -25,7 +26,7 @@ from btfsep_engine.fit import colour
 from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph, one_thread
 from btfsep_engine.fit.search import EXACT, EXACT_COST, ROUNDS, Solution, solve
-from btfsep_engine.fit.stated import REFLECTANCE, Fit, decided_unknowns, restated
+from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import even_field, natural_field
 
 MOST_LAMPS = 3
@@ -105,29 +106,31 @@ class LightSolver:
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
         tint = colour.split(best.x[:, 0] * photo.level)
         unit = photo.level * tint.gain
-        samples, lamps = self._samples(best, rival, unit, tint)
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
         energy = photo.mean_square * photo.level**2 * self.basis.response**2
-        fit = Fit(
+        return Fit(
             order=self.order,
             all_coefficients=best.x.T * unit,
+            state=cache(lambda: self._stated(best, rival, unit, tint)),
             residual=float(np.sqrt(left.sum() / energy.sum())),
             residual_per_channel=np.sqrt(left / np.maximum(energy, 1e-300)),
             condition=self.basis.condition(self.order),
             effective_degrees_of_freedom=decided_unknowns(best.factor),
             noise=float(np.sqrt(best.v.sum() / photo.mean_square.sum())),
-            lamps=lamps,
             tint=tint,
             election=Election(best, rival, photo, unit),
         )
-        return restated(fit, samples)
 
     def reported_up_to(self, fit: Fit, order: int) -> Fit:
         """The same fit with fewer orders reported."""
         return replace(fit, order=order, condition=self.basis.condition(order))
 
-    def _samples(self, best: Solution, rival: Solution | None, unit, tint):
-        """(samples, terms, 3) of all of the light, and its lamps."""
+    def _stated(self, best: Solution, rival: Solution | None, unit, tint) -> Stated:
+        """What samples of the light's posterior say of it and of its lamps."""
+        with one_thread():
+            return self._sampled(best, rival, unit, tint)
+
+    def _sampled(self, best: Solution, rival: Solution | None, unit, tint) -> Stated:
         random = np.random.default_rng(self.seed)
         model = best.model
         whites, lights = posterior_samples(best, SAMPLES, random)
@@ -150,7 +153,7 @@ class LightSolver:
             part = float(own.mean() / (SINGLE * (best.x[:, 0] * unit).mean()))
             degrees = float(np.degrees(np.sqrt(np.square(off).mean())))
             lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std())))
-        return samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share))
+        return stated_by(best.x.T * unit, samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share)))
 
     def smoother(self, fit: Fit):
         """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.

@@ -6,6 +6,7 @@ order. The truth x is any of the posterior's samples, so the error has a distrib
 holds 68 % of it are the expected error: what was knowable, beside what was found.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,25 @@ ERROR_RANGE = (16, 50, 84)  # percentiles of the expected error
 ERROR_ORDERS = (1, 2)
 
 
+@dataclass(frozen=True)
+class Stated:
+    """How well a light is known, of all orders of its fit.
+
+    Attributes
+    ----------
+    stddev : (terms, 3) float64; determined : (terms,) bool
+    interval : (2, terms, 3), the ends of the range that holds 95 % of the samples; None without a prior
+    samples : (n, terms, 3), lights as probable as the posterior has them; None without a prior
+    lamps : log_normal.Lamp, the brightest first
+    """
+
+    stddev: np.ndarray
+    determined: np.ndarray
+    interval: np.ndarray | None = None
+    samples: np.ndarray | None = None
+    lamps: tuple = ()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Fit:
     """A fitted lighting. What is called "all" has all orders of the fit; the same without it, those up to ``order``.
@@ -29,34 +49,42 @@ class Fit:
     Attributes
     ----------
     order : that is reported
-    all_coefficients, all_stddev : (terms, 3) float64
-    all_determined : (terms,) bool
-    all_interval : (2, terms, 3), the ends of the range that holds 95 % of the samples; None without a prior
+    all_coefficients : (terms, 3) float64
+    state : gives its Stated, reckoned when it is first asked for: most fits of a search are compared, and no more
     residual : relative root mean square of b - A x, over all pixels and channels
     residual_per_channel : (3,)
     condition : 2-norm condition number of A up to ``order`` (the worst channel)
     effective_degrees_of_freedom : of a channel's unknowns, how many the photo decides (all, without a prior)
     noise : a pixel's own misfit over the photo's root mean square; None without a prior
-    samples : (n, terms, 3), lights as probable as the posterior has them; None without a prior
-    lamps : log_normal.Lamp, the brightest first
     tint : colour.Tint, what of the light's colour was taken to be the object's; None without a prior
     election : log_normal.Election, which models stood and what they were given; None without a prior
     """
 
     order: int
     all_coefficients: np.ndarray
-    all_stddev: np.ndarray | None = None
-    all_determined: np.ndarray | None = None
-    all_interval: np.ndarray | None = None
+    state: Callable[[], Stated]
     residual: float
     residual_per_channel: np.ndarray
     condition: float
     effective_degrees_of_freedom: float
     noise: float | None = None
-    samples: np.ndarray | None = None
-    lamps: tuple = ()
     tint: object | None = None
     election: object | None = None
+
+    @property
+    def all_determined(self) -> np.ndarray:
+        """(terms,) bool."""
+        return self.state().determined
+
+    @property
+    def samples(self) -> np.ndarray | None:
+        """`Stated.samples`."""
+        return self.state().samples
+
+    @property
+    def lamps(self) -> tuple:
+        """`Stated.lamps`."""
+        return self.state().lamps
 
     @property
     def terms(self) -> int:
@@ -71,17 +99,18 @@ class Fit:
     @property
     def stddev(self) -> np.ndarray:
         """(terms, 3)."""
-        return self.all_stddev[: self.terms]
+        return self.state().stddev[: self.terms]
 
     @property
     def determined(self) -> np.ndarray:
         """(terms,) bool."""
-        return self.all_determined[: self.terms]
+        return self.state().determined[: self.terms]
 
     @property
     def interval(self) -> np.ndarray | None:
         """(2, terms, 3)."""
-        return None if self.all_interval is None else self.all_interval[:, : self.terms]
+        interval = self.state().interval
+        return None if interval is None else interval[:, : self.terms]
 
     @property
     def shown(self) -> np.ndarray:
@@ -108,22 +137,22 @@ def determined(coefficients, stddev) -> np.ndarray:
     return np.sqrt(np.square(stddev).mean(1)) < DETERMINED * np.maximum(nature, size)
 
 
-def restated(fit: Fit, samples) -> Fit:
-    """The fit with what ``samples`` (n, terms, 3) of its posterior say: spread, range, what is determined.
+def stated_by(coefficients, samples, lamps=()) -> Stated:
+    """What ``samples`` (n, terms, 3) of the posterior about ``coefficients`` (terms, 3) say.
 
     The reflectance's scale, which all coefficients share, is in the spread, and leaves none of them undetermined.
     """
-    x = fit.all_coefficients
+    x = coefficients
     low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
     spread = np.maximum(np.maximum(above - x, x - below), 0)
     pattern = np.sqrt(np.maximum(spread**2 - (REFLECTANCE * x) ** 2, 0))
-    return replace(
-        fit,
-        all_stddev=spread,
-        all_determined=determined(x, pattern),
-        all_interval=np.stack([low, high]),
-        samples=samples,
-    )
+    return Stated(spread, determined(x, pattern), np.stack([low, high]), samples, lamps)
+
+
+def restated(fit: Fit, samples) -> Fit:
+    """The fit with what other samples (n, terms, 3) say."""
+    stated = stated_by(fit.all_coefficients, samples, fit.lamps)
+    return replace(fit, state=lambda: stated)
 
 
 def widened(fit: Fit, factor: float) -> Fit:

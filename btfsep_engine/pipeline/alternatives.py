@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from btfsep_engine.fit.stated import Fit, restated
+from btfsep_engine.fit.stated import Fit, stated_by
 from btfsep_engine.pipeline.model import Model, stand_ins
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
@@ -88,8 +88,9 @@ def mixture(found: list[Alternative]) -> Fit:
     counts = np.round(np.diff(np.append(0, np.cumsum(shares))) * len(first.samples)).astype(int)
     parts, x = [fit.samples[: max(1, n)] for fit, n in zip(fits, counts, strict=True)], first.all_coefficients
     scales = [(f.all_coefficients * x).sum() / max(np.square(f.all_coefficients).sum(), 1e-300) for f in fits]
-    alike = restated(first, np.concatenate([scale * part for scale, part in zip(scales, parts, strict=True)]))
-    return replace(restated(first, np.concatenate(parts)), all_determined=alike.all_determined)
+    alike = stated_by(x, np.concatenate([scale * part for scale, part in zip(scales, parts, strict=True)]))
+    stated = replace(stated_by(x, np.concatenate(parts), first.lamps), determined=alike.determined)
+    return replace(first, state=lambda: stated)
 
 
 def mixture_words(found: list[Alternative]) -> str:

@@ -152,7 +152,7 @@ def study(shown: list, library, given):
 
 
 def cost(shown: list, library, repeats: int) -> dict:
-    """Milliseconds of what is compared, of one object in one material: {name: median}."""
+    """Milliseconds of what is compared, what is stated included, of one object in one material: {name: median}."""
     view = View(shown, library)
     images = [view.values(load_job(p.folder).photo.radiance) for p in shown]
     a = np.ascontiguousarray(view.right.all_basis).reshape(len(images[0]), -1).astype(np.float64)
@@ -162,12 +162,12 @@ def cost(shown: list, library, repeats: int) -> dict:
 
     def further():
         i = next(turn) % len(images)
-        return solver.solve(images[i] * noise[i], start=before[i])
+        return solver.solve(images[i] * noise[i], start=before[i]).state()
 
     calls = {
         "floor": lambda: a.T @ a,
         "preparing": lambda: light_solver([view.right], view.settings),
-        "photo": lambda: solver.solve(images[next(turn) % len(images)]),
+        "photo": lambda: solver.solve(images[next(turn) % len(images)]).state(),
         "further": further,
     }
     spent = defaultdict(list)

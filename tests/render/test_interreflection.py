@@ -85,8 +85,9 @@ def test_a_third_of_a_stated_deviation_is_worth_it_and_a_fifth_is_not():
     model, light = Model(STRAIGHT, {"mean": [problem]}), fit_together([problem], STRAIGHT)
 
     def decided(change):
-        stated = replace(light.fit, all_stddev=light.fit.all_stddev * (moved / change))
-        return own_light(model, replace(light, fit=stated), bounces=20)
+        stated = light.fit.state()
+        stated = replace(stated, stddev=stated.stddev * (moved / change))
+        return own_light(model, replace(light, fit=replace(light.fit, state=lambda: stated)), bounces=20)
 
     moved = own_light(model, light, bounces=20).change
     for change, worth in ((0.2, False), (0.3, True), (0.6, True)):

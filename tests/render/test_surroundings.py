@@ -11,6 +11,7 @@ import trimesh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.fit.stated import restated
 from btfsep_engine.job.model import Occluder, Photo, TriangleMesh
 from btfsep_engine.light.lightings import EnvironmentMaps, SHBasis
 from btfsep_engine.pipeline.basis import basis_images
@@ -166,7 +167,7 @@ def test_a_photo_does_not_argue_a_table_that_is_there_away():
 def test_what_is_stated_is_a_mixture_over_the_greys():
     found = estimated(table(4.0, None), positive_light(2))
     scene, one = found.scene, found.fit
-    elsewhere = replace(one, samples=2 * one.samples)
+    elsewhere = restated(one, 2 * one.samples)
     scene.greys = Greys((0.5, 0.3, 0.1), np.array([0.6, 0.37, 0.03]), (one.samples, elsewhere.samples, None))
     mixed = with_other_greys([SimpleNamespace(scene=scene)], one)
     assert len(mixed.samples) == len(one.samples) and np.array_equal(mixed.coefficients, one.coefficients)

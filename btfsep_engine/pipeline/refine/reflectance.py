@@ -41,7 +41,7 @@ def is_simpler(trial: Fit, fit: Fit) -> bool:
     """
     plain = trial.election.rival is not None
     fewer = trial.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
-    return bool(trial.lamps) and (plain or fewer)
+    return bool(trial.election.solution.model.lamps) and (plain or fewer)
 
 
 def nearer_materials(model, light):
