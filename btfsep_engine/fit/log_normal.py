@@ -103,6 +103,12 @@ class LightSolver:
                 return self._fit(photo, *follow(photo, start.election.solution, start.election.rival))
             return self._fit(photo, *elect(photo))
 
+    def field_evidence(self, radiance, *, weights=None) -> float:
+        """`Fit.evidence` of ``radiance`` under a field alone: quickly, what one basis explains more than another."""
+        with one_thread():
+            photo = Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening)
+            return natural_light(photo).evidence
+
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
         tint = colour.split(best.x[:, 0] * photo.level)
         unit = photo.level * tint.gain

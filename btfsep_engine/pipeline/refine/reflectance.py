@@ -6,7 +6,8 @@ near it (`btf.departures`) are always tried. A measured one is doubted only wher
 (`fit.diagnose`, "diffuse"), which is what a wrong balance of matte and gloss leaves over. The material of the largest
 evidence, its prior counted, stands for the object in the fit. But roughness and a natural sky imitate each other, and
 the evidence cannot always tell: a departure is believed only where it makes the light simpler: a plain one with
-lamps, or one with lamps and far fewer effective unknowns. Objects are looked at one by one, the largest first.
+lamps, or one with lamps and far fewer effective unknowns. Objects are looked at one by one, the largest first; each
+departure is tried on a few of the pixels, under a field alone, before it is on all.
 """
 
 from dataclasses import replace
@@ -17,11 +18,14 @@ from btfsep_engine import sh
 from btfsep_engine.btf.departures import departures
 from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.fit.stated import Fit
-from btfsep_engine.pipeline.together import SolvedLight, fit_together, stacked
+from btfsep_engine.pipeline.together import SolvedLight, all_weights, fit_together, light_solver, stacked
 
 SPEAKS = 12.0  # chi^2 of the misfit's likeness to shading: half of what is warned of
 SIMPLER = 0.75  # of the effective unknowns
 CLEARLY = 3.0  # of the logarithm of the evidence: less is not worth a departure
+# On 20 photographs (by Cycles, and of real objects; 51 departures) so many pixels under a field alone saw a gain of 4.8
+# and more for what all of them believed, and of 0.1 and less for what they did not, mostly -7 to -60.
+FEW, HOPEFUL = 500, -3.0
 
 
 def shading_left(problems, light: SolvedLight) -> float:
@@ -53,6 +57,29 @@ def nearer_materials(model, light):
         return _nearer(model, light)
 
 
+def fewer(problems, count: int, seed: int) -> list:
+    """The problems of a view with ``count`` points together, drawn by chance; those with less than twice so many."""
+    sizes = [len(p.pixels) for p in problems]
+    if sum(sizes) < 2 * count:
+        return problems
+    used = np.zeros(sum(sizes), bool)
+    used[np.random.default_rng(seed).choice(len(used), count, replace=False)] = True
+    return [p.subset(part) for p, part in zip(problems, np.split(used, np.cumsum(sizes)[:-1]), strict=True)]
+
+
+def quick_evidence(problems, light: SolvedLight, settings) -> float:
+    """How probable a light's photographs are under a field alone."""
+    solver = light_solver(problems, settings)
+    return solver.field_evidence(light.radiance(problems), weights=all_weights(problems))
+
+
+def with_material(problems, index: int, material, settings) -> list:
+    """The problems with another material for one of the objects."""
+    return [
+        p.of_materials([material if j == index else m for j, m in enumerate(p.materials)], settings) for p in problems
+    ]
+
+
 def _nearer(model, light):
     problems, settings = model.problems, replace(model.modelled, order=light.order)
     chi2 = shading_left(problems, light)
@@ -61,12 +88,15 @@ def _nearer(model, light):
         return model, light, {"reflectance": "as in the library: what is left over does not look like shading"}
     sizes, departed = np.sum([[len(p) for p in problem.points] for problem in problems], 0), []
     for i in (i for i in np.argsort(-sizes) if doubted[i]):
+        few = fewer(problems, FEW, settings.seed)
+        some = None if few is problems else quick_evidence(few, light, settings)
         largest, better = light.fit.evidence + CLEARLY, None
         for near in departures(problems[0].materials[i]):
-            trial = [
-                p.of_materials([near.material if j == i else m for j, m in enumerate(p.materials)], settings)
-                for p in problems
-            ]
+            if some is not None:
+                seen = quick_evidence(with_material(few, i, near.material, settings), light, settings)
+                if seen + near.log_prior < some + HOPEFUL:
+                    continue
+            trial = with_material(problems, i, near.material, settings)
             answer = fit_together(trial, settings)
             evidence = answer.fit.evidence + near.log_prior
             if evidence > largest and is_simpler(answer.fit, light.fit):
@@ -75,10 +105,7 @@ def _nearer(model, light):
             near, problems, light = better
             departed.append(f"'{problems[0].scene.job.objects[i].name}' with {near.description}")
     if not departed:
-        return (
-            model,
-            light,
-            {"reflectance": "as in the library: none of the materials near it explains the photo better"},
-        )
+        why = "as in the library: none of the materials near it explains the photo better"
+        return model, light, {"reflectance": why}
     why = f"nearly the library's: {', '.join(departed)} (by evidence)"
     return replace(model, looks={model.appearance: problems}), light, {"reflectance": why}
