@@ -17,12 +17,12 @@ import click
 from btfsep_engine import __version__
 from btfsep_engine.atomic import write_text
 from btfsep_engine.cli.command import command, opened_library
-from btfsep_engine.cli.lanes import Outcome, run_all
+from btfsep_engine.cli.lanes import run_all
 from btfsep_engine.cli.options import ESTIMATE, LIBRARY, MATERIAL, PATH, REPORT, out_option, takes_settings
+from btfsep_engine.cli.worker import Outcome
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.record import write_json
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.progress import Reporter
 
 RESULT = "result"  # of a job folder, where --out is not given
 COLUMNS = ("job", "status", "materials", "residual", "effective_degrees_of_freedom", "seconds", "warnings", "message")
@@ -40,10 +40,11 @@ class EstimateTask:
     with_report: bool = True
 
 
-def estimate_job(task: EstimateTask) -> dict:
+def estimate_job(task: EstimateTask, reporter) -> dict:
     """The result of a job's estimate, as of `run_estimate`. Raises InputError."""
     from btfsep_engine.pipeline.estimation import run_estimate
 
+    reporter.command = "estimate"
     return run_estimate(
         task.job,
         opened_library(task.library_folder),
@@ -51,7 +52,7 @@ def estimate_job(task: EstimateTask) -> dict:
         material=task.material,
         out=task.out,
         with_report=task.with_report,
-        reporter=Reporter(command="estimate"),
+        reporter=reporter,
     )
 
 

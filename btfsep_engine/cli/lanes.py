@@ -1,90 +1,100 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work done in child processes that stay warm; a child that dies costs the task at hand only.
+"""Tasks done in several warm processes at once, as many as the machine has cores and memory for.
 
-A lane is a thread with a process pool of one. A native library that aborts, or the system that kills for memory, breaks
-that pool: the task has failed, the lane takes a new process and goes on.
+A lane is a thread with a `worker.Worker`. Tasks are taken from the front as lanes become free, and outcomes are handed
+out as they come, so that a hundred thousand of them need no more memory than ten.
 """
 
-import contextlib
-import multiprocessing
 import os
-import sys
+import queue
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
-from btfsep_engine.cli.command import failure_of
+from btfsep_engine.cli.worker import TOO_LONG, Outcome, Worker
 
-DIED = 1  # exit code of a task whose process ended without an answer
-STOPPED = 130
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a task ended: ``exit_code`` as a command's (0 done, 2 the input is at fault, 1 a bug), why, with what."""
-
-    exit_code: int = 0
-    message: str = ""
-    result: dict = field(default_factory=dict)
+LANE_MB = 1500.0  # what an estimate holds with a recogniser being trained; of usual pictures
+MOST_MB = 3000.0  # a lane that holds more after a task begins the next in a new process
+MOST_TASKS = 500  # and so does one that has done so many
+AHEAD = 4  # outcomes that may wait for whoever takes them, for each lane
 
 
-def outcome(work: Callable[..., dict], task) -> Outcome:
-    """``work(task)``, done here; what it prints goes to standard error: a program may read standard output."""
+def available_mb() -> float | None:
+    """Memory that can be had now, in megabytes; None where the system does not say."""
+    found = []
     try:
-        with contextlib.redirect_stdout(sys.stderr):
-            return Outcome(result=work(task))
-    except KeyboardInterrupt:
-        return Outcome(STOPPED, "stopped")
-    except Exception as error:
-        message, exit_code = failure_of(error)
-        return Outcome(exit_code, message)
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        found += [int(line.split()[1]) / 1024 for line in lines if line.startswith("MemAvailable")]
+        group = Path("/sys/fs/cgroup")  # of a container
+        used, most = ((group / f"memory.{n}").read_text().strip() for n in ("current", "max"))
+        found += [(int(most) - int(used)) / (1 << 20)] if most != "max" else []
+    except (OSError, ValueError, IndexError):
+        pass
+    if not found and hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / (1 << 20) / 2]
+    return min(found) if found else None
 
 
-def _begin(threads: int) -> None:
-    """In a lane's process: its share of the cores."""
-    from btfsep_engine.render.backend import limit_threads
-
-    limit_threads(threads)
-
-
-class Lane(threading.local):
-    """A thread's own warm process."""
-
-    pool = None
-
-    def run(self, work, task, threads: int) -> Outcome:
-        """:func:`outcome`, in this lane's process; ``work`` and ``task`` can be pickled."""
-        if self.pool is None:
-            # spawn: the renderer's threads do not survive a fork
-            self.pool = ProcessPoolExecutor(
-                1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin, initargs=(threads,)
-            )
-        try:
-            return self.pool.submit(outcome, work, task).result()
-        except BrokenProcessPool:
-            self.pool = None
-            return Outcome(DIED, "its process died (killed, or out of memory)")
+def lanes_for(wanted: str | int, tasks: int) -> int:
+    """How many lanes for so many tasks; "auto": one for each core for which there is memory."""
+    if wanted == "auto":
+        room = available_mb()
+        wanted = min(os.cpu_count() or 1, 1 if room is None else int(room // LANE_MB))
+    return max(1, min(wanted, tasks))
 
 
-def run_all(work, tasks, lanes: int) -> Iterator[tuple[int, Outcome]]:
+def run_all(
+    work, tasks: Iterable, lanes: int, *, time_limit: float | None = None, retries: int = 0
+) -> Iterator[tuple[int, Outcome]]:
     """Does tasks in ``lanes`` processes at once.
 
     Parameters
     ----------
-    work : function of a module, task -> dict
+    work : function of a module, (task, reporter) -> dict
     lanes : number of processes, each with its share of the cores
+    time_limit : seconds for each try of a task
+    retries : how often a task is tried anew whose process died or that took too long
 
     Yields
     ------
     (number of the task, its :class:`Outcome`), in the order in which they end
     """
-    lane, threads = Lane(), max(1, (os.cpu_count() or 1) // lanes)
-    with ThreadPoolExecutor(lanes, thread_name_prefix="lane") as pool:
-        numbers = {pool.submit(lane.run, work, task, threads): i for i, task in enumerate(tasks)}
+    todo, taking, ended, over = enumerate(tasks), threading.Lock(), queue.Queue(AHEAD * lanes), threading.Event()
+    threads = max(1, (os.cpu_count() or 1) // lanes)
+    workers = [Worker(threads=threads, most_tasks=MOST_TASKS, most_mb=MOST_MB) for _ in range(lanes)]
+
+    def lane(worker: Worker) -> None:
         try:
-            for future in as_completed(numbers):
-                yield numbers[future], future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)  # after an interrupt nothing more is begun
+            while not over.is_set():
+                with taking:
+                    number, task = next(todo, (None, None))
+                if number is None:
+                    break
+                ended.put((number, tried(worker, task)))
+        except BaseException as error:  # a task that cannot be sent, say: not for this thread alone to know
+            ended.put((None, error))
+        ended.put((None, None))
+
+    def tried(worker: Worker, task) -> Outcome:
+        for _ in range(retries + 1):
+            end = worker.run(work, task, time_limit=time_limit)
+            if over.is_set() or not (end.died or end.exit_code == TOO_LONG):
+                break
+        return end
+
+    for worker in workers:
+        threading.Thread(target=lane, args=(worker,), name="lane", daemon=True).start()
+    try:
+        working = lanes
+        while working:
+            number, end = ended.get()
+            if number is not None:
+                yield number, end
+            elif end is None:
+                working -= 1
+            else:
+                raise end
+    finally:  # after an interrupt nothing more is begun
+        over.set()
+        for worker in workers:
+            worker.close()

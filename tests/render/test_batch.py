@@ -7,16 +7,14 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from btfsep_engine.cli import lanes, main
-from btfsep_engine.cli.batch import EstimateTask, estimate_job, find_jobs, job_key, shard_of
+from btfsep_engine.cli import main
+from btfsep_engine.cli.batch import find_jobs, job_key, shard_of
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.pipeline.settings import choose
 
 OPTIONS = ["--material", "reference/white-diffuse", "--order", "2", "--preset", "draft", "--no-report"]
 
@@ -68,38 +66,6 @@ def test_results_are_gathered_in_one_folder_where_that_is_asked_for(shots, tmp_p
     code, lines = run([shots / "a", shots / "c", "--out", out, "--lanes", "2", *OPTIONS], capsys)
     assert code == 0 and lines[-1]["result"]["summary"] == str(out / "batch.json")
     assert all((out / name / "lighting.json").is_file() for name in "ac") and not (shots / "a" / "result").exists()
-
-
-def test_a_process_that_dies_costs_its_task_only(monkeypatch):
-    """One that kills its own process, then one that is wrong in the usual way: both have an answer."""
-    monkeypatch.setenv("BTFSEP_VARIANT", "llvm_ad_rgb")
-    lane = lanes.Lane()
-    died = lane.run(os._exit, 9, 1)
-    nowhere = EstimateTask(Path("nowhere"), Path("out"), choose("draft"))
-    after = lane.run(estimate_job, nowhere, 1)
-    assert died.exit_code == lanes.DIED and "process died" in died.message
-    assert after.exit_code == 2 and "nowhere" in after.message
-
-
-def interrupted(task):
-    raise KeyboardInterrupt
-
-
-def short_of_memory(task):
-    raise MemoryError
-
-
-def wrong(task):
-    print("not for the program that reads standard output")
-    raise ValueError(f"{task} is odd")
-
-
-def test_every_end_of_a_task_has_words(capsys):
-    ends = [lanes.outcome(work, 3) for work in (interrupted, short_of_memory, wrong)]
-    assert [e.exit_code for e in ends] == [130, 2, 1] and not any(e.result for e in ends)
-    assert "use --preset draft" in ends[1].message and "ValueError: 3 is odd; please report it" in ends[2].message
-    said = capsys.readouterr()
-    assert said.out == "" and "not for the program" in said.err and "Traceback" in said.err
 
 
 def test_places_shards_and_what_is_wrong_with_them(shots, tmp_path):
