@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Files are written whole or not at all, and read with errors in words."""
 
+import hashlib
 import os
 import tempfile
 import time
@@ -74,6 +75,24 @@ def write_bytes(path, data: bytes) -> None:
 def write_text(path, text: str) -> None:
     """Writes ``text`` as UTF-8 to ``path``, whole or not at all; bytes of names that are none as \\udcXX."""
     write_bytes(path, text.encode(errors="backslashreplace"))
+
+
+def remove(*paths) -> None:
+    """Takes files away, where they are there. Raises InputError."""
+    for path in map(Path, paths):
+        try:
+            path.unlink()
+        except (FileNotFoundError, NotADirectoryError):  # whoever writes there says the second
+            pass
+        except OSError as error:
+            raise InputError(
+                f"cannot take away {path}", error.strerror or str(error), "close or move it, or choose another folder"
+            ) from error
+
+
+def digest(path) -> str:
+    """SHA-256 of what is in a file, in hexadecimal."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
 
 
 def read_bytes(path, name: str | None = None) -> bytes:

@@ -19,9 +19,10 @@ RUNS = {
         "fit": 5,
         "reflectance": 2,
         "alternatives": 1,
+        "writing": 3,
         "checks": 3,
         "report": 9,
-        "writing": 3,
+        "record": 1,
     },
     "align": {**_SCENE, "alignment": 40, "writing": 2},
     "recognise": {**_SCENE, **_LEARNING},
@@ -57,6 +58,7 @@ TITLES = {
     "checks": "Looking for what speaks against it",
     "report": "Making the report",
     "writing": "Writing the results",
+    "record": "Writing down how it was found",
     "alignment": "Bringing geometry and photo into line",
     "maps": "Reading the maps",
     "measure": "Measuring",
@@ -99,6 +101,10 @@ class Reporter:
         if message not in self.warnings:
             self.warnings.append(message)
             log.info("warning: %s", message)
+
+    def light(self, lighting: str) -> None:
+        """The light is written, into the file ``lighting``; what is known of it besides comes later."""
+        log.info("light: %s", lighting)
 
     @contextmanager
     def timed(self, name: str):

@@ -28,6 +28,9 @@ class JsonReporter(Reporter):
             self.warnings.append(message)
             self._line(type="warning", message=message)
 
+    def light(self, lighting):
+        self._line(type="light", lighting=lighting)
+
     def done(self, result: dict):
         """The last line of a command that went well."""
         self._line(type="done", result=result)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import report
+from btfsep_engine.atomic import digest, remove
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
@@ -130,10 +131,17 @@ REFINEMENTS = (
 
 
 def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None, others=()) -> Estimate:
-    """Recognises what is not given and solves for the light that all objects share.
+    """Recognises what is not given, solves for the light that all objects share, and says what speaks against it.
 
     ``others`` are PreparedScenes of further photographs under the same light, each with an exposure of its own.
     """
+    found = found_light(scene, library, settings, material=material, others=others)
+    say_doubts(found)
+    return found
+
+
+def found_light(scene: PreparedScene, library, settings: Settings, *, material=None, others=()) -> Estimate:
+    """`estimate` without what speaks against it, which changes nothing of the light."""
     scenes, reporter = [scene, *others], scene.reporter
     refuse_unknown(scenes, settings)
     materials = materials_of_all(scenes, library, settings, name=material)
@@ -154,18 +162,37 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
         others = tuple(alternatives(model, light, library))
     if others:
         choice["materials"] = mixture_words(others)
-    found = Estimate(model, light, choice, others)
+    return Estimate(model, light, choice, others)
+
+
+def say_doubts(found: Estimate) -> None:
+    """Warns of what speaks against an estimate."""
+    reporter = found.scene.reporter
     with reporter.stage("checks"):
         doubts = all_doubts(found)
     for doubt in doubts:
         reporter.warn(doubt)
-    return found
+
+
+def write_light(out: Path, found: Estimate, *, earlier) -> list[Path]:
+    """Writes ``lighting.json`` and ``lighting.exr`` into ``out``; returns their paths.
+
+    ``earlier`` : files of a run before, which would belong to another light; they go first.
+    """
+    paths = [out / "lighting.json", out / "lighting.exr"]
+    with found.scene.reporter.stage("writing"):
+        remove(*earlier)
+        write_lighting(paths[0], found.lighting)
+        write_lighting_exr(paths[1], found.lighting, radiance=found.radiance)
+    return paths
 
 
 def run_estimate(
     folder, library, settings: Settings, *, material=None, out=None, with_report=True, others=(), reporter
 ) -> dict:
     """The whole command: reads the job, estimates, writes the results.
+
+    The light is written as soon as it is known, then what says more of it; ``result.json`` last: where it is, all is.
 
     Parameters
     ----------
@@ -186,14 +213,18 @@ def run_estimate(
             reporter.warn(note)
     out = Path(out) if out is not None else jobs[0].folder / "result"
     scene, *further = (mended(PreparedScene(job, reporter), settings) for job in jobs)
-    found = estimate(scene, library, settings, material=material, others=further)
+    found = found_light(scene, library, settings, material=material, others=further)
+    record, picture = out / "result.json", out / "report.png"
+    written = write_light(out, found, earlier=[record, picture])
+    lighting = str(written[0])
+    reporter.light(lighting)
+    say_doubts(found)
     if with_report:
         with reporter.stage("report"):
-            report.write_estimate_report(out / "report.png", found)
-    with reporter.stage("writing"):
-        write_lighting(out / "lighting.json", found.lighting)
-        write_lighting_exr(out / "lighting.exr", found.lighting, radiance=found.radiance)
-    result = result_record(found)
-    result["seconds"]["total"] = round(time.perf_counter() - started, 4)
-    write_json(out / "result.json", result)
-    return {**result, "out": str(out), "lighting": str(out / "lighting.json")}
+            report.write_estimate_report(picture, found)
+        written.append(picture)
+    with reporter.stage("record"):
+        result = result_record(found) | {"files": {path.name: digest(path) for path in written}}
+        result["seconds"]["total"] = round(time.perf_counter() - started, 4)
+        write_json(record, result)
+    return {**result, "out": str(out), "lighting": lighting}
