@@ -60,10 +60,11 @@ def _sync(path, flags: int) -> None:
 
 def sweep(folder, pattern: str = ".writing-*") -> None:
     """Takes away scratch files that killed processes have left; what is younger than a day may be in use."""
-    for path in Path(folder).glob(pattern):
-        with suppress(OSError):
-            if time.time() - path.lstat().st_mtime > ABANDONED:
-                path.unlink()
+    with suppress(OSError):
+        for path in Path(folder).glob(pattern):
+            with suppress(OSError):
+                if time.time() - path.lstat().st_mtime > ABANDONED:
+                    path.unlink()
 
 
 def write_bytes(path, data: bytes) -> None:

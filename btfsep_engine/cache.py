@@ -3,7 +3,7 @@
 
 An entry holds arrays by name. It is called by a :func:`digest` of all that it depends on. In front of them stands the
 SHA-256 of the entry's own folder and name and of all that follows, so that a file that a disk, a crash or a person has
-changed, or put in the place of another, is made again. Each kind has a folder, of `MOST_BYTES` at most: what has been
+changed, or put in the place of another, is made again. Each kind has a folder, of `most_bytes` at most: what has been
 unused for longest gives way.
 """
 
@@ -23,6 +23,7 @@ from btfsep_engine import atomic
 ENVIRONMENT = "BTFSEP_CACHE"  # names another folder
 DIGEST = 32  # bytes
 MOST_BYTES = 2 << 30  # of a folder of entries: some sixty recognisers
+LIMIT = "BTFSEP_CACHE_MB"  # names another limit, in megabytes
 TEXT = "text"  # what an entry holds instead of numbers
 
 
@@ -107,12 +108,20 @@ def _make_room(kept: Path) -> None:
         with suppress(OSError):  # another process may have removed it
             about = entry.stat()
             found.append((entry != kept, -about.st_mtime_ns, about.st_size, entry))
-    total = 0
+    total, most = 0, most_bytes()
     for removable, _, size, entry in sorted(found):
         total += size
-        if removable and total > MOST_BYTES:
+        if removable and total > most:
             with suppress(OSError):
                 entry.unlink()
+
+
+def most_bytes() -> float:
+    """How large a folder of entries may be."""
+    try:
+        return max(float(os.environ[LIMIT]), 0.0) * (1 << 20)
+    except (KeyError, ValueError):
+        return MOST_BYTES
 
 
 def _digest(path: Path, file) -> bytes:

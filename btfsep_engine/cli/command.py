@@ -10,7 +10,11 @@ import click
 from btfsep_engine.cli.output import JsonReporter, TextReporter
 from btfsep_engine.errors import InputError
 
-INPUT_FAULT, BUG = 2, 1
+INPUT_FAULT, BUG, SOME_FAILED = 2, 1, 3
+
+
+class SomeFailed(InputError):
+    """A command over many things did its work, and some of them failed; ``result`` says how many."""
 
 
 def command(function):
@@ -38,7 +42,7 @@ def command(function):
 def failure_of(error: Exception) -> tuple[str, int]:
     """The sentence for people and the exit status; of a bug the traceback goes to standard error."""
     if isinstance(error, InputError):
-        return str(error), INPUT_FAULT
+        return str(error), SOME_FAILED if isinstance(error, SomeFailed) else INPUT_FAULT
     if isinstance(error, MemoryError):
         return "not enough memory; the scene or the picture is too large; use --preset draft", INPUT_FAULT
     traceback.print_exception(error)

@@ -38,12 +38,7 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
     InputError
         The first thing that is wrong, in one sentence.
     """
-    folder = Path(folder)
-    if folder.name == "job.json" and folder.is_file():
-        folder = folder.parent
-    if not folder.is_dir():
-        raise InputError(f"job {folder}", "there is no such folder", "give the folder that has the job.json")
-    reader = _Folder(folder)
+    reader = _Folder(job_folder(folder))
     schema = parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
     if colorspace is not None:
         schema = schema.model_copy(update={"image_colorspace": colorspace})
@@ -65,7 +60,7 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
         objects = (_depth_object(reader, schema, camera),)
     occluders = tuple(_occluder(reader, o, f"occluders[{i}]", notes) for i, o in enumerate(schema.occluders))
     return Job(
-        folder=folder,
+        folder=reader.folder,
         photo=photo,
         camera=camera,
         objects=objects,
@@ -78,12 +73,39 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
     )
 
 
+def job_folder(place) -> Path:
+    """The folder of a job, of which its job.json may be named, too. InputError where there is none."""
+    place = Path(place)
+    try:
+        if place.name == "job.json" and place.is_file():
+            return place.parent
+        there, got = place.is_dir(), "there is no such folder"
+    except (OSError, ValueError) as error:  # a name that no file can have
+        there, got = False, getattr(error, "strerror", None) or str(error)
+    if not there:
+        raise InputError(f"job {place}", got, "give the folder that has the job.json")
+    return place
+
+
+def job_digest(folder) -> str:
+    """`Job.digest` of the job as it is now, of which nothing but ``job.json`` is understood. Raises InputError."""
+    reader = _Folder(job_folder(folder))
+    schema = parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
+    named = [schema.image, schema.depth]
+    for thing in (*schema.objects, *schema.occluders):
+        named += [thing.mesh, getattr(thing, "mask", None), getattr(thing.surface, "base_color", None)]
+    for name in named:
+        if isinstance(name, str):
+            reader.path(name, "job.json")
+    return reader.digest()
+
+
 class _Folder:
-    """Files inside a folder, none outside it, and a hash of all that were used."""
+    """Files inside a folder, none outside it, and a hash of all that were used, each as it was before it was read."""
 
     def __init__(self, folder: Path):
         self.folder, self.root = folder, folder.resolve()
-        self.used: dict[str, Path] = {}
+        self.used: dict[str, str] = {}
 
     def path(self, relative: str, what: str) -> Path:
         """The path of a file that job.json names. InputError unless it is a file inside the folder."""
@@ -103,7 +125,12 @@ class _Folder:
         if not found:
             got = f"'{relative}' is a folder" if folder else f"there is no file '{relative}' in the job folder"
             raise InputError(what, got, "check the name, or export the job again")
-        self.used[plain] = path
+        if plain not in self.used:  # before it is read: a file that changes meanwhile is not the one that is called so
+            try:
+                with path.open("rb") as file:
+                    self.used[plain] = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError:  # who reads it says so
+                self.used[plain] = ""
         return path
 
     def read(self, relative: str, what: str) -> bytes:
@@ -112,9 +139,8 @@ class _Folder:
     def digest(self) -> str:
         """sha256 over the names and the bytes of all files used, hexadecimal."""
         total = hashlib.sha256()
-        for name, path in sorted(self.used.items()):
-            with path.open("rb") as file:
-                total.update(f"{name}\0{hashlib.file_digest(file, 'sha256').hexdigest()}\n".encode())
+        for name, content in sorted(self.used.items()):
+            total.update(f"{name}\0{content}\n".encode())
         return total.hexdigest()
 
 

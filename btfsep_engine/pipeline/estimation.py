@@ -27,6 +27,7 @@ from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.surroundings import surroundings
+from btfsep_engine.pipeline.resume import estimate_key
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import SolvedLight
@@ -224,7 +225,8 @@ def run_estimate(
             report.write_estimate_report(picture, found)
         written.append(picture)
     with reporter.stage("record"):
-        result = result_record(found) | {"files": {path.name: digest(path) for path in written}}
+        key = estimate_key([job.digest for job in jobs], library, settings, material)
+        result = result_record(found) | {"key": key, "files": {path.name: digest(path) for path in written}}
         result["seconds"]["total"] = round(time.perf_counter() - started, 4)
         write_json(record, result)
     return {**result, "out": str(out), "lighting": lighting}

@@ -6,7 +6,7 @@ import functools
 import json
 import logging
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +14,14 @@ import numpy as np
 from btfsep_engine import __version__, cache
 from btfsep_engine.cache import digest
 from btfsep_engine.errors import InputError
+from btfsep_engine.lock import locked
 from btfsep_engine.recognise.classifier import Nearest, Svm
 from btfsep_engine.recognise.descriptors import Settings
 from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.recognise.vlad import Encoder, Encoding
 
 log = logging.getLogger("btfsep")
+PATIENCE = 900.0  # seconds for which a training by another process is waited for
 ENGINE = Path(__file__).resolve().parents[1]
 # what a training runs through, from the geometry to the classifier
 SOURCES = ("conventions.py", "images.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
@@ -78,8 +80,8 @@ def source_digest(engine: Path = ENGINE) -> str:
 def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recogniser:
     """The recogniser of ``key``: from the cache, or made now and put there.
 
-    A damaged or older file is replaced silently. Two processes may do it at once: both may train, each file
-    appears whole, the last one stays. A cache that cannot be written is no error; the recogniser is made each time.
+    A damaged or older file is replaced silently. Of several processes one trains, and the others wait for it: many jobs
+    of one geometry train once. A cache that cannot be written is no error; the recogniser is made each time.
 
     Parameters
     ----------
@@ -87,15 +89,29 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
     make : trains it
     folder : instead of :func:`cache_folder`
     """
-    name = digest(source_digest(), key)[:32]
-    path = Path(folder or cache.cache_folder()) / "recognisers" / f"{name}.entry"
+    name, folder = digest(source_digest(), key)[:32], Path(folder or cache.cache_folder())
+    path = folder / "recognisers" / f"{name}.entry"
+    if (kept := _kept(path)) is not None:
+        return kept
+    with ExitStack() as alone:
+        try:  # a lock for a few keys together: as many files would stay as there were trainings
+            alone.enter_context(locked(folder / "locks" / name[:2], PATIENCE, name="the cache's"))
+        except InputError as error:
+            log.info("trained beside others, perhaps: %s", error)
+        if (kept := _kept(path)) is not None:
+            return kept
+        recogniser = make()
+        try:
+            cache.write(path, _arrays(recogniser))
+        except InputError as error:
+            log.info("recogniser not kept: %s", error)
+    return recogniser
+
+
+def _kept(path: Path) -> Recogniser | None:
+    """The recogniser of an entry, where there is one that is whole."""
     kept = cache.read(path, SHAPES)
     if kept is not None:
         with suppress(ValueError, KeyError, TypeError, AttributeError):  # whole, but not a recogniser
             return _assembled(kept)
-    recogniser = make()
-    try:
-        cache.write(path, _arrays(recogniser))
-    except InputError as error:
-        log.info("recogniser not kept: %s", error)
-    return recogniser
+    return None

@@ -14,10 +14,10 @@ from btfsep_engine.btf import importing, library, linear, storing
 from btfsep_engine.btf.checks import check
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.formats.ubo2014 import open_btf
-from btfsep_engine.btf.lock import locked
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.cli import main
 from btfsep_engine.errors import InputError
+from btfsep_engine.lock import locked
 from tests.engine import btf_files
 
 DIRECTIONS = ubo2014_directions()[::4]

@@ -148,6 +148,12 @@ def test_a_full_folder_gives_up_what_was_unused_for_longest(tmp_path, monkeypatc
     monkeypatch.setattr(cache, "MOST_BYTES", int(3.5 * paths[0].stat().st_size))
     cache.write(paths[4], ARRAYS)
     assert [p.exists() for p in paths] == [True, False, False, True, True]
-    monkeypatch.setattr(cache, "MOST_BYTES", 1)
+    monkeypatch.setenv("BTFSEP_CACHE_MB", "0.000001")
     cache.write(paths[1], ARRAYS)
     assert {p.name for p in (tmp_path / "kind").iterdir()} == {"1.entry", "other.txt"}  # what is written stays
+
+
+@pytest.mark.parametrize(("text", "bytes_"), [("3", 3 << 20), ("-1", 0), ("much", cache.MOST_BYTES)])
+def test_a_user_can_say_how_large_a_folder_may_be(monkeypatch, text, bytes_):
+    monkeypatch.setenv("BTFSEP_CACHE_MB", text)
+    assert cache.most_bytes() == bytes_

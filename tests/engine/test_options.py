@@ -71,4 +71,6 @@ def test_a_batch_takes_what_an_estimate_takes_but_for_further_photos_of_one_ligh
     """A shot can be tried alone and then with all; the jobs of a batch know nothing of each other."""
     alone, many = ({o for p in cli.commands[n].params for o in p.opts} for n in ("estimate", "batch"))
     assert alone - many == {"job", "--with"}
-    assert many - alone == {"places", "--list", "--summary", "--lanes", "--shard", "--again"}
+    assert many - alone == {
+        *("places", "--list", "--summary", "--lanes", "--shard", "--join", "--again", "--time-limit", "--retries"),
+    }

@@ -3,6 +3,7 @@
 
 import re
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -73,3 +74,30 @@ def test_other_code_trains_again(tmp_path, monkeypatch, rng):
     for number, arrays in enumerate(bad, 3):
         cache.write(entry, arrays)
         assert [ask(), ask()] == [number, number]
+
+
+def test_of_two_who_need_the_same_training_one_trains(tmp_path):
+    """The second begins while the first trains: it waits, and reads what was trained."""
+    rng, mask = np.random.default_rng(0), np.ones((64, 64), bool)
+    images = [training.TrainingImage(m, "one", rng.random((64, 64, 3)) + 1, mask) for m in ("a/a", "b/b")]
+    method = training.Method(descriptors.Settings(target=50), Encoding(colour_words=4, sift_words=4))
+    recogniser, begun, trained = training.train(images, method=method), threading.Event(), []
+
+    def make():
+        trained.append(1)
+        begun.set()
+        threading.Event().wait(0.5)  # in which the other asks
+        return recogniser
+
+    first = threading.Thread(target=model_file.cached, args=("key", make), kwargs={"folder": tmp_path})
+    first.start()
+    assert begun.wait(60)
+    found = model_file.cached("key", make, folder=tmp_path)
+    first.join()
+    assert trained == [1] and found.materials == recogniser.materials
+
+
+def test_a_training_that_cannot_be_locked_is_done_all_the_same(tmp_path):
+    (tmp_path / "locks").write_text("in the way")
+    with pytest.raises(ZeroDivisionError):
+        model_file.cached("key", lambda: 1 / 0, folder=tmp_path)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One writer of a library folder at a time, whatever the process. The lock goes with its process, however that ends."""
+"""One writer of a folder at a time, whatever the process. The lock goes with its process, however that ends."""
 
 import errno
 import os
@@ -32,8 +32,8 @@ else:
 
 
 @contextmanager
-def locked(folder, patience: float = PATIENCE):
-    """Holds the lock of ``folder`` (made if it is not there) during the block.
+def locked(folder, patience: float = PATIENCE, *, name: str = "library"):
+    """Holds the lock of ``folder`` (made if it is not there) during the block; ``name``: what an error calls it.
 
     Raises
     ------
@@ -58,11 +58,11 @@ def locked(folder, patience: float = PATIENCE):
             except OSError as error:
                 if error.errno not in HELD:
                     raise InputError(
-                        f"library {folder}", f"its {FILE} cannot be locked: {error.strerror}", "use another disk"
+                        f"{name} {folder}", f"its {FILE} cannot be locked: {error.strerror}", "use another disk"
                     ) from error
                 if time.monotonic() >= end:
                     raise InputError(
-                        f"library {folder}", "another program has been writing to it for long", "try again later"
+                        f"{name} {folder}", "another program has been writing to it for long", "try again later"
                     ) from error
                 time.sleep(0.05)
         try:
