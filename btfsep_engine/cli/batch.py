@@ -9,7 +9,7 @@ import signal
 import threading
 from collections.abc import Iterable
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -19,6 +19,7 @@ from btfsep_engine.cli.command import SomeFailed, command, opened_library
 from btfsep_engine.cli.jobs import find_jobs, result_folders, shard_of
 from btfsep_engine.cli.lanes import lanes_for, run_all
 from btfsep_engine.cli.options import ESTIMATE, LIBRARY, MATERIAL, PATH, REPORT, out_option, takes_settings
+from btfsep_engine.cli.scheduler import run_scheduled
 from btfsep_engine.cli.summary import Journal, join
 from btfsep_engine.cli.worker import TOO_LONG, Outcome
 from btfsep_engine.errors import InputError
@@ -64,6 +65,12 @@ def estimate_job(task: EstimateTask, reporter) -> dict:
         "warnings": result["warnings"],
         "key": result["key"],
     }
+
+
+def of_anywhere(task: EstimateTask) -> EstimateTask:
+    """The task with paths that do not depend on the current folder."""
+    library = None if task.library_folder is None else task.library_folder.absolute()
+    return replace(task, job=task.job.absolute(), out=task.out.absolute(), library_folder=library)
 
 
 def entry_of(job, out, ended: Outcome) -> dict:
@@ -159,13 +166,27 @@ def number_or_auto(context, parameter, value: str) -> str | int:
     show_default=True,
     help="How often a job is tried anew that took too long or whose process died.",
 )
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, tcp://…, whose workers do the jobs.")
 @MATERIAL
 @REPORT
 @LIBRARY
 @command
 @takes_settings(*ESTIMATE)
 def batch(
-    *, places, list_file, out, summary, lanes, shard, joined, again, time_limit, retries, reporter, **estimate_options
+    *,
+    places,
+    list_file,
+    out,
+    summary,
+    lanes,
+    shard,
+    joined,
+    again,
+    time_limit,
+    retries,
+    scheduler,
+    reporter,
+    **estimate_options,
 ):
     """Estimates the light of many jobs: job folders, or folders that hold job folders.
 
@@ -188,7 +209,11 @@ def batch(
     del every, mine
     opened_library(estimate_options["library_folder"])  # what is wrong with it is said once
     tasks = (EstimateTask(*pair, again=again, **estimate_options) for pair in zip(jobs, folders, strict=True))
-    ends = run_all(estimate_job, tasks, lanes_for(lanes, len(jobs)), time_limit=time_limit, retries=retries)
+    limits = {"time_limit": time_limit, "retries": retries}
+    if scheduler is None:
+        ends = run_all(estimate_job, tasks, lanes_for(lanes, len(jobs)), **limits)
+    else:
+        ends = run_scheduled(scheduler, estimate_job, map(of_anywhere, tasks), **limits)
     with stoppable():
         facts = {} if shard is None else {"shard": shard}
         return concluded(run_batch(jobs, folders, ends, summary=summary, reporter=reporter, **facts), len(jobs))

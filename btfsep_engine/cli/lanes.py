@@ -43,6 +43,15 @@ def lanes_for(wanted: str | int, tasks: int) -> int:
     return max(1, min(wanted, tasks))
 
 
+def tried(worker: Worker, work, task, time_limit: float | None, retries: int) -> Outcome:
+    """`Worker.run`, and again where the process died or it took too long."""
+    for _ in range(retries + 1):
+        end = worker.run(work, task, time_limit=time_limit)
+        if not (end.died or end.exit_code == TOO_LONG):
+            break
+    return end
+
+
 def run_all(
     work, tasks: Iterable, lanes: int, *, time_limit: float | None = None, retries: int = 0
 ) -> Iterator[tuple[int, Outcome]]:
@@ -70,17 +79,10 @@ def run_all(
                     number, task = next(todo, (None, None))
                 if number is None:
                     break
-                ended.put((number, tried(worker, task)))
+                ended.put((number, tried(worker, work, task, time_limit, retries)))
         except BaseException as error:  # a task that cannot be sent, say: not for this thread alone to know
             ended.put((None, error))
         ended.put((None, None))
-
-    def tried(worker: Worker, task) -> Outcome:
-        for _ in range(retries + 1):
-            end = worker.run(work, task, time_limit=time_limit)
-            if over.is_set() or not (end.died or end.exit_code == TOO_LONG):
-                break
-        return end
 
     for worker in workers:
         threading.Thread(target=lane, args=(worker,), name="lane", daemon=True).start()
