@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from btfsep_engine import atomic
+from btfsep_engine import atomic, kept
 from btfsep_engine.btf import linear, procedural
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.model import Lambertian, Material, Mirror, Tabulated
@@ -106,6 +106,15 @@ class Library:
 
     def _load_file(self, entry: Entry) -> Tabulated:
         path = self.folder / entry.file
+        try:
+            found = path.stat()
+        except OSError:
+            return self._read_file(entry, path)
+        parts = [str(path.absolute()), found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns]
+        parts += [entry.name, entry.material_class, entry.sha256, entry.size]
+        return kept.recalled("material", parts, lambda: self._read_file(entry, path))
+
+    def _read_file(self, entry: Entry, path: Path) -> Tabulated:
         try:
             data = map_file(path)
         except InputError as error:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from btfsep_engine import atomic
+from btfsep_engine import atomic, kept
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.job.polygons import Polygons, read_obj, read_ply, triangulate
@@ -37,7 +37,8 @@ def load_mesh(path, *, to_world=None, name: str | None = None) -> tuple[Triangle
         Unreadable, damaged, no faces, vertices that are not finite, faces that name vertices that are not there.
     """
     name = name or Path(path).name
-    return assemble(name, parse(name, atomic.read_bytes(path, name)), to_world=to_world)
+    data = atomic.read_bytes(path, name)
+    return kept.recalled("mesh", [data, to_world], lambda: assemble(name, parse(name, data), to_world=to_world))
 
 
 def parse(name: str, data: bytes) -> Polygons:

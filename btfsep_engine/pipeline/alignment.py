@@ -28,7 +28,7 @@ from btfsep_engine.fit.pose import (
 from btfsep_engine.job.model import Camera
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.render.sampling import spread
-from btfsep_engine.render.surface import SurfacePoints, camera_view, object_region, surface_points
+from btfsep_engine.render.surface import SurfacePoints, camera_view, surface_points
 
 SIDE = 256  # pixels of a photo's longer edge, at most, of what is looked at
 DIRECTIONS = fibonacci_sphere(96)  # light is smooth
@@ -125,8 +125,7 @@ def with_camera(scene: PreparedScene, camera: Camera) -> PreparedScene:
     """The same scene seen by another camera, of a picture of the same size. InputError where an object is not seen."""
     out = copy.copy(scene)
     out.job = replace(scene.job, camera=camera)
-    out.view = camera_view(scene.tracer, out.job)
-    out.regions = [object_region(out.view, out.job, i) for i in range(len(out.job.objects))]
+    out.look()
     return out
 
 

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from btfsep_engine import kept
 from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
@@ -23,10 +24,16 @@ def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured
     shares = [max(int(n), 1) for n in settings.pixels * sizes / sizes.sum()] if settings.pixels else [0] * len(sizes)
     out = []
     for index, (region, share) in enumerate(zip(regions, shares, strict=True)):
-        if share:  # not all is worth computing at
-            region = thinned(region, max(REGION, 4 * share), seed=settings.seed)
-        points = scene.points(index, region=region, textured=textured)
-        out.append(points.take(choose_pixels(points, share, seed=settings.seed)) if share else points)
+
+        def chosen(region=region, share=share, index=index):
+            if share:  # not all is worth computing at
+                region = thinned(region, max(REGION, 4 * share), seed=settings.seed)
+            points = scene.bare_points(index, region=region)
+            return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points
+
+        parts = [scene.seen, index, np.packbits(region), region.shape, share, settings.seed]
+        points = kept.recalled("points", parts, chosen)
+        out.append(scene.laid(points, index, textured=textured))
     return out
 
 

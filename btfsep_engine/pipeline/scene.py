@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from btfsep_engine import kept
 from btfsep_engine.job.model import Job
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.sun import Sun
@@ -23,7 +24,7 @@ from btfsep_engine.render.surface import (
     with_any_tangent,
     with_texture,
 )
-from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.render.tracer import tracer_of
 from btfsep_engine.render.transport import Transport
 
 INDIRECT_DIRECTIONS = 128  # light from other surfaces is smooth
@@ -61,9 +62,22 @@ class PreparedScene:
             beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]
             meshes = [*(o.mesh for o in job.objects), *beside]
             first = len(job.objects)
-            self.tracer = Tracer(meshes, range(first, first + len(job.occluders)))
-            self.view = camera_view(self.tracer, job)
-            self.regions = [object_region(self.view, job, i) for i in range(len(job.objects))]
+            self.tracer = tracer_of(meshes, range(first, first + len(job.occluders)))
+            self.look()
+
+    def look(self) -> None:
+        """Finds what the job's camera sees: `view`, `regions`, and `seen`, what these depend on (`kept.content`).
+
+        Raises InputError where it does not see one of the objects.
+        """
+        job = self.job
+        self.seen = kept.content([self.tracer.key, job.camera, [o.mask for o in job.objects]])
+
+        def looked():
+            view = camera_view(self.tracer, job)
+            return view, [object_region(view, job, i) for i in range(len(job.objects))]
+
+        self.view, self.regions = kept.recalled("view", self.seen, looked)
 
     @property
     def has_unknown(self) -> bool:
@@ -109,6 +123,7 @@ class PreparedScene:
             return image[: h * edge, : w * edge].reshape(h, edge, w, edge, *image.shape[2:])
 
         out = copy.copy(self)
+        out.seen = kept.content([self.seen, edge])
         out.view = View(**{name: image[place] for name, image in vars(self.view).items()})
         out.regions = [region[place] for region in self.regions]
         out.job = replace(
@@ -134,8 +149,15 @@ class PreparedScene:
 
     def points(self, index: int, *, region=None, textured: bool) -> SurfacePoints:
         """Surface points of an object, ready for `Transport`; all of its region unless one is given."""
+        return self.laid(self.bare_points(index, region=region), index, textured=textured)
+
+    def bare_points(self, index: int, *, region=None) -> SurfacePoints:
+        """The same without tangents."""
         region = self.regions[index] if region is None else region
-        points = surface_points(self.view, self.job, index, region=region)
+        return surface_points(self.view, self.job, index, region=region)
+
+    def laid(self, points: SurfacePoints, index: int, *, textured: bool) -> SurfacePoints:
+        """Points with tangents, and with the places of a texture where one is wanted or known."""
         if textured or self.job.objects[index].pictured:
             return with_texture(points, self.job, index, reporter=self.reporter)
         return with_any_tangent(points)
@@ -162,9 +184,9 @@ class PreparedScene:
     def radiance(self, points: SurfacePoints, material, lightings, *, directions: int, indirect=None) -> np.ndarray:
         """Radiance (p, M, 3) float32 of points, interreflections included where ``indirect`` is given."""
         out = self.transport(points, directions=directions).radiance(material, lightings)
-        if indirect is not None:
-            out += indirect.reflected(self.transport(points, directions=INDIRECT_DIRECTIONS), material)
-        return out
+        if indirect is None:
+            return out
+        return out + indirect.reflected(self.transport(points, directions=INDIRECT_DIRECTIONS), material)
 
     def sun_radiance(self, points: SurfacePoints, material, sun: Sun) -> np.ndarray:
         """Radiance (p, 3) float32 of points under a sun alone, with its own shadows, without interreflections."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine import sh
+from btfsep_engine import kept, sh
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import Fit
@@ -55,13 +55,16 @@ class SolvedLight:
 
 def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: float = 1.0) -> LightSolver:
     """The basis images of all photos together made ready, for the estimator with a prior."""
-    return LightSolver(
-        stacked(problems)[0],
-        normals=np.concatenate([p.normals for p in problems]),
-        order=min(settings.order, settings.fit_order),
-        seed=settings.seed,
-        coarsening=coarsening,
-    )
+    order = min(settings.order, settings.fit_order)
+
+    def made() -> LightSolver:
+        normals = np.concatenate([p.normals for p in problems])
+        return LightSolver(
+            stacked(problems)[0], normals=normals, order=order, seed=settings.seed, coarsening=coarsening
+        )
+
+    parts = [[[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]]
+    return kept.recalled("solver", [*parts, order, settings.seed, float(coarsening)], made)
 
 
 def all_weights(problems: list[Problem]):

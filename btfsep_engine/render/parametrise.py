@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from btfsep_engine import cache
+from btfsep_engine import cache, kept
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 
@@ -40,6 +40,15 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
     InputError
         When ``method`` is "mesh" and the file has no usable UVs.
     """
+    parts = [mesh, method, float(millimetres_per_unit)]
+    uv, warning = kept.recalled("uv", parts, lambda: _physical_uv(mesh, method, millimetres_per_unit))
+    if warning and reporter is not None:
+        reporter.warn(warning)
+    return uv
+
+
+def _physical_uv(mesh: TriangleMesh, method: str, millimetres_per_unit: float):
+    """What :func:`physical_uv` returns, and what is to be said of it, or None."""
     if method == "mesh":
         if mesh.corner_uv is None:
             raise InputError(
@@ -47,19 +56,16 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
             )
         uv = mesh.corner_uv.astype(np.float64)
     elif len(mesh.faces) > XATLAS_FACES:
-        if reporter is not None:
-            reporter.warn(
-                f"a mesh of {len(mesh.faces)} faces is mapped by projecting patches onto planes, not by xatlas "
-                f"(it is used up to {XATLAS_FACES} faces)"
-            )
-        return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32)
+        return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32), (
+            f"a mesh of {len(mesh.faces)} faces is mapped by projecting patches onto planes, not by xatlas "
+            f"(it is used up to {XATLAS_FACES} faces)"
+        )
     else:
         uv = _xatlas_uv(mesh)
         if not (np.isfinite(uv).all() and np.abs(_uv_areas(uv)).sum() > 0):
-            if reporter is not None:
-                reporter.warn("xatlas finds no charts on a mesh; it is mapped by projecting patches onto planes")
-            return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32)
-    return (uv * (mean_scale(mesh, uv) * millimetres_per_unit)).astype(np.float32)
+            said = "xatlas finds no charts on a mesh; it is mapped by projecting patches onto planes"
+            return (_projected_charts(mesh) * millimetres_per_unit).astype(np.float32), said
+    return (uv * (mean_scale(mesh, uv) * millimetres_per_unit)).astype(np.float32), None
 
 
 def mean_scale(mesh: TriangleMesh, uv) -> float:

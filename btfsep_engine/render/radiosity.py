@@ -9,15 +9,16 @@ Where something stands beside the objects, samples lie the closer to each other 
 large as what an object sees of them: the shadow on a table is resolved, however large the table.
 """
 
-import weakref
 from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from btfsep_engine import kept
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.render.arrays import dr
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
@@ -48,7 +49,7 @@ class Network:
     """
 
     def __init__(self, tracer: Tracer, *, samples: int, seed: int):
-        self.tracer = weakref.proxy(tracer)  # a network is kept as long as its tracer, and must not keep it
+        self.tracer = tracer
         position, normal, mesh, face, weights, outer = self._samples(np.random.default_rng(seed), samples)
         self.directions = fibonacci_sphere(DIRECTIONS)
         seen = tracer.visible(position, normal, self.directions)
@@ -191,15 +192,10 @@ def _in_four(corners) -> np.ndarray:
     return np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
-_networks = weakref.WeakKeyDictionary()
-
-
 def network(tracer: Tracer, *, samples: int, seed: int) -> Network:
     """The :class:`Network` of a scene, made when it is first asked for."""
-    made = _networks.setdefault(tracer, {})
-    if (samples, seed) not in made:
-        made[samples, seed] = Network(tracer, samples=samples, seed=seed)
-    return made[samples, seed]
+    parts = [tracer.key, samples, seed]
+    return kept.recalled("network", parts, lambda: Network(tracer, samples=samples, seed=seed))
 
 
 class Indirect:
@@ -220,7 +216,7 @@ class Indirect:
         self.tracer, self.albedos, self.lightings = tracer, albedos, lightings
         self.bounces, self.samples, self.seed = bounces, samples or SAMPLES, seed
 
-    @property
+    @cached_property
     def _network(self) -> Network:
         return network(self.tracer, samples=self.samples, seed=self.seed)
 
@@ -246,27 +242,48 @@ class Indirect:
 
         A mirror shows the surfaces themselves: what its reflected ray meets.
         """
-        points, directions = transport.points, transport.directions
+        if not isinstance(self.lightings, SHBasis):
+            return self._reflected(transport, material)
+        how = [list(self.albedos), self.bounces, self.samples, self.seed, self.lightings]
+        parts = [transport.key, material, *how]
+        return kept.recalled("reflected basis", parts, lambda: self._reflected(transport, material))
+
+    def _reflected(self, transport, material) -> np.ndarray:
+        points = transport.points
         out = np.zeros((3, len(points), self.lightings.count), np.float32)
         if material.mirror_reflectance is not None:
             self._put(out, self._mirrored(transport), material.mirror_reflectance.astype(np.float32))
             return out.transpose(1, 2, 0)
         weights = transport.weights(material)
-        step = max(1, LANES // len(directions))
+        step = max(1, LANES // len(transport.directions))
         for start in range(0, len(points), step):
-            some = points.take(slice(start, min(len(points), start + step)))
-            above = (some.flat_normal @ directions.T > 0) & (some.normal @ directions.T > 0)
-            point, direction = np.nonzero(above & ~transport.visible[start : start + step])
-            if len(point) == 0:
-                continue
-            net = self._network
-            arrived, taps, shares = net.arrivals(some.position[point], some.flat_normal[point], directions[direction])
-            if len(arrived) == 0:
-                continue
-            pairs = weights.of_pairs(some, point[arrived], direction[arrived])
-            received = [net.sparse(point[arrived], taps, shares * w[:, None], len(some)) for w in pairs]
-            self._put(out[:, start : start + step], received, weights.colour / np.float32(np.pi))
+            rows = slice(start, min(len(points), start + step))
+            parts = [transport.key, material, start, self.samples, self.seed]
+            received = kept.recalled("received", parts, lambda rows=rows: self._received(transport, weights, rows))
+            if received:
+                self._put(out[:, rows], received, weights.colour / np.float32(np.pi))
         return out.transpose(1, 2, 0)
+
+    def _received(self, transport, weights, rows: slice) -> list[csr_matrix]:
+        """What some of the points receive of each sample, 1 or 3 channels of (p, s), whatever the light; none: []."""
+        some = transport.points.take(rows)
+        parts = [transport.key, rows.start, self.samples, self.seed]
+        point, direction, taps, shares = kept.recalled("arrivals", parts, lambda: self._arrivals(transport, some, rows))
+        if len(point) == 0:
+            return []
+        pairs = weights.of_pairs(some, point, direction)
+        return [self._network.sparse(point, taps, shares * w[:, None], len(some)) for w in pairs]
+
+    def _arrivals(self, transport, some, rows: slice):
+        """Points and directions (t,) that look at a surface; the samples there (t, NEIGHBOURS), and their weights."""
+        directions = transport.directions
+        above = (some.flat_normal @ directions.T > 0) & (some.normal @ directions.T > 0)
+        point, direction = np.nonzero(above & ~transport.visible[rows])
+        if len(point) == 0:
+            return point, direction, np.zeros((0, NEIGHBOURS), int), np.zeros((0, NEIGHBOURS), np.float32)
+        starts = some.position[point], some.flat_normal[point], directions[direction]
+        arrived, taps, shares = self._network.arrivals(*starts)
+        return point[arrived], direction[arrived], taps, shares
 
     def _put(self, out, received, colour) -> None:
         """Fills out (3, p, M) with what ``received`` (1 or 3 channels of (p, s)) makes of the radiosity."""

@@ -6,14 +6,17 @@ far the ground goes on; positions and distances that leave this module are in wo
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from btfsep_engine import kept
 from btfsep_engine.errors import InputError
 from btfsep_engine.render.arrays import divided, dr, mi, packets, vector
 
 MISS = np.int32(-1)
 LANES = 1 << 22  # rays traced at once: bounds the memory of a pass to a few hundred MB
+FACE_BYTES = 300  # that a triangle takes in the ray tracer, about
 OFFSET = 2e-4  # start of a secondary ray off its surface, in the objects' radii
 
 
@@ -64,6 +67,11 @@ class Tracer:
         registry = np.array(dr.reinterpret_array(mi.UInt32, self.scene.shapes_dr()))
         self._numbers = np.zeros(int(registry.max()) + 1, np.int32)
         self._numbers[registry] = [self._shape_number(shape) for shape in self.scene.shapes()]
+
+    @cached_property
+    def key(self) -> str:
+        """Of all that the rays' answers depend on (`kept.content`)."""
+        return kept.content([list(self.meshes), list(self.occluders)])
 
     def _mitsuba_mesh(self, number, mesh):
         shape = mi.Mesh(f"mesh{number:04d}", len(mesh.vertices), len(mesh.faces), has_vertex_normals=False)
@@ -143,3 +151,10 @@ class Tracer:
         starts = np.asarray(positions, np.float64) + OFFSET * self.radius * np.asarray(offset_normals, np.float64)
         above = (np.asarray(offset_normals) * directions).sum(1) > 0
         return above & (self.nearest(starts, directions).mesh == MISS)
+
+
+def tracer_of(meshes, occluders=()) -> Tracer:
+    """The :class:`Tracer` of these meshes: one that is kept, or a new one."""
+    meshes, occluders = list(meshes), list(occluders)
+    size = FACE_BYTES * sum(len(m.faces) for m in meshes)
+    return kept.recalled("tracer", [meshes, occluders], lambda: Tracer(meshes, occluders), size=size)

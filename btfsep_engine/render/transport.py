@@ -15,8 +15,10 @@ from functools import cached_property
 
 import numpy as np
 
+from btfsep_engine import kept
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.weights import Weights
@@ -58,7 +60,12 @@ class Transport:
         if part.start in self._seen:
             return self._seen[part.start]
         points = self.points.take(part)
-        seen = self.tracer.visible_lanes(points.position, points.flat_normal, self.directions)
+        parts = [self.tracer.key, points.position, points.flat_normal, len(self.directions)]
+
+        def traced():
+            return self.tracer.visible_lanes(points.position, points.flat_normal, self.directions)
+
+        seen = kept.recalled("rays", parts, traced, size=len(points) * len(self.directions))
         if len(self.points) * len(self.directions) <= KEPT:
             self._seen[part.start] = seen
         return seen
@@ -81,8 +88,18 @@ class Transport:
 
         Returns
         -------
-        (p, M, 3) float32, the channels outermost in memory
+        (p, M, 3) float32, the channels outermost in memory; of a basis it is kept for the next photo, and not writable
         """
+        if isinstance(lightings, SHBasis):
+            return kept.recalled("basis", [self.key, material, lightings], lambda: self._radiance(material, lightings))
+        return self._radiance(material, lightings)
+
+    @cached_property
+    def key(self) -> str:
+        """Of rays and points, whatever the material (`kept.content`)."""
+        return kept.content([self.tracer.key, self.points, len(self.directions), float(self.millimetres_per_unit)])
+
+    def _radiance(self, material: Material, lightings) -> np.ndarray:
         if material.mirror_reflectance is not None:
             return self._mirror(material, lightings)
         light = self._light(lightings)

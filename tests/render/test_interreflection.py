@@ -14,6 +14,7 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.cli import main
 from btfsep_engine.job.model import Occluder, Photo
+from btfsep_engine.kept import STORE
 from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
@@ -165,8 +166,8 @@ def test_the_command_decides_by_itself_and_says_so(sphere_job_folder, capsys):
     assert main([*command, "--bounces", "0"]) != 0
 
 
-def test_one_estimate_makes_one_network_by_its_seed_and_keeps_nothing_of_it(sphere_job_folder, monkeypatch, capsys):
-    """The trial, the model and the report share the surface samples; after the job no scene is left in memory."""
+def test_estimates_of_a_scene_make_one_network_by_its_seed(sphere_job_folder, monkeypatch, capsys):
+    """The trial, the model, the report and the next estimate share the surface samples; what is forgotten is gone."""
     folder, truth = sphere_job_folder
     shape = trimesh.load(folder / "sphere.ply")
     shape.update_faces(shape.triangles_center[:, 2] < 0.1)
@@ -175,24 +176,26 @@ def test_one_estimate_makes_one_network_by_its_seed_and_keeps_nothing_of_it(sphe
     common = [str(folder), "--material", "reference/white-diffuse", "--preset", "draft", "--seed", "5", "--json"]
     photo = ["--lighting", str(folder / "light.json"), "--out", str(folder / "photo.exr")]
     assert main(["relight", *common, *photo]) == 0
+    STORE.forget()
     gc.collect()
     before = sum(isinstance(o, Tracer) for o in gc.get_objects())
-    made, kept, real = [], [], radiosity.Network
+    made, networks, real = [], [], radiosity.Network
 
     def counted(tracer, **how):
         network = real(tracer, **how)
         made.append(how)
-        kept.append(weakref.ref(network))
+        networks.append(weakref.ref(network))
         return network
 
     monkeypatch.setattr(radiosity, "Network", counted)
     capsys.readouterr()
-    assert main(["estimate", *common]) == 0
+    assert main(["estimate", *common]) == 0 and main(["estimate", *common]) == 0
     result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
     assert result["choice"]["interreflections"].startswith("interreflections are modelled")
     assert made == [{"samples": result["settings"]["surface_samples"], "seed": 5}]
+    STORE.forget()
     gc.collect()
-    assert kept[0]() is None and sum(isinstance(o, Tracer) for o in gc.get_objects()) == before
+    assert networks[0]() is None and sum(isinstance(o, Tracer) for o in gc.get_objects()) == before
 
 
 def test_the_seed_places_the_surface_samples():

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from btfsep_engine import kept
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.stated import Fit
@@ -113,9 +114,13 @@ def contradicted(scenes, fit: Fit, without: Fit) -> bool:
 def open_share(scene: PreparedScene, points: SurfacePoints) -> np.ndarray:
     """How much of the hemisphere above each point is sky: (p,), weighted by the cosine."""
     directions = fibonacci_sphere(OPEN_DIRECTIONS)
-    seen = np.asarray(scene.tracer.visible(points.position, points.flat_normal, directions))
-    cosine = np.maximum(points.normal @ directions.T, 0)
-    return (cosine * seen).sum(1) / np.maximum(cosine.sum(1), 1e-12)
+
+    def share():
+        seen = np.asarray(scene.tracer.visible(points.position, points.flat_normal, directions))
+        cosine = np.maximum(points.normal @ directions.T, 0)
+        return (cosine * seen).sum(1) / np.maximum(cosine.sum(1), 1e-12)
+
+    return kept.recalled("open", [scene.tracer.key, points.position, points.flat_normal, points.normal], share)
 
 
 def even_sky_bound(scene: PreparedScene, materials, points) -> float:
