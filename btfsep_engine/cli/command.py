@@ -9,6 +9,7 @@ import click
 
 from btfsep_engine.cli.output import JsonReporter, TextReporter
 from btfsep_engine.errors import InputError
+from btfsep_engine.progress import Reporter
 
 INPUT_FAULT, BUG, SOME_FAILED = 2, 1, 3
 
@@ -23,6 +24,10 @@ def command(function):
     @click.option("--json", "as_json", is_flag=True, help="One JSON object a line, for programs.")
     @functools.wraps(function)
     def run(as_json, **options):
+        given = click.get_current_context().obj
+        if isinstance(given, Reporter):  # of a program that takes results and errors itself (`cli.serve`)
+            given.command = function.__name__
+            return function(reporter=given, **options)[0]
         reporter = (JsonReporter if as_json else TextReporter)(command=function.__name__)
         try:
             result, text = function(reporter=reporter, **options)

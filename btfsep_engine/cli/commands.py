@@ -22,6 +22,7 @@ from btfsep_engine.cli.options import (
     out_option,
     takes_settings,
 )
+from btfsep_engine.cli.serve import serve
 from btfsep_engine.errors import InputError
 
 
@@ -207,6 +208,7 @@ def compare(*, a, b, job, order, library_folder, material, protocol, reporter):
 
 cli.add_command(batch)
 cli.add_command(library)
+cli.add_command(serve)
 
 
 def main(arguments=None) -> int:

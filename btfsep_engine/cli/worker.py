@@ -11,6 +11,7 @@ system can (POSIX), its closing is a signal that kills at once, inside a native 
 elsewhere a thread sees the end of the standard input.
 """
 
+import _thread
 import contextlib
 import os
 import pickle
@@ -32,6 +33,8 @@ DIED = 1  # exit code of a task whose process ended without an answer
 TOO_LONG = 124  # as of coreutils' timeout
 STOPPED = 130  # as of a command that Ctrl-C has ended
 GRACE = 5.0  # seconds that a task has to stop of itself, before its process is killed
+AGAIN = 0.01  # seconds between two requests to stop: in some places a task is not to be ended
+UNTOUCHED = "<frozen importlib", "threadpoolctl.py"  # such: a module half imported, threads not given back
 FAREWELL = 0.5  # and when the process is no longer wanted
 
 
@@ -49,15 +52,31 @@ class Outcome:
 
 
 class ChildReporter(JsonReporter):
-    """Says everything to the parent, and raises KeyboardInterrupt at the next word after the parent has cancelled."""
+    """Says everything to the parent, and raises KeyboardInterrupt at the next word after the parent has cancelled.
+
+    ``at_work`` : while it is set, the main thread may be interrupted anywhere else, too.
+    """
 
     def __init__(self, say: Callable[[dict], None], **fields):
         super().__init__(**fields)
-        self._say, self._cancelled = say, threading.Event()
+        self._say, self._cancelled, self.at_work = say, threading.Event(), False
 
     def cancel(self) -> None:
         """The task is no longer wanted; of any thread."""
         self._cancelled.set()
+
+    def interrupt(self, _signal, frame) -> None:
+        """Handles SIGINT: ends a task that is no longer wanted, but where `UNTOUCHED` code would be left half done.
+
+        Nothing else: Ctrl-C reaches the parent as well, which decides.
+        """
+        while self.at_work and self._cancelled.is_set():
+            if frame is None:
+                self.at_work = False  # once: what comes after it is the task's end
+                raise KeyboardInterrupt
+            if any(name in frame.f_code.co_filename for name in UNTOUCHED):
+                return
+            frame = frame.f_back
 
     def check(self) -> None:
         """Raises KeyboardInterrupt where the task is no longer wanted; for loops that have nothing to say."""
@@ -150,6 +169,11 @@ class Worker:
         child, number = self._child, self._running
         if child is not None and number:
             child.answers.put(("cancel", number, None))
+
+    def settled(self, seconds: float) -> bool:
+        """Whether no task is running any more, within so many seconds."""
+        child = self._child
+        return child is None or child.free.wait(seconds)
 
     def close(self, farewell: float = FAREWELL) -> None:
         """Ends the process, within ``farewell`` seconds, for good: :meth:`run` answers `STOPPED`. Of any thread."""
@@ -276,7 +300,8 @@ class _Child:
 
 def work_for_parent(lifeline: int | None, threads: int) -> None:
     """All of the child's life."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent as well, which decides
+    signal.signal(signal.SIGINT, lambda *where: [reporter.interrupt(*where) for reporter in list(running.values())])
+    running: dict = {}
     _end_with_parent(lifeline)
     told, say = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     with open(os.devnull, "rb") as nothing:
@@ -284,13 +309,18 @@ def work_for_parent(lifeline: int | None, threads: int) -> None:
     os.dup2(2, 1)  # native libraries print, too
     with contextlib.suppress(OSError):  # Linux: rather this process than its parent, a Blender perhaps
         Path("/proc/self/oom_score_adj").write_text("500")
-    lock, tasks, running = threading.Lock(), queue.SimpleQueue(), {}
+    lock, tasks = threading.Lock(), queue.SimpleQueue()
 
     def answer(*message) -> None:
         text = pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
         with lock:
             say.write(text)
             say.flush()
+
+    def insist(number: int) -> None:
+        while number in running:
+            _thread.interrupt_main()
+            time.sleep(AGAIN)
 
     def listen() -> None:
         try:
@@ -301,6 +331,7 @@ def work_for_parent(lifeline: int | None, threads: int) -> None:
                     tasks.put((number, payload))
                 elif kind == "cancel" and (reporter := running.get(number)) is not None:
                     reporter.cancel()
+                    threading.Thread(target=insist, args=[number], daemon=True).start()
                 elif kind == "end":
                     break
         except (EOFError, OSError):
@@ -330,7 +361,11 @@ def work_for_parent(lifeline: int | None, threads: int) -> None:
 
 def _do(payload: bytes, reporter) -> dict:
     work, task = pickle.loads(payload)
-    return work(task, reporter)
+    try:
+        reporter.at_work = True
+        return work(task, reporter)
+    finally:
+        reporter.at_work = False
 
 
 def _end_with_parent(lifeline: int | None) -> None:

@@ -74,9 +74,10 @@ def test_a_process_that_dies_costs_its_task_only(warm, how, words):
     assert warm.run(tasks.count, 1).exit_code == 0
 
 
-def test_a_cancelled_task_stops_and_its_process_stays(warm, tmp_path):
+@pytest.mark.parametrize("work", [tasks.endless, tasks.busy])
+def test_a_cancelled_task_stops_and_its_process_stays(warm, tmp_path, work):
     pid, ends = warm.run(tasks.count, 0).result["pid"], []
-    thread = threading.Thread(target=lambda: ends.append(warm.run(tasks.endless, str(tmp_path / "begun"))))
+    thread = threading.Thread(target=lambda: ends.append(warm.run(work, str(tmp_path / "begun"))))
     thread.start()
     wait_for((tmp_path / "begun").exists)
     warm.cancel()

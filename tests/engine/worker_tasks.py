@@ -89,3 +89,14 @@ def parent(folder: str, work: str) -> None:
     """A parent of its own: a worker with a task that does not end."""
     worker = Worker()
     worker.run(globals()[work], str(Path(folder) / "begun"))
+
+
+def busy(task, reporter) -> dict:
+    """Computes for ever and says nothing; the file ``task`` is there when it has begun, and says when it stopped."""
+    try:
+        Path(task).touch()
+        while True:
+            sum(range(100))
+    except KeyboardInterrupt:
+        Path(task).write_text("stopped")
+        raise
