@@ -11,8 +11,9 @@ import numpy as np
 from btfsep_engine import report
 from btfsep_engine.atomic import digest, remove
 from btfsep_engine.fit.stated import Fit
+from btfsep_engine.images import write_exr
 from btfsep_engine.job.load import load_job
-from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
+from btfsep_engine.light.files import MAP_SIZE, Lighting, lighting_map, write_lighting
 from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixture, mixture_words
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
@@ -96,6 +97,11 @@ class Estimate:
         return Lighting(
             fit.order, fit.coefficients, fit.stddev, fit.determined, exposure_ev, self.light.suns, fit.interval
         )
+
+    @cached_property
+    def map(self) -> np.ndarray:
+        """The environment map that is written: (256, 512, 3)."""
+        return lighting_map(self.lighting, *MAP_SIZE, radiance=self.radiance)
 
     @cached_property
     def photos(self) -> list[PhotoFit]:
@@ -184,7 +190,7 @@ def write_light(out: Path, found: Estimate, *, earlier) -> list[Path]:
     with found.scene.reporter.stage("writing"):
         remove(*earlier)
         write_lighting(paths[0], found.lighting)
-        write_lighting_exr(paths[1], found.lighting, radiance=found.radiance)
+        write_exr(paths[1], found.map)
     return paths
 
 

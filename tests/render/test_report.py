@@ -13,13 +13,19 @@ def linear(shown):
     return images.srgb_to_linear(shown / 255.0)
 
 
+def watched(monkeypatch) -> list:
+    """The panels of every row that is written from now on."""
+    rows, write = [], report.write_row
+    monkeypatch.setattr(report, "write_row", lambda path, panels: rows.append(panels) or write(path, panels))
+    return rows
+
+
 def test_the_difference_is_that_of_photo_and_rendering(sphere_job_folder, monkeypatch):
     folder, _ = sphere_job_folder
     photo = images.read_linear(folder / "photo.exr").pixels.copy()
     photo[40:56, 44:52] *= 0.3  # something that no light makes of a white ball
     images.write_exr(folder / "photo.exr", photo)
-    rows = []
-    monkeypatch.setattr(report, "write_row", lambda path, panels: rows.append(panels))
+    rows = watched(monkeypatch)
     command = ["estimate", str(folder), "--material", "reference/white-diffuse", "--order", "2", "--preset", "draft"]
     assert main([*command, "--json"]) == 0
     (panels,) = rows
@@ -54,8 +60,7 @@ def test_one_free_scale_for_all_channels():
 def test_the_light_is_drawn_as_the_map_has_it(sphere_job_folder, monkeypatch):
     """Of order 0 a series is one colour; the fit knows more, and lighting.exr shows it."""
     folder, _ = sphere_job_folder
-    rows = []
-    monkeypatch.setattr(report, "write_row", lambda path, panels: rows.append(panels))
+    rows = watched(monkeypatch)
     command = ["estimate", str(folder), "--material", "reference/white-diffuse", "--order", "0", "--preset", "draft"]
     assert main([*command, "--json"]) == 0
     drawn = rows[0][2][1].astype(np.float64)
