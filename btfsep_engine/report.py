@@ -2,7 +2,7 @@
 """The report picture: one row, as in the paper's figures 3 and 4."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ SIDE = 660  # largest edge of what the report is made of; its panels are smaller
 SOFT, NEAR = 0.4, 0.02  # over the pixels' distance, how far one is smeared; of their density, what is a gap
 AROUND, SPARSE = 2.0, 1.0  # of the fit's pixels: so many distances are looked at; how many count as few
 STIFF, STEEP = 0.02, 1.5  # over the mean, squared: what a slope is held by; the largest
+LINEAR = 65535  # steps of linear light, a twentieth of a code where the curve is steepest
 COARSE, FINE = (32, 64), (64, 128)  # environment maps; mirrors show them
 FILL, BROAD = 0.25, 8.0  # a studio's light from everywhere; its lamps are exp(BROAD cos), 30 degrees wide
 
@@ -40,7 +41,13 @@ def exposure(image, region) -> float:
 def display(image, factor: float = 1.0) -> np.ndarray:
     """8-bit sRGB of a linear image (h, w, 3) times ``factor``."""
     values = np.nan_to_num(np.asarray(image, np.float64) * factor, nan=0.0, posinf=1.0, neginf=0.0)
-    return (np.clip(linear_to_srgb(np.clip(values, 0, 1)), 0, 1) * 255 + 0.5).astype(np.uint8)
+    return _codes()[(np.clip(values, 0, 1) * LINEAR + 0.5).astype(np.int32)]
+
+
+@lru_cache(maxsize=1)
+def _codes() -> np.ndarray:
+    """8-bit sRGB of each of `LINEAR` steps: a power for each pixel would be half of a report's own arithmetic."""
+    return (linear_to_srgb(np.arange(LINEAR + 1) / LINEAR) * 255 + 0.5).astype(np.uint8)
 
 
 def write_row(path, panels) -> None:
