@@ -42,16 +42,19 @@ def shortened(text: str, most: float) -> str:
     return text + CUT
 
 
-def write_on(picture, text: str, *, middle: float, baseline: int) -> None:
-    """Darkens ``picture`` (h, w, 3) uint8 where a centred line of text stands; what is outside it is cut off."""
-    known, x = letters(), middle - width(text) / 2
+def write_on(picture, text: str, x: float, baseline: float, *, before: float = 0.5, level: int = 0) -> None:
+    """Writes a line of text on ``picture`` (h, w, 3) uint8; what is outside it is cut off.
+
+    ``before`` : the share of the line that stands left of ``x`` (0.5: it is centred); ``level`` : of its grey
+    """
+    known, x = letters(), x - before * width(text)
     for letter in text:
         cover, left, top, advance = known.get(letter, known[MISSING])
-        row, column = baseline - int(top), round(x + left)
+        row, column = round(baseline - top), round(x + left)
         cut = cover[max(-row, 0) :, max(-column, 0) :]
         place = picture[max(row, 0) :, max(column, 0) :][: cut.shape[0], : cut.shape[1]]
-        cut = cut[: place.shape[0], : place.shape[1], None]
-        place[:] = place * (1 - cut / 255) + 0.5
+        cover = cut[: place.shape[0], : place.shape[1], None] / 255
+        place[:] = place * (1 - cover) + level * cover + 0.5
         x += advance
 
 
@@ -74,6 +77,6 @@ def row(panels) -> np.ndarray:
     for (label, _), picture in zip(panels, pictures, strict=True):
         w = picture.shape[1]
         out[ABOVE : ABOVE + HEIGHT, x : x + w] = picture
-        write_on(out, shortened(label, w + BESIDE), middle=x + w / 2, baseline=ABOVE - BASELINE)
+        write_on(out, shortened(label, w + BESIDE), x + w / 2, ABOVE - BASELINE)
         x += w + BESIDE
     return out

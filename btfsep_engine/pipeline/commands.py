@@ -97,10 +97,14 @@ def run_chart(
     Raises
     ------
     InputError
-        Where the job cannot be read or estimated, or the true light has too few orders.
+        Where the job cannot be read or estimated, the true light has too few orders, or Matplotlib is missing.
     """
-    from btfsep_engine.chart import write_chart  # these two bring Matplotlib and all of an estimate
-    from btfsep_engine.pipeline.tradeoff import ORDER, measure
+    try:
+        from btfsep_engine.chart import write_chart
+    except ModuleNotFoundError as error:
+        what, do = "the chart is drawn with Matplotlib", "install it: pip install 'btfsep[chart]'"
+        raise InputError(what, f"there is no module {error.name}", do) from error
+    from btfsep_engine.pipeline.tradeoff import ORDER, measure  # brings all of an estimate
 
     light = None if truth is None else read_any_lighting(truth, ORDER).coefficients
     if light is not None and sh.order_of(len(light)) < ORDER:

@@ -4,16 +4,16 @@
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from btfsep_engine import sh
-from btfsep_engine.atomic import replacing
 from btfsep_engine.conventions import direction_to_equirect, pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
+from btfsep_engine.images import write_png
 from btfsep_engine.job.load import load_job
+from btfsep_engine.lettering import shortened, write_on
 from btfsep_engine.pipeline.materials import given_materials
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.problem import Problem
@@ -25,6 +25,7 @@ from btfsep_engine.pipeline.settings import Settings
 SHAPE_NOISE = 0.05  # misfit of an object without texture, over its photo: shape, noise, what the basis leaves out
 TEXTURE_SHARE = 0.6  # of a texture's contrast: so much stays a pixel's own misfit (white, leather, wood, denim alike)
 MAP = (64, 128)
+LINE = 22  # pixels of a line of text
 POOR_ERROR = 0.25  # expected error of order 2: from here on advice is given
 
 
@@ -139,45 +140,60 @@ def draw_plan(path, foresight: Foresight, eye, names) -> None:
     # how bright the light is on the whole any photo tells: what is asked here is its pattern
     pattern, natural = (over_directions(without_level(c), directions) for c in (foresight.covariance, foresight.prior))
     level = sh.evaluate(0, np.array([[0.0, 0.0, 1.0]]))[0, 0]  # radiance of even light of level 1
-    figure = Figure(figsize=(8.2, 7.6), dpi=110, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
-    order = sh.order_of(len(foresight.share))
-    panels = (
-        ("Expected standard deviation of the radiance, over the light's mean radiance", after / level, None, "magma"),
-        (
-            "Unknown of its pattern: variance after the photo over before (0: determined, 1: not seen)",
-            None,
-            1.0,
-            "viridis",
-        ),
-    )
     share = np.clip((pattern / np.maximum(natural, 1e-12)) ** 2, 0, 1)
-    for axes, (title, values, top, colours) in zip(figure.subplots(2, 1), panels, strict=True):
-        shown = share if values is None else values
-        picture = axes.imshow(
-            shown, extent=(180, -180, -90, 90), cmap=colours, vmin=0, vmax=top, aspect="equal", interpolation="bilinear"
-        )
-        figure.colorbar(picture, ax=axes, shrink=0.85, pad=0.015)
-        axes.set_title(title, fontsize=10)
-        axes.set_xticks([180, 90, 0, -90, -180], ["−X\n180°", "+Y\n90°", "+X\n0°", "−Y\n−90°", "−X\n−180°"])
-        axes.set_yticks([-90, -45, 0, 45, 90], ["−Z", "−45°", "horizon", "45°", "+Z"])
-        axes.tick_params(labelsize=8)
-        for direction, mark, label in ((eye, "o", "camera"), (-np.asarray(eye), "x", "behind the object")):
-            u, v = direction_to_equirect(direction)
-            x, y = 180 - 360 * float(u), 180 * float(v) - 90
-            axes.plot(x, y, mark, color="white", markersize=9, markeredgewidth=2, markerfacecolor="none")
-            side = "right" if x < -90 else "left"
-            shift = -9 if side == "right" else 9
-            axes.annotate(
-                label, (x, y), (shift, 7), textcoords="offset points", color="white", fontsize=9, ha=side, weight="bold"
-            )
     error = foresight.expected.get("order_2") or foresight.expected.get("order_1")
-    text = f"expected error of order 2: {error['median']:.2f}" if error else ""
-    count = int(foresight.all_determined.sum())
-    figure.suptitle(
-        f"What {', '.join(dict.fromkeys(names))} could determine here: {count} of {len(foresight.all_determined)} "
-        f"coefficients; {text}\n(light up to order {order}, seen from the object, world axes)",
-        fontsize=11,
+    text = f"; expected error of order 2: {error['median']:.2f}" if error else ""
+    count, order = int(foresight.all_determined.sum()), sh.order_of(len(foresight.share))
+    lines = (
+        f"What {', '.join(dict.fromkeys(names))} could determine here:",
+        f"{count} of {len(foresight.all_determined)} coefficients{text}",
+        f"(light up to order {order}, seen from the object, world axes)",
     )
-    with replacing(path) as scratch:
-        figure.savefig(scratch, format="png")
+    shown = (
+        ("Expected standard deviation of the radiance, over the light's mean radiance", after / level, None, "MAGMA"),
+        ("Unknown of its pattern: variance after the photo over before (0: determined)", share, 1.0, "VIRIDIS"),
+    )
+    maps = [_labelled_map(*each, eye) for each in shown]
+    head = np.full((LINE * (len(lines) + 1), maps[0].shape[1], 3), 255, np.uint8)
+    for i, line in enumerate(lines):
+        write_on(head, shortened(line, head.shape[1]), head.shape[1] / 2, LINE * (i + 1))
+    write_png(path, np.concatenate([head, *maps]))
+
+
+def _labelled_map(title: str, values, top: float | None, colours: str, eye) -> np.ndarray:
+    """A map with its axes, the bar of its colours, and where the camera is: (h, w, 3) uint8.
+
+    ``values`` : (h, w), >= 0, as equirectangular maps are; ``top`` : the largest colour's, None: the largest value
+    """
+    top = top or float(values.max()) or 1.0
+    width, height, left, above = 720, 360, 90, 2 * LINE
+    out = np.full((above + height + 3 * LINE, left + width + 110, 3), 255, np.uint8)
+    write_on(out, shortened(title, out.shape[1]), left + width / 2, above - 8)
+
+    def coloured(share):
+        codes = np.clip(255 * share + 0.5, 0, 255).astype(np.uint8)
+        return cv2.applyColorMap(codes, getattr(cv2, f"COLORMAP_{colours}"))[..., ::-1]
+
+    picture = np.ascontiguousarray(
+        coloured(cv2.resize((values / top).astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR))
+    )
+    for direction, mark, label in (
+        (eye, cv2.MARKER_DIAMOND, "camera"),
+        (-np.asarray(eye), cv2.MARKER_TILTED_CROSS, "behind the object"),
+    ):
+        u, v = direction_to_equirect(direction)
+        x, y = float(u) * width, (1 - float(v)) * height
+        cv2.drawMarker(picture, (round(x), round(y)), (255, 255, 255), mark, 14, 2, cv2.LINE_AA)
+        on_right = x > 0.75 * width
+        write_on(picture, label, x + (-12 if on_right else 12), y - 6, before=float(on_right), level=255)
+    out[above : above + height, left : left + width] = picture
+    for i, names in enumerate((("−X", "180°"), ("+Y", "90°"), ("+X", "0°"), ("−Y", "−90°"), ("−X", "−180°"))):
+        for row, name in enumerate(names):
+            write_on(out, name, left + i * width / 4, above + height + LINE * (row + 1))
+    for i, name in enumerate(("+Z", "45°", "horizon", "−45°", "−Z")):
+        write_on(out, name, left - 8, above + i * height / 4 + 6, before=1.0)
+    bar = slice(left + width + 26, left + width + 42)
+    out[above : above + height, bar] = coloured(np.linspace(1, 0, height)[:, None])
+    for share in np.linspace(0, 1, 5):
+        write_on(out, f"{share * top:.2f}", bar.stop + 6, above + (1 - share) * height + 6, before=0.0)
+    return out

@@ -2,6 +2,7 @@
 """``btfsep chart``: every setting on one chart, its front, and what is wrong in one sentence."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -50,6 +51,17 @@ def test_a_truth_of_too_low_an_order_is_refused(sphere_job_folder, capsys, tmp_p
     write_lighting(tmp_path / "truth.json", exactly(truth[: sh.term_count(1)]))
     assert main(["chart", str(folder), "--truth", str(tmp_path / "truth.json")]) == 2
     assert "give order 2 or more" in capsys.readouterr().err
+
+
+def test_without_matplotlib_it_says_what_to_install_and_a_plan_is_drawn(sphere_job_folder, capsys, monkeypatch):
+    folder, _ = sphere_job_folder
+    monkeypatch.delitem(sys.modules, "btfsep_engine.chart")
+    for name in ["matplotlib", *(m for m in sys.modules if m.startswith("matplotlib."))]:
+        monkeypatch.setitem(sys.modules, name, None)
+    assert main(["chart", str(folder)]) == 2
+    assert "install it: pip install 'btfsep[chart]'" in capsys.readouterr().err
+    assert main(["plan", str(folder), "--material", "reference/white-diffuse", "--pixels", "300"]) == 0
+    assert images.read_linear(folder / "plan" / "plan.png").pixels.shape[0] > 500
 
 
 def test_a_folder_may_be_named_like_a_formula(tmp_path):
