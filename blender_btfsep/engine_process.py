@@ -46,6 +46,13 @@ class Notice:
 
 
 @dataclass(frozen=True)
+class Light:
+    """The light is in the file ``lighting``, for good; what is known of it besides comes later."""
+
+    lighting: str
+
+
+@dataclass(frozen=True)
 class Failed:
     """The run is over. ``exit_code`` 2: the input is at fault; 1: a bug, ``details`` has what was said last."""
 
@@ -164,6 +171,10 @@ def parse(line: str):
             return Progress(stage, fraction, str(data.get("message", "")), whole, str(data.get("title", stage)))
         if kind == "warning":
             return Notice(str(data["message"]))
+        if kind == "light":
+            return Light(str(data["lighting"]))
+        if kind == "cancelled":
+            return Cancelled()
         if kind == "failed":
             return Failed(str(data["message"]), int(data.get("exit_code", BUG)))
         if kind == "done" and isinstance(data.get("result"), dict):
@@ -190,6 +201,8 @@ class EngineProcess:
         When it cannot be started.
     """
 
+    stdin = subprocess.DEVNULL
+
     def __init__(self, engine: Engine, arguments):
         self.over = False
         self._outcome = None
@@ -204,7 +217,7 @@ class EngineProcess:
         command = [*engine.command, *map(str, arguments), "--json"]
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=self._errors, env=environment, **group
+                command, stdin=self.stdin, stdout=subprocess.PIPE, stderr=self._errors, env=environment, **group
             )
         except OSError as error:
             self._errors.close()

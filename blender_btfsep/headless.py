@@ -65,13 +65,13 @@ def run_engine(arguments, engine: str | None = None) -> dict:
     InputError, EngineBug, KeyboardInterrupt
         As the engine ends.
     """
-    process = runs.start_engine(arguments, engine or "")
+    process = runs.start_engine(arguments, engine or "", stays=False)
     announced = set()
 
     def heard(message):
         if isinstance(message, engine_process.Notice):
             say(f"warning: {message.message}", sys.stderr)
-        elif message.stage not in announced:
+        elif isinstance(message, engine_process.Progress) and message.stage not in announced:
             announced.add(message.stage)
             say(f"{message.stage} …", sys.stderr)
 

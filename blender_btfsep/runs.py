@@ -10,7 +10,7 @@ import sys
 
 import bpy
 
-from . import engine_process, preferences
+from . import engine_process, preferences, resident
 from .errors import InputError
 
 INTERVAL = 0.15  # seconds between polls
@@ -36,15 +36,19 @@ def stop_now() -> None:
     if current is not None:
         current.kill()
         current = None
+    resident.stop()
 
 
 atexit.register(stop_now)
 
 
-def start_engine(arguments, engine: str = "") -> engine_process.EngineProcess:
-    """Starts the engine, ``engine`` or the preferences'. Raises InputError."""
+def start_engine(arguments, engine: str = "", *, stays: bool = True) -> engine_process.EngineProcess:
+    """Starts a run of the engine, ``engine`` or the preferences'. Raises InputError.
+
+    ``stays`` : whether it may be the one that stays as long as Blender; else it has a process of its own.
+    """
     found = engine_process.find_engine(bpy.path.abspath(engine or preferences.get().engine))
-    return engine_process.EngineProcess(found, arguments)
+    return resident.start(found, arguments) if stays else engine_process.EngineProcess(found, arguments)
 
 
 class Greyed:

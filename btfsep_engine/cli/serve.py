@@ -167,7 +167,8 @@ class Server:
 @click.option(
     "--idle", type=click.FloatRange(0.01), default=30, show_default=True, help="Minutes until it lets go of all."
 )
-def serve(memory, idle):
+@click.option("--json", "_as_json", is_flag=True, hidden=True)  # it says nothing else
+def serve(memory, idle, _as_json):
     """Stays and runs commands that come by standard input, a JSON object a line; keeps what the next may need.
 
     {"id": 1, "command": "estimate", "arguments": ["JOB"]} runs a command, {"cancel": 1} stops it, {"quit": true} or the

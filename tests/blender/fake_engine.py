@@ -21,6 +21,9 @@ def say(**fields):
 def main():
     behaviour = json.loads(Path(sys.argv[1]).read_text())
     arguments = sys.argv[2:]
+    if arguments[0] == "serve" and "serve" not in behaviour:  # as an engine that cannot stay
+        sys.stderr.write("error: No such command 'serve'.\n")
+        sys.exit(2)
     if "log" in behaviour:
         Path(behaviour["log"]).write_text(json.dumps(arguments))
     if behaviour.get("deaf"):
