@@ -4,6 +4,7 @@
 The engine prints one JSON object a line (``docs/formats.md``); here each becomes a small frozen dataclass.
 """
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -21,7 +22,7 @@ from pathlib import Path
 from .errors import InputError
 
 INPUT_FAULT, BUG = 2, 1
-GRACE = 3.0  # seconds between asking the engine to stop and making it stop
+GRACE = 0.2  # seconds between asking the engine to stop and making it stop; it writes files whole or not at all
 INTERVAL = 0.05  # seconds between looks at it
 TAIL = 8000  # bytes of what it said last
 WINDOWS = os.name == "nt"
@@ -71,6 +72,9 @@ class Done:
     """The run is over and went well."""
 
     result: dict
+
+
+LAST = Done | Failed | Cancelled
 
 
 @dataclass(frozen=True)
@@ -249,6 +253,8 @@ class EngineProcess:
                 messages.append(message)
         if self._cancelled_at is not None and not ended and time.monotonic() - self._cancelled_at > GRACE:
             self._signal_group(hard=True)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=INTERVAL)  # it is dead at once as a rule: said now, not at the next look
         if ended and not self.over:
             self.over = True
             messages.append(self._last_word())
@@ -287,7 +293,7 @@ class EngineProcess:
         return self._errors.read().decode("utf-8", "replace").strip()
 
     def cancel(self) -> None:
-        """Asks the engine to stop; after a few seconds :meth:`poll` makes it stop."""
+        """Asks the engine to stop; if it does not within GRACE, :meth:`poll` makes it stop."""
         if self.over or self._cancelled_at is not None:
             return
         self._cancelled_at = time.monotonic()
@@ -312,7 +318,8 @@ class EngineProcess:
                 else:
                     self._process.send_signal(signal.CTRL_BREAK_EVENT)
             else:
-                os.killpg(self.pid, signal.SIGKILL if hard else signal.SIGINT)
+                # not SIGINT: a Blender that a shell's "&" has started ignores that, and what it starts does, too
+                os.killpg(self.pid, signal.SIGKILL if hard else signal.SIGTERM)
         except (ProcessLookupError, PermissionError):
             pass  # it has just ended
 
@@ -320,7 +327,7 @@ class EngineProcess:
         """Blocks until the run is over; gives the last message. ``on_message`` is called with each one before it."""
         while True:
             for message in self.poll():
-                if self.over and isinstance(message, Done | Failed | Cancelled):
+                if self.over and isinstance(message, LAST):
                     return message
                 if on_message is not None:
                     on_message(message)

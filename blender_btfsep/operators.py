@@ -38,6 +38,7 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     bl_label = "Estimate Light"
     bl_options = {"REGISTER", "UNDO"}
     task = "Estimating"
+    outlives = True
 
     def begin(self, context):
         folder, self._ids = request.write_job(context), request.ids_of(context.scene.btfsep)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is asked of the engine: a scene's job and the command for it; for the buttons and the command line alike."""
 
+import zlib
 from pathlib import Path
 
 import bpy
@@ -57,7 +58,9 @@ def job_folder(scene) -> Path:
     if preferences.get().keep_jobs and bpy.data.filepath:
         blend = Path(bpy.data.filepath)
         return blend.with_name(f"{blend.stem}_btfsep") / name
-    return Path(bpy.app.tempdir) / "btfsep" / name
+    # by file: the light of a file that was left is not written over by another's
+    file = f"{Path(bpy.data.filepath).stem}-{zlib.crc32(bpy.data.filepath.encode(errors='replace')):08x}"
+    return Path(bpy.app.tempdir) / "btfsep" / file / name
 
 
 def write_job(

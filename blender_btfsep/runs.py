@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run of the engine as an operator: one body, two drivers.
 
-``invoke`` (a button) is modal: a timer polls the child process, Blender stays usable, ESC or the Cancel button
-stops it. ``execute`` (a script, the command line) blocks until it is over.
+``invoke`` (a button) is modal: a timer polls the child process, Blender stays usable; ESC over the panel or the Cancel
+button stops it. ``execute`` (a script, the command line) blocks until it is over.
 """
 
 import atexit
+import inspect
 import sys
+import time
 
 import bpy
 
-from . import engine_process, preferences, resident
+from . import durations, engine_process, preferences, resident
 from .errors import InputError
 
-INTERVAL = 0.15  # seconds between polls
+INTERVAL = 0.05  # seconds between polls
+DRAWN = 0.25  # seconds between drawings of the panel, at least
+STATUS = 1.0  # seconds between changes of the status bar, which is not ours alone
 RUNNING = "The engine is running: wait or cancel"
 
 current = None
-"""The EngineProcess that runs now, if any: one at a time."""
+"""The Preparation or the EngineProcess that runs now, if any: one at a time."""
 
 
 def run_state():
@@ -40,6 +44,38 @@ def stop_now() -> None:
 
 
 atexit.register(stop_now)
+
+
+class Preparation:
+    """What comes before the engine, a slice at a time: as much of an EngineProcess as a run needs."""
+
+    def __init__(self, slices):
+        self._slices, self.over, self.cancelled, self.arguments = slices, False, False, None
+
+    def step(self) -> bool:
+        """Does the next slice; gives whether that was the last, and ``arguments`` are the engine's."""
+        try:
+            next(self._slices)
+        except StopIteration as end:
+            self.arguments, self.over = end.value, True
+        return self.over
+
+    def cancel(self) -> None:
+        """No further slice."""
+        self.cancelled = True
+
+    def kill(self) -> None:
+        """The end, at once; what was begun is cleaned up."""
+        self._slices.close()
+        self.over = True
+
+
+def whole(slices):
+    """Does all slices of a generator; gives its value."""
+    preparation = Preparation(slices)
+    while not preparation.step():
+        pass
+    return preparation.arguments
 
 
 def start_engine(arguments, engine: str = "", *, stays: bool = True) -> engine_process.EngineProcess:
@@ -66,10 +102,26 @@ class EngineOperator:
     """What the operators that start the engine share. Subclasses give what they do:
 
     - ``task``, in words
-    - ``begin(context)`` reads the scene and gives the engine's arguments; raises InputError
+    - ``begin(context)`` reads the scene and gives the engine's arguments; where that may take long it is a generator,
+      whose slices are done one by one while Blender stays usable; raises InputError
     - ``finish(context, result)`` puts the engine's result (dict) into the scene and gives lines for the user; raises
       InputError
+    - ``outlives``: whether what the engine finds is of use where the file was left meanwhile
     """
+
+    outlives = False
+
+    @classmethod
+    def description(cls, context, properties):
+        """The tooltip, with the seconds that the last run took."""
+        about = (inspect.getdoc(cls) or "").strip()
+        seconds = durations.in_words(cls._kind(context.scene))
+        return f"{about}. {seconds}" if seconds else about
+
+    @classmethod
+    def _kind(cls, scene) -> str:
+        """What takes about as long: the command, and the preset for what has one."""
+        return f"{cls.__name__} {scene.btfsep.preset}"
 
     # ------------------------------------------------------------------ the two drivers
 
@@ -77,6 +129,8 @@ class EngineOperator:
         if not self._start(context):
             return {"CANCELLED"}
         try:
+            if isinstance(current, Preparation) and not self._prepared(whole=True):
+                return {"CANCELLED"}
             last = current.wait(self._heard)
         except KeyboardInterrupt:
             current.kill()
@@ -94,27 +148,60 @@ class EngineOperator:
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        if event.type == "ESC" and event.value == "PRESS":
-            self._process.cancel()
+        if event.type == "ESC" and event.value == "PRESS" and over_panel(context.window, event.mouse_x, event.mouse_y):
+            current.cancel()
             run_state().message = "stopping"
             redraw()
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        for message in self._process.poll():
-            if self._process.over and isinstance(
-                message, engine_process.Done | engine_process.Failed | engine_process.Cancelled
-            ):
-                context.window_manager.event_timer_remove(self._timer)
-                return self._end(context, message)
-            self._heard(message)
+        last = None
+        if isinstance(current, Preparation):
+            if current.cancelled:
+                current.kill()
+                last = engine_process.Cancelled()
+            elif not self._prepared():
+                self._no_timer(context)
+                return {"CANCELLED"}
+        else:
+            for message in current.poll():
+                if current.over and isinstance(message, engine_process.LAST):
+                    last = message
+                else:
+                    self._heard(message)
+        if last is not None:
+            self._no_timer(context)
+            return self._end(context, last)
+        run_state().fraction = self._clock.fraction()
+        _draw_when_due()
+        self._status(context)
         return {"PASS_THROUGH"}
 
     def cancel(self, context):
         """Blender gives the operator up: another file is opened, or it quits."""
-        self._process.kill()
-        context.window_manager.event_timer_remove(self._timer)
+        self._no_timer(context)
+        if self.outlives and isinstance(current, engine_process.EngineProcess):
+            leave(current, self.task, self._scene_name)
+        else:
+            stop_now()
         run_state().running = False
+
+    def _no_timer(self, context) -> None:
+        context.window_manager.event_timer_remove(self._timer)
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+
+    def _status(self, context) -> None:
+        """How far it is, in the status bar."""
+        now = time.monotonic()
+        if context.workspace is None or now - self._told < STATUS:
+            return
+        self._told = now
+        state, left = run_state(), self._clock.left()
+        soon = "" if left is None else f", about {durations.rounded(left)} left"
+        what = f"{self.task}: {state.stage}" if state.stage else self.task
+        text = f"BTFsep  {what}  {100 * state.fraction:.0f} %{soon}   (Esc over its panel stops it)"
+        context.workspace.status_text_set(text)
 
     # ------------------------------------------------------------------ the body
 
@@ -128,22 +215,43 @@ class EngineOperator:
             context.scene.session_uid,
             context.scene.name,
         )  # the id survives undo and renaming
+        self._clock, self._told = durations.Clock(self._kind(context.scene)), 0.0
         state.error = state.summary = state.message = state.stage = ""
         state.fraction = 0.0
         state.warnings.clear()
         try:
-            self._process = current = start_engine(self.begin(context))
+            begun = self.begin(context)
+            current = Preparation(begun) if inspect.isgenerator(begun) else start_engine(begun)
         except InputError as error:
             self._fail(str(error))
             return False
         state.running, state.task = True, self.task
+        if isinstance(current, Preparation):
+            state.stage = "Writing the job"
         redraw()
+        return True
+
+    def _prepared(self, *, whole: bool = False) -> bool:
+        """Does a slice of the preparation, or all of it, and starts the engine after the last; gives whether it can."""
+        global current
+        try:
+            while not current.step():
+                if not whole:
+                    return True
+            current = start_engine(current.arguments)
+        except InputError as error:
+            current = None
+            run_state().running = False
+            self._fail(str(error))
+            return False
+        run_state().stage = ""
         return True
 
     def _heard(self, message) -> None:
         state = run_state()
         if isinstance(message, engine_process.Progress):
-            state.stage, state.message, state.fraction = message.title, message.message, message.whole
+            self._clock.heard(message.whole)
+            state.stage, state.message, state.fraction = message.title, message.message, self._clock.fraction()
         elif isinstance(message, engine_process.Notice):
             state.warnings.add().name = message.message
             self.report({"WARNING"}, message.message)
@@ -155,7 +263,7 @@ class EngineOperator:
         state = run_state()
         state.running = False
         state.stage = state.message = ""
-        redraw()
+        redraw(at_once=True)
         if isinstance(last, engine_process.Cancelled):
             state.summary = f"{self.task}: cancelled"
             self.report({"WARNING"}, state.summary)
@@ -165,6 +273,7 @@ class EngineOperator:
                 sys.stderr.write(last.details + "\n")  # the traceback, for the one who reports the bug
             self._fail(last.message)
             return {"CANCELLED"}
+        self._clock.keep()
         try:
             state.summary = self.finish(context, last.result)
         except InputError as error:
@@ -176,7 +285,7 @@ class EngineOperator:
     def _fail(self, message: str) -> None:
         run_state().error = message
         self.report({"ERROR"}, message)
-        redraw()
+        redraw(at_once=True)
 
     def scene(self):
         """The scene that the run was started for; it may have been deleted meanwhile. Raises InputError."""
@@ -192,9 +301,62 @@ def warn(sentence: str) -> None:
     sys.stderr.write(f"warning: {sentence}\n")
 
 
-def redraw() -> None:
-    """Has the panels drawn again."""
+def leave(process, task: str, scene: str):
+    """The file that ``process`` works for is left: it goes on, and the next file's panel says where its light is."""
+
+    def look():
+        global current
+        if process is not current:
+            return None  # stopped meanwhile
+        for message in process.poll():
+            if process.over and isinstance(message, engine_process.LAST):
+                current = None
+                said = ""
+                if isinstance(message, engine_process.Done):
+                    where = message.result.get("lighting") or message.result.get("out")
+                    said = f"The light of scene '{scene}', of the file that was left, is in {where}"
+                elif isinstance(message, engine_process.Failed):
+                    said = f"{task} for the file that was left: {message.message}"
+                run_state().summary = said
+                redraw(at_once=True)
+                return None
+        return INTERVAL
+
+    bpy.app.timers.register(look, first_interval=INTERVAL, persistent=True)
+    return look
+
+
+def over_panel(window, x: int, y: int) -> bool:
+    """Whether a place in a window, in its pixels, is in a sidebar that shows our panel."""
+    for area in window.screen.areas if window else ():
+        for region in area.regions if area.type == "VIEW_3D" else ():
+            inside = region.x <= x < region.x + region.width and region.y <= y < region.y + region.height
+            if region.type == "UI" and inside:
+                return getattr(region, "active_panel_category", "BTFsep") in {"BTFsep", "UNSUPPORTED"}
+    return False
+
+
+_drawn, _wanted = 0.0, False
+
+
+def redraw(*, at_once: bool = False) -> None:
+    """Has the panels drawn again, ``at_once`` or when it is time; the picture beside them is left alone."""
+    global _wanted, _drawn
+    _wanted = True
+    if at_once:
+        _drawn = 0.0
+    _draw_when_due()
+
+
+def _draw_when_due() -> None:
+    global _wanted, _drawn
+    now = time.monotonic()
+    if not _wanted or now - _drawn < DRAWN:
+        return
+    _wanted, _drawn = False, now
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type in {"VIEW_3D", "PREFERENCES"}:
-                area.tag_redraw()
+            kind = {"VIEW_3D": "UI", "PREFERENCES": "WINDOW"}.get(area.type)
+            for region in area.regions if kind else ():
+                if region.type == kind:
+                    region.tag_redraw()

@@ -107,6 +107,7 @@ class BTFSEP_OT_estimate_sequence(NeedsScene, runs.EngineOperator, bpy.types.Ope
     bl_label = "Estimate Sequence"
     bl_options = {"REGISTER", "UNDO"}
     task = "Estimating the sequence"
+    outlives = True
     images: StringProperty(
         name="Images",
         description="Pattern of the photos, as //frames/*.exr. Empty: the image sequence in the panel",

@@ -2,6 +2,7 @@
 """The commands. Exit status 0: done; 2: the input is at fault; 1: a bug."""
 
 import os
+import signal
 
 import click
 
@@ -215,6 +216,7 @@ def main(arguments=None) -> int:
     """Runs a command; returns the exit status. Misuse of the command line is the input's fault (2)."""
     if arguments is None:  # the process is ours: no Python that it starts takes modules from the current folder
         os.environ["PYTHONSAFEPATH"] = "1"
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does, and cleans up
     try:
         cli.main(args=arguments, prog_name="btfsep", standalone_mode=False)
     except (click.Abort, KeyboardInterrupt):

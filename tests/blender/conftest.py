@@ -39,6 +39,7 @@ def addon(scene):
 
     module = addon_utils.enable("blender_btfsep", default_set=True)
     assert module is not None
+    (Path(bpy.app.tempdir) / "durations.json").unlink(missing_ok=True)  # of the test before
     yield module
     addon_utils.disable("blender_btfsep", default_set=True)
 

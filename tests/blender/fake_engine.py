@@ -28,6 +28,7 @@ def main():
         Path(behaviour["log"]).write_text(json.dumps(arguments))
     if behaviour.get("deaf"):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if "child" in behaviour:
         child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
         Path(behaviour["child"]).write_text(f"{os.getpid()} {child.pid}")

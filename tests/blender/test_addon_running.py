@@ -82,9 +82,79 @@ def test_the_bar_is_where_the_engine_says(photographed, fake_engine, monkeypatch
     from blender_btfsep import runs
 
     state, seen = bpy.context.window_manager.btfsep, []
-    monkeypatch.setattr(runs, "redraw", lambda: seen.append((state.stage, state.message, round(state.fraction, 3))))
+    monkeypatch.setattr(runs, "redraw", lambda **_: seen.append((state.stage, state.message, round(state.fraction, 3))))
     line = {"type": "progress", "stage": "a stage of tomorrow", "title": "Tomorrow", "fraction": 1.0, "message": "oak"}
     done = {"type": "done", "result": FOUND}
     fake_engine(lines=[line | {"whole": 0.25}, line | {"whole": 0.75, "message": ""}, done])
     assert bpy.ops.btfsep.recognise() == {"FINISHED"}
     assert [s for s in seen if s[0]] == [("Tomorrow", "oak", 0.25), ("Tomorrow", "", 0.75)]
+
+
+def test_the_bar_and_the_tooltip_go_by_the_last_run(photographed, fake_engine):
+    """Half of the engine's guide was a tenth of the time: then it is a tenth the next time."""
+    from blender_btfsep import durations
+
+    now = [0.0]
+    assert durations.in_words("x") == "" and durations.Clock("x").left() is None
+    clock = durations.Clock("x", lambda: now[0])
+    for whole, at in ((0.5, 4.0), (0.75, 30.0)):
+        now[0] = at
+        clock.heard(whole)
+        assert clock.fraction() == whole  # nothing better is known
+    now[0] = 40.0
+    clock.keep()
+    assert durations.in_words("x") == "About 40 s on this machine, as the last one"
+
+    now[0] = 100.0
+    again = durations.Clock("x", lambda: now[0])
+    now[0] = 102.0
+    again.heard(0.5)
+    assert again.fraction() == pytest.approx(0.1) and again.left() == pytest.approx(36)
+    now[0] = 112.0  # the engine is silent: the bar goes on, as far as the last run was at what it says next
+    assert again.fraction() == pytest.approx(0.35)
+    now[0] = 200.0
+    assert again.fraction() == pytest.approx(0.75)
+    again.heard(0.6)  # never back
+    assert again.fraction() == pytest.approx(0.75)
+
+    fake_engine(lines=[{"type": "done", "result": FOUND}])
+    bpy.ops.btfsep.recognise()
+    assert durations.expected("BTFSEP_OT_recognise balanced") is not None
+    photographed.btfsep.preset = "draft"
+    assert durations.expected("BTFSEP_OT_recognise draft") is None
+
+
+def test_durations_that_make_no_sense_are_none(photographed):
+    from blender_btfsep import durations
+
+    for text in ("", "[]", '{"x": 3}', '{"x": [[1, 2], [0, 1]]}', '{"x": [[1, "a"]]}', '{"x": [[0, 0]]}'):
+        durations._file().write_text(text)
+        assert durations.curve_of("x") == []
+
+
+def test_what_is_found_for_a_file_that_was_left_is_said(photographed, fake_engine, tmp_path):
+    from blender_btfsep import request, runs
+
+    fake_engine(lighting=LIGHTING, lines=[LINE])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "one.blend"))
+    folder = request.write_job(bpy.context)
+    runs.current = runs.start_engine(["estimate", folder, "--out", folder / "result"])
+    look = runs.leave(runs.current, "Estimating", "Scene")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
+    assert request.job_folder(bpy.context.scene) != folder and runs.is_running()
+    while look() is not None:
+        pass
+    said = bpy.context.window_manager.btfsep.summary
+    assert said == f"The light of scene 'Scene', of the file that was left, is in {folder / 'result' / 'lighting.json'}"
+    assert (folder / "result" / "lighting.json").is_file() and not runs.is_running()
+
+
+def test_escape_is_ours_over_the_panel_only(scene):
+    from blender_btfsep import runs
+
+    window = bpy.context.window_manager.windows[0]
+    (area,) = (a for a in window.screen.areas if a.type == "VIEW_3D")
+    region = {r.type: r for r in area.regions}
+    assert runs.over_panel(window, region["UI"].x, region["UI"].y)
+    assert not runs.over_panel(window, region["WINDOW"].x + 5, region["WINDOW"].y + 5)
+    assert not runs.over_panel(None, 0, 0)

@@ -113,8 +113,20 @@ def test_cancel_ends_the_engine_and_its_children(tmp_path):
     assert wait_until(lambda: not any(alive(pid) for pid in pids))
 
 
-def test_an_engine_that_does_not_listen_is_killed(tmp_path, monkeypatch):
-    monkeypatch.setattr(engine_process, "GRACE", 0.3)
+def test_cancel_works_where_blender_was_started_in_the_background(tmp_path):
+    """A shell has its background jobs ignore SIGINT, and what they start inherits that."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        process = start(tmp_path, child=str(tmp_path / "pids"), sleep=600)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert wait_until(lambda: (tmp_path / "pids").exists() and " " in (tmp_path / "pids").read_text())
+    process.cancel()
+    assert process.wait() == Cancelled()
+    assert process._process.returncode == -signal.SIGTERM  # it was asked, not killed
+
+
+def test_an_engine_that_does_not_listen_is_killed(tmp_path):
     process = start(tmp_path, deaf=True, child=str(tmp_path / "pids"), sleep=600)
     assert wait_until(lambda: (tmp_path / "pids").exists() and " " in (tmp_path / "pids").read_text())
     process.cancel()

@@ -339,3 +339,25 @@ def test_folders_and_files_of_any_name(sphere_job_folder, capsys, tmp_path_facto
     found = read_lighting(folder / "result" / "lighting.json").coefficients
     assert off_as_seen(found, truth) < A_TENTH
     assert images.read_linear(folder / "result" / "lighting.exr").usable.all()
+
+
+def test_being_told_to_end_cleans_up_as_ctrl_c_does(tmp_path):
+    """SIGTERM in the midst of writing a file: one line, status 130, nothing half-written."""
+    code = """
+import os, signal, sys, time
+from btfsep_engine import atomic
+from btfsep_engine.cli import commands
+
+@commands.cli.command()
+def write():
+    with atomic.replacing("whole.txt") as scratch:
+        scratch.write_text("half")
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(60)
+
+sys.argv = ["btfsep", "write"]
+sys.exit(commands.main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr.strip()) == (130, "error: stopped")
+    assert not list(tmp_path.iterdir())
