@@ -3,8 +3,9 @@
 
 import numpy as np
 
-from . import sh_nodes, world
+from . import colour, sh_nodes, world
 from .errors import InputError
+from .world import bags
 
 INTERPOLATIONS = (
     ("LINEAR", "Linear", "Between two photos the light goes over from one to the other"),
@@ -42,9 +43,10 @@ def apply_sequence(scene, frames, *, clamp: bool = True, interpolation: str = "L
     order = orders.pop()
     made = world.apply_lighting(scene, frames[0][1], mode="NODES", clamp=clamp, lamp=False)
     tree = made.node_tree
-    group = tree.nodes[sh_nodes.GROUP_NAME]
+    group = sh_nodes.node_of(tree)
+    earlier = tree.animation_data and tree.animation_data.action  # of the user's own keys
 
-    coefficients = np.array([lighting["coefficients"] for _, lighting in frames], np.float64)
+    coefficients = colour.to_working([lighting["coefficients"] for _, lighting in frames])
     values = {
         sh_nodes.coefficient_name(l, m): coefficients[:, l * l + l + m]
         for l in range(order + 1)
@@ -61,18 +63,16 @@ def apply_sequence(scene, frames, *, clamp: bool = True, interpolation: str = "L
     for curve in fcurves(tree.animation_data):
         if curve.data_path in paths:
             _fill(curve, times, paths[curve.data_path][:, curve.array_index], interpolation)
-    tree.animation_data.action[world.WORLD_TAG] = True  # so that it goes when its World does
-    tree.animation_data.action.name = world.WORLD_NAME
+    action = tree.animation_data.action
+    if action != earlier:
+        action[world.WORLD_TAG] = True  # so that it goes when its World does
+        action.name = world.WORLD_NAME
     return made
 
 
 def fcurves(animation):
     """The curves of ``animation`` (AnimData with an action): its slot's since Blender 4.4, the action's before."""
-    slot = getattr(animation, "action_slot", None)
-    if slot is None:
-        return animation.action.fcurves
-    bags = [strip.channelbag(slot) for layer in animation.action.layers for strip in layer.strips]
-    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
+    return [curve for bag in bags(animation) for curve in bag]
 
 
 def _fill(curve, times, values, interpolation: str) -> None:

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Builds the node group that evaluates a lighting in spherical harmonics, coefficients visible as its inputs."""
+"""Builds the node groups that are a light: spherical harmonics with their coefficients as inputs, or a map.
+
+Both have the same inputs for the user, first and in the same order, so that one can take the place of the other.
+"""
 
 import bpy
 
 from . import harmonics
 
-GROUP_NAME = "BTFsep SH Lighting"
+GROUP_NAME, MAP_NAME = "BTFsep SH Lighting", "BTFsep Light Map"
 GROUP_TAG = "btfsep_sh_group"
 MAX_NODE_ORDER = 9
 """Highest order that is written as nodes (100 coefficients); a test renders it with Cycles."""
@@ -64,6 +67,15 @@ class _Builder:
             self.feed(node.inputs["Scale"], scale)
         return node.outputs["Vector"]
 
+    def mix(self, label: str, factor, a, b):
+        node = self.node("ShaderNodeMix", label)
+        node.data_type, node.clamp_factor = "VECTOR", False
+        by_kind = {(socket.name, socket.type): socket for socket in node.inputs}
+        self.feed(by_kind["Factor", "VALUE"], factor)
+        self.feed(by_kind["A", "VECTOR"], a)
+        self.feed(by_kind["B", "VECTOR"], b)
+        return next(socket for socket in node.outputs if socket.type == "VECTOR")
+
 
 class _Scalar:
     """A float socket with arithmetic: harmonics.terms works on it as it does on arrays."""
@@ -85,6 +97,8 @@ class _Scalar:
         return self.builder.math("SUBTRACT", self, other)
 
 
+STRENGTH, ROTATION, TINT, SATURATION = USERS = "Strength", "Rotation", "Tint", "Saturation"
+"""The inputs that are the user's: what they are set or linked to stays when the light is another."""
 CLAMP, CLAMP_GAIN = "Clamp Negative", "Clamp Gain"
 
 
@@ -96,28 +110,17 @@ def coefficient_name(l: int, m: int) -> str:
 def build_group(order: int) -> bpy.types.ShaderNodeTree:
     """A new node group of ``order`` (0 to MAX_NODE_ORDER).
 
-    Inputs: Strength; Rotation (radians, turns the light counter-clockwise about +Z as seen from above); Clamp
-    Negative and Clamp Gain (as harmonics.positive_share gives them; 0: the sum of the harmonics as it is); one vector a
-    coefficient (red, green, blue; may be negative). Output: Color, linear radiance along the direction in which the
-    World is looked at.
+    Inputs: Strength; Rotation (radians, turns the light counter-clockwise about +Z as seen from above); Tint;
+    Saturation; Clamp Negative and Clamp Gain (as harmonics.positive_share gives them; 0: the sum of the harmonics as
+    it is); one vector a coefficient (red, green, blue; may be negative). Output: Color, linear radiance along the
+    direction in which the World is looked at.
     """
     if not 0 <= order <= MAX_NODE_ORDER:
         raise ValueError(f"order {order} is not in 0 to {MAX_NODE_ORDER}")
-    tree = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
-    tree[GROUP_TAG] = order
-    _interface(tree, order)
-    build = _Builder(tree)
-
-    inputs = build.node("NodeGroupInput")
-    generated = build.node("ShaderNodeTexCoord").outputs["Generated"]
-    unit = build.vector("NORMALIZE", generated, label="direction")
-    turn = build.math("MULTIPLY", inputs.outputs["Rotation"], -1.0)
-    rotate = build.node("ShaderNodeVectorRotate", "turned back")
-    rotate.rotation_type = "Z_AXIS"
-    build.feed(rotate.inputs["Vector"], unit)
-    build.feed(rotate.inputs["Angle"], turn)
+    tree, build, inputs, direction = _begun(GROUP_NAME, order)
+    _coefficient_inputs(tree, order)
     separate = build.node("ShaderNodeSeparateXYZ", "x, y, z")
-    build.feed(separate.inputs[0], rotate.outputs[0])
+    build.feed(separate.inputs[0], direction)
     x, y, z = (_Scalar(build, socket) for socket in separate.outputs)
 
     total = blurred = None
@@ -135,27 +138,77 @@ def build_group(order: int) -> bpy.types.ShaderNodeTree:
     level = build.math("MAXIMUM", build.luminance(total), y * harmonics.FLOOR, label="not too dark")
     level = build.math("DIVIDE", level, y) * _Scalar(build, inputs.outputs[CLAMP_GAIN])
     positive = build.vector("SCALE", colour, scale=level, label="same light")
-    clamp = build.node("ShaderNodeMix", "clamp negative")
-    clamp.data_type = "VECTOR"
-    by_kind = {(socket.name, socket.type): socket for socket in clamp.inputs}
-    build.feed(by_kind["Factor", "VALUE"], inputs.outputs[CLAMP])
-    build.feed(by_kind["A", "VECTOR"], total)
-    build.feed(by_kind["B", "VECTOR"], positive)
-    mixed = next(socket for socket in clamp.outputs if socket.type == "VECTOR")
-    strong = build.vector("SCALE", mixed, scale=inputs.outputs["Strength"], label="strength")
-    build.feed(build.node("NodeGroupOutput").inputs["Color"], strong)
+    _ended(build, inputs, build.mix("clamp negative", inputs.outputs[CLAMP], total, positive))
     return tree
 
 
-def _interface(tree, order: int) -> None:
-    face = tree.interface
+def build_map_group(image) -> bpy.types.ShaderNodeTree:
+    """A new node group of an environment map, with the inputs that are the user's."""
+    tree, build, inputs, direction = _begun(MAP_NAME, -1)
+    texture = build.node("ShaderNodeTexEnvironment")
+    texture.image = image
+    build.feed(texture.inputs["Vector"], direction)
+    _ended(build, inputs, texture.outputs["Color"])
+    return tree
+
+
+def map_of(tree):
+    """The image of a tree of :func:`build_map_group`; None of another."""
+    return next((node.image for node in tree.nodes if node.type == "TEX_ENVIRONMENT"), None)
+
+
+def node_of(tree):
+    """The node of ours among a World's nodes; None where there is none."""
+    ours = (n for n in tree.nodes if n.type == "GROUP" and n.node_tree is not None and GROUP_TAG in n.node_tree)
+    return next(ours, None)
+
+
+def _begun(name: str, order: int):
+    """A tree with the user's inputs; its builder, the inputs' node, the direction that is looked at, turned back."""
+    tree = bpy.data.node_groups.new(name, "ShaderNodeTree")
+    tree[GROUP_TAG] = order
+    _users_inputs(tree.interface)
+    build = _Builder(tree)
+    inputs = build.node("NodeGroupInput")
+    generated = build.node("ShaderNodeTexCoord").outputs["Generated"]
+    unit = build.vector("NORMALIZE", generated, label="direction")
+    turn = build.math("MULTIPLY", inputs.outputs[ROTATION], -1.0)
+    rotate = build.node("ShaderNodeVectorRotate", "turned back")
+    rotate.rotation_type = "Z_AXIS"
+    build.feed(rotate.inputs["Vector"], unit)
+    build.feed(rotate.inputs["Angle"], turn)
+    return tree, build, inputs, rotate.outputs[0]
+
+
+def _ended(build: _Builder, inputs, colour) -> None:
+    """Saturation, tint and strength, and the way out."""
+    y = build.luminance(colour)
+    grey = build.node("ShaderNodeCombineXYZ", "grey")
+    for socket in grey.inputs:
+        build.feed(socket, y)
+    saturate = build.mix("saturation", inputs.outputs[SATURATION], grey.outputs[0], colour)
+    tinted = build.vector("MULTIPLY", saturate, inputs.outputs[TINT], label="tint")
+    strong = build.vector("SCALE", tinted, scale=inputs.outputs[STRENGTH], label="strength")
+    build.feed(build.node("NodeGroupOutput").inputs["Color"], strong)
+
+
+def _users_inputs(face) -> None:
     face.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor", description="Linear Rec.709 radiance")
-    strength = face.new_socket("Strength", in_out="INPUT", socket_type="NodeSocketFloat")
+    strength = face.new_socket(STRENGTH, in_out="INPUT", socket_type="NodeSocketFloat")
     strength.default_value, strength.min_value = 1.0, 0.0
     strength.description = "Factor on the whole light"
-    rotation = face.new_socket("Rotation", in_out="INPUT", socket_type="NodeSocketFloat")
+    rotation = face.new_socket(ROTATION, in_out="INPUT", socket_type="NodeSocketFloat")
     rotation.subtype = "ANGLE"
     rotation.description = "Turns the light about the vertical, counter-clockwise as seen from above"
+    tint = face.new_socket(TINT, in_out="INPUT", socket_type="NodeSocketColor")
+    tint.default_value, tint.description = (1.0, 1.0, 1.0, 1.0), "Colour by which the light is multiplied"
+    saturation = face.new_socket(SATURATION, in_out="INPUT", socket_type="NodeSocketFloat")
+    saturation.default_value, saturation.min_value = 1.0, 0.0
+    saturation.description = "0: grey; 1: as estimated; more: stronger colours"
+
+
+def _coefficient_inputs(tree, order: int) -> None:
+    face = tree.interface
     clamp = face.new_socket(CLAMP, in_out="INPUT", socket_type="NodeSocketFloat")
     clamp.subtype, clamp.default_value, clamp.min_value, clamp.max_value = "FACTOR", 1.0, 0.0, 1.0
     clamp.description = "How far the light is kept from being negative. 0: the sum of the harmonics as it is"

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The key lights of a lighting as Sun lamps, beside a World of the rest.
 
-A lamp made here carries LAMP_TAG. Only such lamps are ever removed, all of a scene's together.
+A lamp made here carries LAMP_TAG: the key light that it is, and what was written of it. What it is now beside what was
+written is the user's doing, and stays when another light is written: twice as strong stays twice as strong, a turn
+stays a turn. Only such lamps are ever changed or removed.
+
+The World's Rotation turns the lamps, by a driver of their delta rotation: their own rotation is free to be edited.
 
 Blender's Sun: the strength is the irradiance on a surface that faces it, so that a white matte surface shows the
 strength over pi (a test renders it); the angle is the disc's whole width.
@@ -10,11 +14,16 @@ strength over pi (a test renders it); the angle is the disc's whole width.
 import math
 
 import bpy
-from mathutils import Vector
+import numpy as np
+from mathutils import Quaternion, Vector
+
+from . import colour, sh_nodes
 
 LAMP_NAME = "BTFsep Sun"
 LAMP_TAG = "btfsep_sun"
+KEY = "btfsep_key"  # of the World: factor on its lamps
 DISTANCE = 5.0  # from the world's origin, in the view; a Sun's place makes no difference to its light
+SAME = 1e-4  # relative: a number that is so near to what was written was not edited
 
 
 def lamps(scene) -> list:
@@ -29,31 +38,119 @@ def beside(scene) -> str:
 
 
 def put(scene, suns) -> None:
-    """Makes ``suns`` the lamps of ``scene``, in place of all earlier ones of ours; of none, only takes those away.
+    """Makes ``suns`` the lamps of ``scene``: earlier ones of ours become the nearest of them, the others go.
 
     Parameters
     ----------
-    scene : bpy.types.Scene
+    scene : bpy.types.Scene, whose World is ours where there are suns
     suns : list of "lamps" of what lighting_file.read returns; one without light gives no lamp
     """
+    free = []
     for old in lamps(scene):
+        if len(old.users_scene) > 1 or "direction" not in _tag(old):
+            _remove(scene, old)  # another scene has it, too
+        else:
+            free.append(old)
+    for sun in (sun for sun in suns if max(sun["irradiance"]) > 0):
+        lamp = max(free, key=lambda old: np.dot(_tag(old)["direction"], sun["direction"]), default=None)
+        if lamp is None:
+            lamp = bpy.data.objects.new(LAMP_NAME, bpy.data.lights.new(LAMP_NAME, "SUN"))
+            scene.collection.objects.link(lamp)
+            lamp[LAMP_TAG] = {}
+            _turn_with(scene.world, lamp)
+        else:
+            free.remove(lamp)
+        _write(lamp, dict(sun), scene.world)
+    for old in free:
         _remove(scene, old)
-    for sun in suns:
-        if max(sun["irradiance"]) > 0:
-            _make(scene, sun)
 
 
-def _make(scene, sun: dict) -> None:
-    data = bpy.data.lights.new(LAMP_NAME, "SUN")
-    lamp = bpy.data.objects.new(LAMP_NAME, data)
-    lamp[LAMP_TAG] = True
-    data.energy = max(sun["irradiance"])
-    data.color = [value / data.energy for value in sun["irradiance"]]
-    data.angle = math.radians(sun["size_degrees"])
+def follow(world) -> None:
+    """Has the lamps of all scenes that ``world`` lights be as its tint, saturation and key say."""
+    for scene in bpy.data.scenes:
+        for lamp in lamps(scene) if scene.world == world else ():
+            if "irradiance" in _tag(lamp):
+                _write(lamp, _tag(lamp), world)
+
+
+def _tag(lamp) -> dict:
+    tag = lamp[LAMP_TAG]
+    return tag.to_dict() if hasattr(tag, "to_dict") else {}
+
+
+def _write(lamp, sun: dict, world) -> None:
+    """Makes a lamp the key light ``sun``, and keeps what the user has changed of it."""
+    before, data = _tag(lamp), lamp.data
+    irradiance = colour.to_working(_as_the_world(sun["irradiance"], world))
+    energy = float(irradiance.max())
+    tint = irradiance / energy if energy > 0 else np.ones(3)
     direction = Vector(sun["direction"])
-    lamp.location = DISTANCE * direction
-    lamp.rotation_euler = direction.to_track_quat("Z", "Y").to_euler()
-    scene.collection.objects.link(lamp)
+    turned, place, angle = direction.to_track_quat("Z", "Y"), DISTANCE * direction, math.radians(sun["size_degrees"])
+    times, shades = before.get("times", 1.0), np.array(before.get("shades", (1.0, 1.0, 1.0)))
+    user_turn, moved, resized = Quaternion(), False, False
+    if "energy" in before:
+        written, was = before["energy"], Vector(before["direction"])
+        if written > 0:
+            times = _ratio(data.energy, written)
+            shades = np.array([_ratio(now, then) for now, then in zip(data.color, before["color"], strict=True)])
+        user_turn = _rotation_of(lamp) @ was.to_track_quat("Z", "Y").inverted()
+        moved = (lamp.location - DISTANCE * was).length > SAME * DISTANCE
+        resized = abs(data.angle - math.radians(before["size_degrees"])) > SAME
+    data.energy, data.color = energy * times, np.clip(tint * shades, 0, None)
+    if not resized:
+        data.angle = angle
+    if not moved:
+        lamp.location = place
+    _rotate(lamp, user_turn @ turned)
+    lamp[LAMP_TAG] = {
+        **{name: [float(v) for v in sun[name]] for name in ("direction", "irradiance")},
+        "size_degrees": math.degrees(angle) if not resized else before["size_degrees"],
+        "energy": energy,
+        "color": [float(v) for v in tint],
+        "times": float(times),
+        "shades": [float(v) for v in shades],
+    }
+
+
+def _as_the_world(irradiance, world) -> np.ndarray:
+    node = sh_nodes.node_of(world.node_tree)
+    tint, saturation = node.inputs[sh_nodes.TINT].default_value[:3], node.inputs[sh_nodes.SATURATION].default_value
+    return world.get(KEY, 1.0) * colour.adjusted(irradiance, tint=tint, saturation=saturation)
+
+
+def _ratio(now: float, written: float) -> float:
+    """What the user has multiplied a number by; 1 where only rounding has."""
+    ratio = now / written if written > 0 else 1.0
+    return 1.0 if abs(ratio - 1) < SAME else ratio
+
+
+def _rotation_of(lamp) -> Quaternion:
+    if lamp.rotation_mode == "QUATERNION":
+        return lamp.rotation_quaternion.copy()
+    if lamp.rotation_mode == "AXIS_ANGLE":
+        angle, *axis = lamp.rotation_axis_angle
+        return Quaternion(axis, angle)
+    return lamp.rotation_euler.to_quaternion()
+
+
+def _rotate(lamp, turn: Quaternion) -> None:
+    if lamp.rotation_mode == "QUATERNION":
+        lamp.rotation_quaternion = turn
+    elif lamp.rotation_mode == "AXIS_ANGLE":
+        axis, angle = turn.to_axis_angle()
+        lamp.rotation_axis_angle = (angle, *axis)
+    else:
+        lamp.rotation_euler = turn.to_euler(lamp.rotation_mode)
+
+
+def _turn_with(world, lamp) -> None:
+    """Has the World's Rotation turn the lamp about the vertical; no Python, so that it works wherever the file goes."""
+    driver = lamp.driver_add("delta_rotation_euler", 2).driver
+    driver.type = "SUM"
+    target = driver.variables.new().targets[0]
+    socket = sh_nodes.node_of(world.node_tree).inputs[sh_nodes.ROTATION]
+    target.id_type, target.id = "WORLD", world
+    target.data_path = f"node_tree.{socket.path_from_id('default_value')}"
 
 
 def _remove(scene, lamp) -> None:

@@ -10,7 +10,7 @@ A World made here carries WORLD_TAG. Only such Worlds are ever changed; a World 
 import bpy
 import numpy as np
 
-from . import harmonics, sh_nodes, sun_lamp
+from . import colour, harmonics, sh_nodes, sun_lamp
 from .errors import InputError
 
 WORLD_NAME = "BTFsep Lighting"
@@ -62,21 +62,24 @@ def apply_lighting(
             f"its order is {order}, nodes go up to order {sh_nodes.MAX_NODE_ORDER}",
             "apply it as a texture",
         )
-    world = _own_world(scene)
-    tree = world.node_tree
-    tree.nodes.clear()
-    tree.animation_data_clear()  # the keyframes of a sequence that was here before
+    world, node = _own_node(scene)
+    _forget_keys(world.node_tree, node)
+    if mode == "NODES":
+        _put_group(node, sh_nodes.build_group(order))
+        _write_coefficients(node, colour.to_working(coefficients), order, clamp)
+    else:
+        given = lighting.get("map")
+        radiance = given
+        if given is None:
+            radiance = (harmonics.positive_map if clamp else harmonics.to_map)(coefficients, MAP_HEIGHT, 2 * MAP_HEIGHT)
+        _put_group(node, sh_nodes.build_map_group(_image_of(colour.to_working(radiance))))
     _remove_orphans()
     sampling = getattr(world, "cycles", None)  # absent when the Cycles add-on is off
     if sampling is not None:
         sampling.sampling_method = "MANUAL" if mode == "NODES" else "AUTOMATIC"
         sampling.sample_map_resolution = SAMPLING_MAP
-    if mode == "NODES":
-        _write_nodes(tree, coefficients, order, clamp)
-    else:
-        _write_texture(tree, coefficients, clamp)
-    sun_lamp.put(scene, suns["lamps"] if suns else [])
     world[WORLD_TAG] = {"mode": mode, "order": order, "exposure_ev": float(lighting.get("exposure_ev", 0.0))}
+    sun_lamp.put(scene, suns["lamps"] if suns else [])
     return world
 
 
@@ -106,21 +109,64 @@ def restore_previous(scene):
     return previous
 
 
-def _own_world(scene):
-    if is_ours(scene.world):
-        world = scene.world
-    else:
-        previous = scene.world
-        world = bpy.data.worlds.new(WORLD_NAME)
-        world[WORLD_TAG] = {}
-        if previous is not None:
-            world[PREVIOUS] = previous
-            world[PREVIOUS_WAS_FAKE] = previous.use_fake_user
-            previous.use_fake_user = True
-        scene.world = world
+def _own_node(scene):
+    """The World of ours that ``scene`` has, or a new one, and its node of ours.
+
+    A World from which the user has taken our node is the user's from then on.
+    """
+    world = scene.world
+    if is_ours(world):
+        node = sh_nodes.node_of(world.node_tree) if world.node_tree else None
+        if node is not None:
+            return world, node
+        del world[WORLD_TAG]
+    previous = world
+    world = bpy.data.worlds.new(WORLD_NAME)
+    world[WORLD_TAG] = {}
+    if previous is not None:
+        world[PREVIOUS] = previous
+        world[PREVIOUS_WAS_FAKE] = previous.use_fake_user
+        previous.use_fake_user = True
+    scene.world = world
     if world.node_tree is None:  # Blender 4: Worlds start without nodes; in 5 they always have them
         world.use_nodes = True
-    return world
+    tree = world.node_tree
+    tree.nodes.clear()
+    node, background, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("Group", "Background", "OutputWorld"))
+    node.width, node.location, output.location = 240, (-320, 0), (240, 0)
+    node.node_tree = sh_nodes.build_group(0)  # for its output; the light comes in its place
+    tree.links.new(node.outputs[0], background.inputs["Color"])
+    tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+    return world, node
+
+
+def _put_group(node, group) -> None:
+    """Makes ``group`` the node's. The user's inputs are the first of any, so Blender keeps values and links of them."""
+    node.node_tree = group
+    node.name = node.label = group.name.partition(".")[0]
+
+
+def bags(animation) -> list:
+    """The collections of curves of ``animation`` (AnimData, or None): its slot's since Blender 4.4, or the action's."""
+    action = animation and animation.action
+    slot = getattr(animation, "action_slot", None)
+    if not action or slot is None:
+        return [action.fcurves] if action and hasattr(action, "fcurves") else []
+    found = [strip.channelbag(slot) for layer in action.layers for strip in layer.strips]
+    return [bag.fcurves for bag in found if bag is not None]
+
+
+def _forget_keys(tree, node) -> None:
+    """Takes the keyframes of a sequence away that was here before; the user's own stay."""
+    animation = tree.animation_data
+    ours = {s.path_from_id("default_value") for s in node.inputs if s.name not in sh_nodes.USERS}
+    left = 0
+    for curves in bags(animation):
+        for curve in [curve for curve in curves if curve.data_path in ours]:
+            curves.remove(curve)
+        left += len(curves)
+    if animation and not left and not animation.drivers and not animation.nla_tracks:
+        tree.animation_data_clear()
 
 
 def _remove_orphans() -> None:
@@ -141,46 +187,23 @@ def clamping(coefficients, clamp: bool) -> dict:
     return {sh_nodes.CLAMP: share, sh_nodes.CLAMP_GAIN: gain}
 
 
-def _write_nodes(tree, coefficients, order: int, clamp: bool) -> None:
-    group = tree.nodes.new("ShaderNodeGroup")
-    group.node_tree = sh_nodes.build_group(order)
-    group.name = group.label = sh_nodes.GROUP_NAME
-    group.width = 240
+def _write_coefficients(node, coefficients, order: int, clamp: bool) -> None:
     for name, value in clamping(coefficients, clamp).items():
-        group.inputs[name].default_value = value
+        node.inputs[name].default_value = value
     for l in range(order + 1):
         for m in range(-l, l + 1):
-            group.inputs[sh_nodes.coefficient_name(l, m)].default_value = coefficients[l * l + l + m]
-    group.location = (-320, 0)
-    _output(tree, group.outputs["Color"])
+            node.inputs[sh_nodes.coefficient_name(l, m)].default_value = coefficients[l * l + l + m]
 
 
-def _write_texture(tree, coefficients, clamp: bool) -> None:
-    radiance = (harmonics.positive_map if clamp else harmonics.to_map)(coefficients, MAP_HEIGHT, 2 * MAP_HEIGHT)
-    image = bpy.data.images.new(IMAGE_NAME, 2 * MAP_HEIGHT, MAP_HEIGHT, float_buffer=True, alpha=False, is_data=True)
+def _image_of(radiance):
+    """A packed image of a map (height, width, 3), row 0 up."""
+    height, width = radiance.shape[:2]
+    image = bpy.data.images.new(IMAGE_NAME, width, height, float_buffer=True, alpha=False, is_data=True)
     image[WORLD_TAG] = True
     image.use_half_precision = False
-    pixels = np.ones((MAP_HEIGHT, 2 * MAP_HEIGHT, 4), np.float32)
+    pixels = np.ones((height, width, 4), np.float32)
     pixels[..., :3] = radiance[::-1]  # Blender's first row is the lowest
     image.pixels.foreach_set(pixels.ravel())
     image.update()
     image.pack()
-
-    coordinates = tree.nodes.new("ShaderNodeTexCoord")
-    mapping = tree.nodes.new("ShaderNodeMapping")
-    mapping.vector_type = "TEXTURE"  # so that a positive rotation turns the light counter-clockwise
-    texture = tree.nodes.new("ShaderNodeTexEnvironment")
-    texture.image = image
-    tree.links.new(coordinates.outputs["Generated"], mapping.inputs["Vector"])
-    tree.links.new(mapping.outputs["Vector"], texture.inputs["Vector"])
-    for node, x in ((coordinates, -840), (mapping, -620), (texture, -320)):
-        node.location = (x, 0)
-    _output(tree, texture.outputs["Color"])
-
-
-def _output(tree, color) -> None:
-    background = tree.nodes.new("ShaderNodeBackground")
-    output = tree.nodes.new("ShaderNodeOutputWorld")
-    output.location = (240, 0)
-    tree.links.new(color, background.inputs["Color"])
-    tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+    return image

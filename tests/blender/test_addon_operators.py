@@ -112,7 +112,7 @@ def test_estimate_writes_the_world(photographed, fake_engine, tmp_path):
     assert [(o["name"], o["material"]) for o in job["objects"]] == [("Cube", "wood/oak")]
 
     bpy.ops.btfsep.apply(mode="TEXTURE")
-    assert "Environment Texture" in photographed.world.node_tree.nodes
+    assert "BTFsep Light Map" in photographed.world.node_tree.nodes
     assert len(bpy.data.worlds) == 1
 
 

@@ -113,7 +113,8 @@ def test_apply_without_an_engine(blend, tmp_path):
     done = blender(blend, *arguments)
     assert done.returncode == 0, done.stderr
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "lit.blend"))
-    assert bpy.context.scene.world.node_tree.nodes["Environment Texture"].image.packed_file
+    group = bpy.context.scene.world.node_tree.nodes["BTFsep Light Map"].node_tree
+    assert group.nodes["Environment Texture"].image.packed_file
 
 
 def test_sequence_saves_keyframes(blend, fake_engine, tmp_path):

@@ -9,8 +9,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix, Vector
 
-from blender_btfsep import animation, lighting_file, sun_lamp, world
+from blender_btfsep import animation, lighting_file, sh_nodes, sun_lamp, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import sh
 from btfsep_engine.light.files import Lighting, write_lighting
@@ -72,6 +73,7 @@ def test_lamp_and_world_light_a_sphere_as_theory_says_and_as_the_whole_does(scen
     # the lamp alone is E cos / pi of the irradiance E
     made.node_tree.nodes["BTFsep SH Lighting"].inputs["Strength"].default_value = 0
     alone = render(scene)
+    made.node_tree.nodes["BTFsep SH Lighting"].inputs["Strength"].default_value = 1
     cosine = np.maximum(normals @ DIRECTION, 0)
     truth = cosine[..., None] * light.suns[0].irradiance / np.pi
     lit = inside & (cosine > 0.2)
@@ -98,13 +100,19 @@ def test_the_lamp_can_be_edited_and_is_replaced(scene, sunny, tmp_path):
     assert np.allclose(lamp.data.color, [1, 2 / 3, 1 / 3]) and lamp.data.angle == pytest.approx(np.radians(0.5))
     bpy.context.view_layer.update()
     assert np.allclose(np.array(lamp.matrix_world)[:3, 2], DIRECTION, atol=1e-6)  # a Sun shines along its -Z
-    lamp.name, lamp.data.energy, lamp.rotation_euler = "Renamed", 9.0, (0, 0, 0)
+    # three times as strong, without its red, turned about X, at another place: so it stays, of whatever light
+    turn = Matrix.Rotation(0.2, 3, "X")
+    lamp.name, lamp.data.energy, lamp.location = "Renamed", 9.0, (1, 2, 3)
+    lamp.data.color = (0.0, 2 / 3, 1 / 3)
+    lamp.rotation_euler = (turn @ lamp.rotation_euler.to_matrix()).to_euler()
     write_sunny(tmp_path / "other.json", direction=[0.0, 0.0, 1.0], irradiance=(1.0, 4.0, 2.0), size=3.0)
     for _ in range(3):
         world.apply_lighting(scene, lighting_file.read(tmp_path / "other.json"), mode="TEXTURE")
-        lamp = the_lamp(scene)
-        assert (lamp.name, round(lamp.data.energy, 5)) == ("BTFsep Sun", 4.0)
-        assert np.allclose(np.array(lamp.rotation_euler.to_matrix())[:, 2], [0, 0, 1], atol=1e-6)
+        assert the_lamp(scene) == lamp
+        assert (lamp.name, round(lamp.data.energy, 4), lamp.location[:]) == ("Renamed", 12.0, (1, 2, 3))
+        assert np.allclose(lamp.data.color, [0, 1, 0.5]) and lamp.data.angle == pytest.approx(np.radians(3))
+        assert np.allclose(np.array(lamp.rotation_euler.to_matrix())[:, 2], turn @ Vector((0, 0, 1)), atol=1e-5)
+    lamp.name = "BTFsep Sun"
     assert sorted(o.name for o in bpy.data.objects) == ["BTFsep Sun", "Mine"] and len(bpy.data.lights) == 2
     # a light without a sun takes the lamp away, and the user's stays
     plain = lighting_file.read(path) | {"suns": None}
@@ -179,6 +187,7 @@ def test_several_lamps_and_world_light_a_sphere_as_theory_says_and_as_the_whole_
     both = render(scene)
     made.node_tree.nodes["BTFsep SH Lighting"].inputs["Strength"].default_value = 0
     alone = render(scene)
+    made.node_tree.nodes["BTFsep SH Lighting"].inputs["Strength"].default_value = 1
     cosines = [np.maximum(normals @ s.direction, 0)[..., None] for s in light.suns]
     truth = sum(c * s.irradiance for c, s in zip(cosines, light.suns, strict=True)) / np.pi
     clear = inside & np.all([np.abs(normals @ s.direction) > 0.1 for s in light.suns], 0) & (truth.min(-1) > 0.05)
@@ -334,3 +343,66 @@ def test_a_number_of_ten_thousand_digits_is_refused_in_words(tmp_path):
     (tmp_path / "l.json").write_text('{"order": ' + "9" * 10_000 + "}")
     with pytest.raises(InputError, match="not JSON"):
         lighting_file.read(tmp_path / "l.json")
+
+
+def shines_from(lamp):
+    """The direction of a lamp's light as the scene is evaluated, drivers and all."""
+    bpy.context.view_layer.update()
+    there = lamp.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return np.array(there.matrix_world)[:3, 2]
+
+
+@pytest.mark.parametrize("mode", ["NODES", "TEXTURE"])
+def test_one_rotation_turns_world_and_lamps(addon, scene, lamplit, tmp_path, mode):
+    path, light = lamplit
+    made = world.apply_lighting(scene, lighting_file.read(path), mode=mode)
+    made.btfsep.rotation = 0.9
+    turn = np.array(Matrix.Rotation(0.9, 3, "Z"))
+    wanted = sorted((turn @ sun.direction).tolist() for sun in light.suns)
+    assert np.allclose(sorted(shines_from(lamp).tolist() for lamp in sun_lamp.lamps(scene)), wanted, atol=1e-5)
+    # by the node itself, too; another light and a reopened file do not lose it
+    sh_nodes.node_of(made.node_tree).inputs["Rotation"].default_value = 0.4
+    assert made.btfsep.rotation == pytest.approx(0.4)
+    other = {"NODES": "TEXTURE", "TEXTURE": "NODES"}[mode]
+    world.apply_lighting(scene, lighting_file.read(path), mode=other)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    turn = np.array(Matrix.Rotation(0.4, 3, "Z"))
+    wanted = sorted((turn @ sun.direction).tolist() for sun in light.suns)
+    found = sorted(shines_from(lamp).tolist() for lamp in sun_lamp.lamps(bpy.context.scene))
+    assert np.allclose(found, wanted, atol=1e-5)
+
+
+def test_key_fill_tint_and_saturation(addon, scene, sunny, tmp_path):
+    path, light = sunny
+    sliders = world.apply_lighting(scene, lighting_file.read(path)).btfsep
+    lamp = the_lamp(scene)
+    lamp.data.energy *= 2  # the user's, and kept by all that follows
+    sliders.key, sliders.fill, sliders.tint, sliders.saturation = 0.5, 3.0, (0.5, 1.0, 1.0), 0.25
+    grey = light.suns[0].irradiance @ [0.2126, 0.7152, 0.0722]
+    wanted = 2 * 0.5 * (0.75 * grey + 0.25 * light.suns[0].irradiance) * [0.5, 1.0, 1.0]
+
+    def assert_so(lamp, sliders):
+        assert np.allclose(lamp.data.energy * np.array(lamp.data.color), wanted, rtol=1e-4)
+        assert sliders.fill == sh_nodes.node_of(sliders.id_data.node_tree).inputs["Strength"].default_value == 3.0
+        assert sliders.key == 0.5 and np.allclose(sliders.tint, (0.5, 1, 1)) and sliders.saturation == 0.25
+
+    assert_so(lamp, sliders)
+    world.apply_lighting(scene, lighting_file.read(path))
+    assert_so(lamp, sliders)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    lamp, sliders = the_lamp(bpy.context.scene), bpy.context.scene.world.btfsep
+    assert_so(lamp, sliders)
+    sliders.key = 0
+    assert lamp.data.energy == 0
+    sliders.key = 0.5  # from nothing back to what it was
+    assert_so(lamp, sliders)
+
+
+def test_sliders_of_a_world_that_is_not_ours_are_at_rest(addon, scene):
+    mine = bpy.data.worlds.new("Mine")
+    mine.use_nodes = True
+    mine.btfsep.rotation = mine.btfsep.fill = 2.0
+    mine.btfsep.tint = (0, 0, 0)
+    assert (mine.btfsep.rotation, mine.btfsep.fill, tuple(mine.btfsep.tint)) == (0, 1, (1, 1, 1))

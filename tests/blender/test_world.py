@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_btfsep import harmonics, world
+from blender_btfsep import animation, colour, harmonics, sh_nodes, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import conventions, sh
 from btfsep_engine.light import positivity
@@ -87,10 +87,7 @@ def test_rotation_turns_the_light_counter_clockwise(scene, render, mode):
     c = random_coefficients(3, seed=3)
     made = world.apply_lighting(scene, lighting(c), mode=mode, clamp=False)
     angle = 0.7
-    if mode == "NODES":
-        made.node_tree.nodes["BTFsep SH Lighting"].inputs["Rotation"].default_value = angle
-    else:
-        made.node_tree.nodes["Mapping"].inputs["Rotation"].default_value = (0, 0, angle)
+    sh_nodes.node_of(made.node_tree).inputs["Rotation"].default_value = angle
     turned = sh.rotation_matrix(3, np.array(Matrix.Rotation(angle, 3, "Z"))) @ c
     truth = sh.to_map(turned, 64, 128)
     assert np.abs(render(scene) - truth).max() < 3e-3 * np.abs(truth).max()
@@ -175,3 +172,73 @@ def test_restore_without_one_of_ours_is_refused(scene):
     with pytest.raises(InputError, match="not made by BTFsep"):
         world.restore_previous(scene)
     assert scene.world.name == "Mine"
+
+
+def ours(scene):
+    return sh_nodes.node_of(scene.world.node_tree)
+
+
+def set_by_the_user(scene):
+    """Strength, a rotation and a tint, nodes before and after ours, a key: all of it the user's."""
+    tree = scene.world.node_tree
+    node = ours(scene)
+    node.inputs["Strength"].default_value, node.inputs["Rotation"].default_value = 2.5, 0.7
+    value = tree.nodes.new("ShaderNodeRGB")
+    value.name, value.outputs[0].default_value = "My Tint", (1.0, 0.5, 0.25, 1.0)
+    tree.links.new(value.outputs[0], node.inputs["Tint"])
+    gamma = tree.nodes.new("ShaderNodeGamma")
+    gamma.name, gamma.inputs["Gamma"].default_value = "My Gamma", 1.5
+    tree.links.new(node.outputs[0], gamma.inputs["Color"])
+    tree.links.new(gamma.outputs[0], tree.nodes["Background"].inputs["Color"])
+    node.inputs["Saturation"].keyframe_insert("default_value", frame=3)
+
+
+def assert_still_set(scene):
+    tree, node = scene.world.node_tree, ours(scene)
+    assert (node.inputs["Strength"].default_value, round(node.inputs["Rotation"].default_value, 5)) == (2.5, 0.7)
+    assert node.inputs["Tint"].links[0].from_node.name == "My Tint"
+    assert [link.to_node.name for link in node.outputs[0].links] == ["My Gamma"]
+    assert tree.nodes["Background"].inputs["Color"].links[0].from_node.name == "My Gamma"
+    paths = [c.data_path for c in animation.fcurves(tree.animation_data)]
+    assert paths == [node.inputs["Saturation"].path_from_id("default_value")]
+
+
+def test_another_light_keeps_what_the_user_has_set_and_built(scene, tmp_path):
+    world.apply_lighting(scene, lighting(random_coefficients(1)))
+    set_by_the_user(scene)
+    for order, mode in ((2, "NODES"), (3, "TEXTURE"), (1, "TEXTURE"), (4, "NODES")):
+        c = random_coefficients(order, seed=order)
+        world.apply_lighting(scene, lighting(c), mode=mode)
+        assert_still_set(scene)
+    assert np.allclose(ours(scene).inputs["Y 4 +2"].default_value, c[4 * 4 + 4 + 2])
+    animation.apply_sequence(scene, [(n, lighting(random_coefficients(1, seed=n)) | {"suns": None}) for n in (1, 2)])
+    assert len(animation.fcurves(scene.world.node_tree.animation_data)) == 3 * 4 + 2 + 1
+    world.apply_lighting(scene, lighting(random_coefficients(2)))
+    assert_still_set(scene)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kept.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "kept.blend"))
+    assert_still_set(bpy.context.scene)
+    assert len(bpy.data.node_groups) == 1 and not bpy.data.images
+
+
+def test_a_world_without_our_node_is_the_users(scene):
+    made = world.apply_lighting(scene, lighting(random_coefficients(1)))
+    made.node_tree.nodes.remove(ours(scene))
+    made.node_tree.nodes.new("ShaderNodeRGB")
+    again = world.apply_lighting(scene, lighting(random_coefficients(1)))
+    assert again != made and not world.is_ours(made) and len(made.node_tree.nodes) == 3
+    assert world.restore_previous(scene) == made
+
+
+@pytest.mark.parametrize("mode", ["NODES", "TEXTURE"])
+def test_tint_and_saturation(scene, render, mode):
+    look_around(scene)
+    c = positive_coefficients(2, seed=4)
+    world.apply_lighting(scene, lighting(c), mode=mode)
+    inputs = ours(scene).inputs
+    inputs["Tint"].default_value, inputs["Saturation"].default_value = (1.0, 0.5, 0.25, 1.0), 0.3
+    whole = sh.to_map(c, 64, 128)
+    grey = (whole @ conventions.REC709_LUMINANCE)[..., None]
+    truth = (0.7 * grey + 0.3 * whole) * [1.0, 0.5, 0.25]
+    assert np.abs(render(scene) - truth).max() < 5e-3 * truth.max()
+    assert np.allclose(colour.adjusted(whole, tint=(1.0, 0.5, 0.25), saturation=0.3), truth)
