@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the engine answers, put into the scene and said in sentences; for the buttons and the command line alike."""
 
-from . import lighting_file, request, sun_lamp, world
+from . import kept_light, lighting_file, request, sun_lamp, world
 
 
 def take_materials(scene, objects: list, ids=None) -> list:
@@ -25,17 +25,29 @@ def take_materials(scene, objects: list, ids=None) -> list:
     return sentences
 
 
-def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lamp: bool | None = None) -> list:
-    """Puts the engine's estimate into the scene; gives sentences about it: what matters, "", and the details.
+def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lamp: bool | None = None, own=()) -> list:
+    """Puts the engine's estimate into the scene, with its card; gives the card and the details in sentences.
 
-    ``ids`` : as of :func:`take_materials`; ``mode``, ``lamp`` : as of :func:`apply_light`. Raises InputError where the
-    lighting cannot be read; nothing is changed then.
+    ``ids`` : as of :func:`take_materials`; ``mode``, ``lamp`` : as of :func:`apply_light`; ``own`` : the add-on's own
+    warnings. Raises InputError where the lighting cannot be read; nothing is changed then.
     """
     lighting = lighting_file.read(result["lighting"])
-    sentences = take_materials(scene, result.get("objects"), ids) + findings(result)
+    sentences = take_materials(scene, result.get("objects"), ids)
+    kept_light.keep(scene, lighting, result, warnings=[*own, *(result.get("warnings") or [])])
+    found = kept_light.card(scene.btfsep.light)
+    sentences += [f"{label}: {words}".removeprefix(": ") for label, words in found["lines"]]
     if (mode or scene.btfsep.world_mode) != "NONE":
         sentences.append(apply_light(scene, lighting, mode=mode, lamp=lamp))
-    return [*sentences, "", *details(result)]
+    return [*sentences, "", *found["details"]]
+
+
+def take_light(scene, path) -> None:
+    """Makes the lighting at ``path`` the World, as the panel says, while the engine still checks it.
+
+    Raises InputError.
+    """
+    if scene.btfsep.world_mode != "NONE":
+        apply_light(scene, lighting_file.read(path))
 
 
 def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool | None = None, lamp=None) -> str:
@@ -48,24 +60,7 @@ def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool |
         clamp=settings.clamp if clamp is None else clamp,
         lamp=settings.sun_lamp if lamp is None else lamp,
     )
+    if not kept_light.is_kept(scene, lighting):
+        kept_light.keep(scene, lighting)
+    kept_light.put_with_world(scene)
     return f"The World is now the lighting of order {lighting['order']}{sun_lamp.beside(scene)}"
-
-
-def findings(result: dict) -> list:
-    """What matters most of an estimate, in sentences: what the photo determines, the error to expect, the key light."""
-    words = [str(result["determined"])] if result.get("determined") else []
-    expected = (result.get("expected_error") or {}).get("order_2")
-    if expected:
-        median, low, high = (f"{100 * expected[key]:.0f}" for key in ("median", "low", "high"))
-        words.append(f"Error to expect up to order 2: {median}% ({low}% to {high}%)")
-    return _capitalised([*words, str((result.get("choice") or {}).get("key_light", ""))])
-
-
-def details(result: dict) -> list:
-    """What else the engine chose, and why, in sentences."""
-    return _capitalised(str(why) for key, why in (result.get("choice") or {}).items() if key != "key_light")
-
-
-def _capitalised(words) -> list:
-    """Sentences; one that begins with a material's name keeps that name as it is."""
-    return [word[:1].upper() + word[1:] if word.split()[0].isalpha() else word for word in words if word.strip()]

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import atomic, meshes, photo, ply, surroundings, unwrap
+from . import atomic, meshes, own_surface, photo, ply, surroundings, unwrap
 from . import camera as pinhole
 from .errors import InputError
 
@@ -25,6 +25,7 @@ def export_job(
     objects,
     occluders=None,
     materials=None,
+    surfaces=None,
     masks=None,
     depth=None,
     exposure_ev=0.0,
@@ -44,6 +45,7 @@ def export_job(
     occluders : list of objects that cast shadows and reflect; None for all others that the render shows. Of what their
         materials say the job has the mean colour, roughness and metal
     materials : dict, object name -> name in the library; what is absent is to be recognised
+    surfaces : dict, object name -> "surface" of the job, or `own_surface.BLENDER`: as the object's own material says
     masks : dict, object name -> bpy.types.Image of the photo's size, not black where the object may be used
     depth : path of an EXR of z-depth, or its bpy.types.Image, instead of objects; its surface is named `SURFACE`
     exposure_ev : the photo's exposure in stops
@@ -112,6 +114,7 @@ def export_job(
                 "to_world": None,
                 "mask": None if mask is None else photo.put_mask(mask, folder, f"mask_{Path(file).stem}.png", size),
                 "material": (materials or {}).get(name) or None,
+                "surface": own_surface.of(name, parts.get(name), surfaces, folder, mapping=mapping, warn=warn),
                 "uv": "xatlas" if mapping == "CHARTS" or depth is not None else "mesh",
             }
         )

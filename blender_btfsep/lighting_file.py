@@ -78,6 +78,11 @@ def validate(data, name: str = "the lighting") -> dict:
     }
 
 
+def as_data(lighting: dict) -> dict:
+    """What :func:`validate` takes and makes ``lighting`` of, as plain JSON."""
+    return {"format": FORMAT, "version": VERSION, "basis": "real-sh", "frame": "blender-z-up", **lighting}
+
+
 def _suns(data: dict, order: int, name: str) -> dict | None:
     """The key lights: of "suns" where it is there, else of "sun" (files from when there was one at most)."""
     found = None

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The buttons that start the engine."""
 
-import os
-
 import bpy
 
-from . import request, runs
+from . import library, request, runs
 from .answer import take_estimate, take_materials
 
 
@@ -42,15 +40,14 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
 
     def begin(self, context):
         folder, self._ids = request.write_job(context), request.ids_of(context.scene.btfsep)
-        run = runs.run_state()
-        run.folder, run.report = str(folder), ""
         return request.engine_arguments("estimate", folder, context.scene, "--out", folder / "result")
 
     def finish(self, context, result):
-        sentences = take_estimate(self.scene(), result, self._ids)
-        report = os.path.join(result["out"], "report.png")
-        runs.run_state().report = report if os.path.isfile(report) else ""
-        return "\n".join(sentences).strip()
+        scene, said = self.scene(), result.get("warnings") or []
+        own = [warning.name for warning in runs.run_state().warnings if warning.name not in said]
+        sentences = take_estimate(scene, result, self._ids, own=own)
+        applied = scene.btfsep.world_mode != "NONE"
+        return sentences[sentences.index("") - 1] if applied else "The light is found; the World is as it was"
 
 
 class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):
@@ -68,7 +65,7 @@ class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):
 
 
 class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
-    """Read the names of the library's materials, to choose from"""
+    """Read the library's materials anew"""
 
     bl_idname = "btfsep.read_library"
     bl_label = "Read Library"
@@ -79,14 +76,10 @@ class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operato
         return runs.RUNNING if runs.is_running() else ""
 
     def begin(self, context):
-        return ["library", "list", *request.library_arguments()]
+        return library.arguments()
 
     def finish(self, context, result):
-        names = runs.run_state().library
-        names.clear()
-        for material in result.get("materials") or []:
-            names.add().name = str(material["name"])
-        return f"{len(names)} materials in the library"
+        return f"{library.take(result)} materials in the library"
 
 
 class BTFSEP_OT_cancel(runs.Greyed, bpy.types.Operator):

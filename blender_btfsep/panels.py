@@ -5,9 +5,23 @@ import blf
 import bpy
 
 from . import camera as pinhole
-from . import engine_settings, preferences, request, runs, sequence_run, world
+from . import (
+    engine_settings,
+    icons,
+    kept_light,
+    library,
+    mending,
+    outlines,
+    preferences,
+    request,
+    runs,
+    sequence_run,
+    use_photo,
+    world,
+)
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
+SHOWN = 3  # candidates in the panel
 MARGIN = 105  # pixels of the sidebar's width that a label with an icon in a box cannot have, at scale 1
 
 
@@ -18,10 +32,16 @@ class BTFSEP_UL_objects(bpy.types.UIList):
             return
         row = layout.split(factor=0.48, align=True)
         row.prop(item.object, "name", text="", emboss=False, icon="OBJECT_DATA")
-        known = (item.material or item.recognised).rsplit("/", 1)[-1]
+        open_ = item.source == "RECOGNISE"
+        known = {"COLOUR": "colour", "BLENDER": "as in Blender", "LIBRARY": item.material or "choose"}.get(
+            item.source, item.recognised or "to recognise"
+        )
         sub = row.row()
-        sub.active = bool(item.material)
-        sub.label(text=known or "to recognise", icon="QUESTION" if item.unknown and not item.material else "NONE")
+        sub.active = not open_
+        if item.source == "COLOUR":
+            sub.prop(item, "colour", text="")
+        else:
+            sub.label(text=known.rsplit("/", 1)[-1], icon="QUESTION" if item.unknown and open_ else "NONE")
 
 
 class _Sidebar:
@@ -38,22 +58,38 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
         scene, settings = context.scene, context.scene.btfsep
         layout.enabled = not runs.is_running()
         layout.template_ID(settings, "image", open="image.open")
+        camera, image = settings.camera or scene.camera, settings.image
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
         column.prop(settings, "camera", placeholder=scene.camera.name if scene.camera else "None")
-        layout.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
-        image = settings.image
-        if image is not None and image.size[0] and pinhole.shown(scene, image.size) is None:
+        there = image is not None and image.size[0]
+        if there:
+            column.prop(settings, "curve", text="Read As")
+            if settings.curve == "auto":
+                _wrapped(context, layout, use_photo.read_as(image, "auto").capitalize(), icon="INFO")
+        wrong = there and pinhole.shown(scene, image.size) is None
+        if wrong:
             box = layout.box()
             box.alert = True
             _wrapped(
                 context,
                 box,
-                f"The photo is {image.size[0]} x {image.size[1]}; the scene renders another shape. "
-                "Set the scene's resolution to the photo's.",
+                f"The photo is {image.size[0]} x {image.size[1]}; the scene renders another shape.",
                 icon="ERROR",
             )
+            box.operator("btfsep.use_photo", text="Set Resolution")
+        if not use_photo.is_behind(scene) and not wrong:
+            found = use_photo.background(camera) if image is None else None
+            words = f"Use '{found.name}' of the Camera" if found else "Put Behind the Camera" if image else "Use Photo"
+            layout.operator("btfsep.use_photo", text=words, icon="CAMERA_DATA")
+        if request.listed(settings):
+            column = layout.column(align=True)
+            column.label(text="Over the Photo", icon="OVERLAY")
+            column.row(align=True).prop(runs.run_state(), "overlay", expand=True)
+            if runs.run_state().overlay != "OFF" and outlines.too_fine(scene):
+                _wrapped(context, layout, "A mesh has too many faces to be drawn over the photo", icon="INFO")
+        layout.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
 
 
 class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
@@ -61,11 +97,11 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        settings, run = context.scene.btfsep, runs.run_state()
+        settings = context.scene.btfsep
         layout.enabled = not runs.is_running()
         if settings.depth is None:
             row = layout.row()
-            row.template_list("BTFSEP_UL_objects", "", settings, "objects", settings, "active_object", rows=3)
+            row.template_list("BTFSEP_UL_objects", "", settings, "objects", settings, "active_object", rows=2)
             column = row.column(align=True)
             column.operator("btfsep.add_objects", text="", icon="ADD")
             column.operator("btfsep.remove_object", text="", icon="REMOVE")
@@ -73,41 +109,67 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
             layout.label(text=f"Surface of {settings.depth.name}", icon="SURFACE_DATA")
 
         entry = request.active_entry(settings)
+        if entry is not None:
+            self._made_of(context, layout, entry)
         split = layout.column()
         split.use_property_split = True
         split.use_property_decorate = False
         if entry is not None:
             row = split.row(align=True)
-            if run.library:
-                row.prop_search(entry, "material", run, "library", text="Material", icon="MATERIAL")
-            else:  # names not read yet: a search would show any name as wrong
-                row.prop(entry, "material", text="Material", icon="MATERIAL")
-            row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
-            row = split.row(align=True)
             row.prop(entry, "mask")
             row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "mask"
         split.prop(settings, "occluders")
+
+    def _made_of(self, context, layout, entry):
+        split = layout.column()
+        split.use_property_split = True
+        split.use_property_decorate = False
+        split.prop(entry, "source")
+        if entry.source == "COLOUR":
+            split.prop(entry, "colour")
+            split.prop(entry, "roughness")
+            split.prop(entry, "metallic")
+        elif entry.source == "BLENDER":
+            material = entry.object and entry.object.active_material
+            _wrapped(
+                context, layout, f"'{material.name}'" if material else "It has no material: white", icon="MATERIAL"
+            )
+        elif entry.source == "LIBRARY":
+            self._library(context, layout, entry)
+        elif entry.candidates:
+            self._candidates(context, layout, entry)
+
+    def _library(self, context, layout, entry):
+        library.ensure()
+        run = runs.run_state()
+        row = layout.row(align=True)
+        if run.library:
+            row.prop(run, "library_class", text="")
+            row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
+            layout.template_icon_view(entry, "browse", show_labels=True, scale=5, scale_popup=4.5)
+            layout.prop_search(entry, "material", run, "library", text="", icon="MATERIAL")
+        else:  # names not read yet: a search would show any name as wrong
+            layout.prop(entry, "material", text="", icon="MATERIAL")
+            if run.library_error:
+                _wrapped(context, layout, run.library_error, icon="ERROR")
+                layout.operator("btfsep.read_library", icon="FILE_REFRESH")
+            else:
+                layout.label(text="Reading the library …", icon="SORTTIME")
         chosen = preferences.get(context)
         if isinstance(chosen, bpy.types.AddonPreferences):
-            split.prop(chosen, "library", text="Library")
+            layout.prop(chosen, "library", text="")
         layout.operator("btfsep.measure_material", icon="NODE_MATERIAL")
-        if entry is not None and entry.candidates:
-            self._candidates(context, layout, entry)
 
     def _candidates(self, context, layout, entry):
         box = layout.box()
         if entry.unknown:
             _wrapped(context, box, "It looks like no material of the library; the nearest are:", icon="QUESTION")
-        else:
-            box.label(text="Candidates", icon="VIEWZOOM")
         column = box.column(align=True)
-        for candidate in entry.candidates[:5]:
-            row = column.row(align=True)
+        for candidate in entry.candidates[:SHOWN]:
+            row = column.split(factor=0.7, align=True)
             row.active = candidate.name == entry.recognised
             row.operator("btfsep.use_candidate", text=candidate.name, emboss=False).material = candidate.name
-            score = row.row()
-            score.alignment = "RIGHT"
-            score.label(text=f"{candidate.score:.2f}")
+            row.progress(factor=candidate.score, type="BAR", text=f"{100 * candidate.score:.0f} %")
 
 
 class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
@@ -139,31 +201,60 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             if sequence_run.is_sequence(settings.image):
                 layout.operator("btfsep.estimate_sequence", icon="SEQUENCE")
         self._outcome(context, layout, run)
+        light = kept_light.kept(context.scene)
+        if light is not None:
+            self._card(context, layout, run, light)
         row = layout.row(align=True)
         row.operator("btfsep.apply", icon="WORLD")
         row.operator("btfsep.show_report", text="", icon="IMAGE_DATA")
+        row.operator("btfsep.rendered_view", text="", icon="SHADING_RENDERED")
         if world.is_ours(context.scene.world):
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")
 
     def _outcome(self, context, layout, run):
+        """What the last run said, but for what is in the card."""
         if run.error:
             box = layout.box()
             box.alert = True
             for number, part in enumerate(run.error.split("; ")):
                 _wrapped(context, box, part, icon="BLANK1" if number else "ERROR")
-        elif run.summary:
+        elif run.summary and not (run.task == "Estimating" and kept_light.kept(context.scene)):
             box = layout.box()
-            first, _, details = run.summary.partition("\n\n")
-            for number, part in enumerate(first.splitlines()):
+            for number, part in enumerate(run.summary.splitlines()):
                 _wrapped(context, box, part, icon="BLANK1" if number else "CHECKMARK")
-            if details:
-                box.prop(run, "show_details", icon="TRIA_DOWN" if run.show_details else "TRIA_RIGHT", emboss=False)
-                for part in details.splitlines() if run.show_details else ():
-                    _wrapped(context, box, part, icon="BLANK1")
-        if run.warnings:
+        if run.warnings and (run.error or run.task != "Estimating"):
             box = layout.box()
             for warning in run.warnings:
                 _wrapped(context, box, warning.name, icon="ERROR")
+
+    def _card(self, context, layout, run, light):
+        card = kept_light.card(light)
+        box = layout.box()
+        if light.picture is not None:
+            units = context.region.width / context.preferences.system.ui_scale / 20
+            box.template_icon(icons.of_image(light.picture), scale=max(4, min(units - 3.5, 9)))
+        column = box.column(align=True)
+        for label, words in card.get("lines") or ():
+            if label == "Trust":
+                _wrapped(context, column, words, icon_value=icons.light(card["trust"]))
+                continue
+            row = column.split(factor=0.3)
+            name = row.column()
+            name.active, name.scale_y = False, 0.8
+            name.label(text=label)
+            _wrapped(context, row.column(), words, share=0.7)
+        for warning in card.get("warnings") or ():
+            _wrapped(context, box, warning["short"], icon="ERROR")
+            mend, about = warning["mend"], next((w for n, w, _ in mending.MENDS if n == warning["mend"]), "")
+            if mend == "ALIGN":
+                box.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
+            elif mend:
+                button = box.operator("btfsep.mend", text=about)
+                button.how, button.object = mend, warning["object"]
+        if card.get("details"):
+            box.prop(run, "show_details", icon="TRIA_DOWN" if run.show_details else "TRIA_RIGHT", emboss=False)
+            for part in card["details"] if run.show_details else ():
+                _wrapped(context, box, part, icon="DOT")
 
 
 class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
@@ -178,7 +269,6 @@ class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
         column.use_property_decorate = False
         column.enabled = not runs.is_running()
         column.prop(settings, "exposure_ev", text="Photo Exposure")
-        column.prop(settings, "curve")
         row = column.row(align=True)
         row.prop(settings, "depth")
         row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"
@@ -202,20 +292,25 @@ def _engine_rows(column, settings, part: str) -> None:
                 row.prop(settings, f"auto_{s.name}", text="Auto", toggle=True)
 
 
-def _wrapped(context, layout, text: str, *, icon: str = "NONE") -> None:
-    """A label over as many lines as the sidebar's width needs: Blender's own labels are cut off."""
+def _wrapped(context, layout, text: str, *, icon: str = "NONE", icon_value: int = 0, share: float = 1.0) -> None:
+    """A label over as many lines as the sidebar's width needs: Blender's own labels are cut off.
+
+    ``share`` : of the width that there is
+    """
     scale = context.preferences.system.ui_scale
     blf.size(0, FONT_SIZE * scale)
-    room = max(context.region.width - MARGIN * scale, 80 * scale)
+    has_icon = icon != "NONE" or icon_value
+    margin = MARGIN if has_icon else MARGIN - 20
+    room = max((context.region.width - margin * scale) * share, 60 * scale)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    line = ""
+    line, given = "", {"icon_value": icon_value} if icon_value else {"icon": icon}
     for word in text.split():
         if line and blf.dimensions(0, f"{line} {word}")[0] > room:
-            column.label(text=line, icon=icon)
-            line, icon = "", "BLANK1" if icon != "NONE" else "NONE"
+            column.label(text=line, **given)
+            line, given = "", {"icon": "BLANK1" if has_icon else "NONE"}
         line = f"{line} {word}".strip()
-    column.label(text=line, icon=icon)
+    column.label(text=line, **given)
 
 
 CLASSES = (BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects, BTFSEP_PT_light, BTFSEP_PT_advanced)

@@ -63,7 +63,7 @@ def taken_as_is(image, path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and space in (LINEAR if path.suffix.lower() in FLOAT else CODED)
 
 
-def _put_image(image, folder: Path):
+def _put_image(image, folder: Path, stem: str = "photo"):
     space = image.colorspace_settings.name
     path = file_of(image)
     as_is = image.source == "FILE" and not image.is_dirty and path is not None and path.suffix.lower() in SUFFIXES
@@ -71,9 +71,15 @@ def _put_image(image, folder: Path):
     as_is = as_is and (space in LINEAR or (space in CODED and not float_file))
     size = _size(image)
     if as_is and (image.packed_file or path.is_file()):
-        name = _copy(image.packed_file.data if image.packed_file else path, folder, suffix=path.suffix.lower())
+        source = image.packed_file.data if image.packed_file else path
+        name = _copy(source, folder, suffix=path.suffix.lower(), stem=stem)
         return name, "linear" if space in LINEAR else "auto", size
-    return _save(image, folder), "linear", size
+    return _save(image, folder, stem), "linear", size
+
+
+def put_texture(image, folder, stem: str) -> str:
+    """Puts a texture's image into ``folder``, linear or as the engine reads its file; gives its name, from ``stem``."""
+    return _put_image(image, Path(folder), stem)[0]
 
 
 def _put_one_of(sequence, folder: Path):
@@ -154,7 +160,7 @@ def _copy(source, folder: Path, suffix: str | None = None, stem: str = "photo") 
     return name
 
 
-def _save(image, folder: Path) -> str:
+def _save(image, folder: Path, stem: str = "photo") -> str:
     """Saves what Blender shows of ``image``, in scene-linear colours."""
     with scratch() as own:
         if image.colorspace_settings.name in LINEAR and not image.is_float:
@@ -163,6 +169,6 @@ def _save(image, folder: Path) -> str:
             image.pixels.foreach_get(pixels)
             image = own(bpy.data.images.new("BTFsep photo", *image.size, float_buffer=True, is_data=True))
             image.pixels.foreach_set(pixels)
-        with replacing(folder / "photo.exr") as file:
+        with replacing(folder / f"{stem}.exr") as file:
             save_exr(image, file)
-    return "photo.exr"
+    return f"{stem}.exr"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the user sets (on the Scene, saved) and what a run says (on the WindowManager, not saved)."""
+"""What the user sets and what was found (on the Scene and the World, saved); what a run says (on the WindowManager)."""
 
 import bpy
 from bpy.props import (
@@ -7,12 +7,13 @@ from bpy.props import (
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
 )
 
-from . import engine_settings
+from . import engine_settings, library
 from .animation import INTERPOLATIONS
 from .meshes import SURFACE_TYPES
 
@@ -31,6 +32,18 @@ CURVES = (
     ("linear", "Linear", "The file's whole numbers are in proportion to the light"),
     ("unknown", "Unknown", "A curve from linear to steeper than sRGB is found that explains the photo best"),
 )
+OVERLAYS = (
+    ("OFF", "Off", "Nothing is drawn over the photo"),
+    ("OUTLINE", "Outline", "The outlines of the objects"),
+    ("EDGES", "Edges", "All edges of the objects"),
+    ("SHADED", "Shaded", "The objects, half transparent"),
+)
+SOURCES = (
+    ("RECOGNISE", "Recognise", "The material is recognised from the photo, in the library"),
+    ("LIBRARY", "Material", "A material of the library"),
+    ("COLOUR", "Colour", "One colour all over, with a roughness"),
+    ("BLENDER", "As in Blender", "What the object's own Blender material says: colour, roughness, metal"),
+)
 MAPPINGS = (
     ("CHARTS", "Charts (computed)", "The engine cuts the surface into charts, each to scale"),
     ("UNWRAP", "Blender Unwrap", "Blender's angle-based unwrap with the seams of its smart projection, of a copy"),
@@ -48,9 +61,33 @@ class BTFSEP_PG_object(bpy.types.PropertyGroup):
     """An object that the photo shows, or the surface of its depth (then without ``object``)."""
 
     object: PointerProperty(name="Object", type=bpy.types.Object, poll=lambda self, thing: thing.type in SURFACE_TYPES)
+    source: EnumProperty(name="Made Of", description="What the object is made of", items=SOURCES)
     material: StringProperty(
         name="Material",
         description="The object's material in the library, where you know it. Empty: recognised from the photo",
+        update=lambda self, context: setattr(self, "source", "LIBRARY" if self.material else "RECOGNISE"),
+    )
+    colour: FloatVectorProperty(
+        name="Colour",
+        description="What share of the light the object reflects",
+        subtype="COLOR",
+        size=3,
+        min=0,
+        max=1,
+        default=(0.5, 0.5, 0.5),
+    )
+    roughness: FloatProperty(
+        name="Roughness", description="As of Blender's Principled BSDF", min=0, max=1, default=0.5, subtype="FACTOR"
+    )
+    metallic: FloatProperty(
+        name="Metallic", description="As of Blender's Principled BSDF", min=0, max=1, subtype="FACTOR"
+    )
+    browse: EnumProperty(
+        name="Material",
+        description="The library's materials",
+        items=lambda self, context: library.items(self),
+        get=lambda self: library.number_of(self.material),
+        set=lambda self, number: setattr(self, "material", library.name_of(number)),
     )
     mask: PointerProperty(
         name="Mask",
@@ -60,6 +97,14 @@ class BTFSEP_PG_object(bpy.types.PropertyGroup):
     recognised: StringProperty(name="Recognised Material")
     unknown: BoolProperty(name="Unknown", description="The photo looks like no material of the library")
     candidates: CollectionProperty(type=BTFSEP_PG_candidate)
+
+
+def redraw_views(context) -> None:
+    """Has the 3D views drawn again."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
 
 
 def engine_properties(settings) -> dict:
@@ -76,6 +121,14 @@ def engine_properties(settings) -> dict:
         if s.auto:
             made[f"auto_{s.name}"] = BoolProperty(name=f"Automatic {s.label}", description=s.auto)
     return made
+
+
+class BTFSEP_PG_light(bpy.types.PropertyGroup):
+    """A light that was found, with its card (`kept_light`): of the scene, and of the World that was made of it."""
+
+    text: StringProperty(name="Light", description="Lighting and card, as JSON")
+    picture: PointerProperty(name="Picture", description="The light, to look at", type=bpy.types.Image)
+    report: PointerProperty(name="Report", description="Photo, re-rendering, difference", type=bpy.types.Image)
 
 
 class BTFSEP_PG_settings(bpy.types.PropertyGroup):
@@ -109,6 +162,7 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         type=bpy.types.Image,
     )
     surface: PointerProperty(type=BTFSEP_PG_object)
+    light: PointerProperty(type=BTFSEP_PG_light)
     interpolation: EnumProperty(
         name="Between Photos", description="What a sequence's light does between two photos", items=INTERPOLATIONS
     )
@@ -132,6 +186,13 @@ class BTFSEP_PG_name(bpy.types.PropertyGroup):
     """A line of text; ``name`` holds it."""
 
 
+class BTFSEP_PG_material(bpy.types.PropertyGroup):
+    """A material of the library, ``name`` there."""
+
+    kind: StringProperty(name="Class")
+    thumbnail: StringProperty(name="Thumbnail", subtype="FILE_PATH")
+
+
 class BTFSEP_PG_run(bpy.types.PropertyGroup):
     """The run in progress, or the last one."""
 
@@ -143,17 +204,27 @@ class BTFSEP_PG_run(bpy.types.PropertyGroup):
     error: StringProperty()
     summary: StringProperty()
     show_details: BoolProperty(name="Details", description="What else was chosen, and why")
-    report: StringProperty(subtype="FILE_PATH")
-    folder: StringProperty(subtype="DIR_PATH")
+    overlay: EnumProperty(
+        name="Overlay",
+        description="What is drawn over the photo, as the camera should see the objects",
+        items=OVERLAYS,
+        update=lambda self, context: redraw_views(context),
+    )
     warnings: CollectionProperty(type=BTFSEP_PG_name)
-    library: CollectionProperty(type=BTFSEP_PG_name)
+    library: CollectionProperty(type=BTFSEP_PG_material)
+    library_error: StringProperty()
+    library_class: EnumProperty(
+        name="Class", description="Materials to choose from", items=lambda self, context: library.classes()
+    )
 
 
 CLASSES = (
     BTFSEP_PG_candidate,
     BTFSEP_PG_object,
+    BTFSEP_PG_light,
     BTFSEP_PG_settings,
     BTFSEP_PG_name,
+    BTFSEP_PG_material,
     BTFSEP_PG_run,
 )
 
@@ -164,10 +235,12 @@ _register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLAS
 def register():
     _register_classes()
     bpy.types.Scene.btfsep = PointerProperty(type=BTFSEP_PG_settings)
+    bpy.types.World.btfsep = PointerProperty(type=BTFSEP_PG_light)
     bpy.types.WindowManager.btfsep = PointerProperty(type=BTFSEP_PG_run)
 
 
 def unregister():
     del bpy.types.WindowManager.btfsep
+    del bpy.types.World.btfsep
     del bpy.types.Scene.btfsep
     _unregister_classes()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_settings, export, preferences, runs
+from . import engine_settings, export, own_surface, preferences, runs
 from .errors import InputError
 
 
@@ -49,7 +49,8 @@ def missing(context) -> str:
         return "The scene has no camera: add the one that took the photo"
     if not fitted(settings):
         return "Add the objects that the photo shows to the list first"
-    return ""
+    unnamed = [name for name, e in fitted(settings).items() if e.source == "LIBRARY" and not e.material]
+    return f"Choose the material of '{unnamed[0]}', or have it recognised" if unnamed else ""
 
 
 def job_folder(scene) -> Path:
@@ -98,6 +99,7 @@ def write_job(
     else:
         objects = objects or [entry.object for entry in entries.values()]
     names = list(entries) if depth else [thing.name for thing in objects]
+    given = {name: entries[name] for name in names if name in entries and not material}
     path = export.export_job(
         context_or_scene,
         folder or job_folder(scene),
@@ -105,7 +107,8 @@ def write_job(
         camera=camera or settings.camera,
         objects=objects,
         occluders=[] if (occluders or settings.occluders) == "NONE" else None,
-        materials={name: material or (entries[name].material if name in entries else None) for name in names},
+        materials={name: material or own_surface.material_of(given.get(name)) for name in names},
+        surfaces={name: own_surface.chosen(entry) for name, entry in given.items()},
         masks={name: entry.mask for name, entry in entries.items()},
         depth=depth,
         exposure_ev=settings.exposure_ev if exposure_ev is None else exposure_ev,

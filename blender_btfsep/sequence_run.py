@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 from bpy.props import IntProperty, StringProperty
 
-from . import animation, engine_settings, frames, headless, lighting_file, photo, request, runs
+from . import animation, engine_settings, frames, headless, kept_light, lighting_file, photo, request, runs
 from .answer import take_materials
 from .errors import InputError
 from .operators import NeedsScene
@@ -93,6 +93,7 @@ def write_world(scene, result: dict, files, start, *, apply: bool, interpolation
     )
     if apply:
         animation.apply_sequence(scene, lights, clamp=scene.btfsep.clamp, interpolation=interpolation)
+        kept_light.forget(scene)
     worst = max(found, key=lambda f: f["residual"])
     return (
         f"{len(lights)} lights, frames {lights[0][0]} to {lights[-1][0]}\n"

@@ -6,6 +6,8 @@ import json
 import bpy
 import pytest
 
+from blender_btfsep import kept_light
+
 LIGHTING = {
     "format": "btfsep-lighting",
     "version": 1,
@@ -92,15 +94,14 @@ def test_estimate_writes_the_world(photographed, fake_engine, tmp_path):
     state = bpy.context.window_manager.btfsep
     assert not state.running and not state.error
     assert [w.name for w in state.warnings] == ["half of it is saturated"]
-    assert state.summary == (
-        "Cube: wood/oak (unsure)\n"
-        "The photo determines 3 of 4 coefficients; of order 2 and above: none\n"
-        "Error to expect up to order 2: 12% (8% to 20%)\n"
-        "The World is now the lighting of order 1\n"
-        "\n"
-        "wood/oak has no texture\n"
-        "The order is 4"
-    )
+    assert state.summary == "The World is now the lighting of order 1"
+    card = kept_light.card(kept_light.kept(photographed))
+    assert card["details"][:3] == [
+        "The photo determines 3 of 4 coefficients; of order 2 and above: none",
+        "wood/oak has no texture",
+        "The order is 4",
+    ]
+    assert card["warnings"] == [{"short": "Half of it is saturated", "mend": "", "object": ""}]
     entry = photographed.btfsep.objects[0]
     assert (entry.recognised, entry.unknown) == ("wood/oak", True)
     assert [(c.name, round(c.score, 3)) for c in entry.candidates] == [("wood/oak", 0.8), ("leather/black", 0.1)]

@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands in the add-on and in the engine alike, since neither imports the other: held together here."""
 
+import ast
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
 
+import btfsep_engine
 from blender_btfsep import (
+    advice,
     command,
     engine_process,
     engine_settings,
     frames,
     lighting_file,
+    mending,
     photo,
     properties,
     request,
@@ -73,6 +79,23 @@ def test_a_row_says_of_a_setting_what_the_engine_says(command_name, row):
     if row.default is not None:
         assert row.default in (getattr(kind(), row.name), row.unsaid)
         assert row.high == meaning.high and row.low in (meaning.low, row.unsaid)
+
+
+def said_by(tree):
+    """The strings of a Python file, what stands in braces as {}."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+@pytest.mark.parametrize("known", advice.KNOWN, ids=lambda known: known.phrase)
+def test_every_doubt_that_the_panel_knows_is_said_by_the_engine(known):
+    files = sorted(Path(btfsep_engine.__file__).parent.rglob("*.py"))
+    assert any(known.phrase in text for path in files for text in said_by(ast.parse(path.read_text())))
+    assert known.mend in {"", "ALIGN", *(name for name, *_ in mending.MENDS)} and known.level in advice.LEVELS
+    assert advice.advice(f"object 'Cow' {known.phrase} and more").phrase == known.phrase
 
 
 def test_presets_and_material_classes():

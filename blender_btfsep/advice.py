@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine's doubts in a line each, how much they weigh, and the button that mends them. No bpy in this file.
+
+tests/blender/test_twins.py finds every phrase in what the engine says.
+"""
+
+import re
+from dataclasses import dataclass
+
+LEVELS = ("GREEN", "AMBER", "RED")
+MATERIAL = "does not rule them out"  # `card` says it from the answer itself, by names
+
+
+@dataclass(frozen=True)
+class Advice:
+    """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object); "" hides it under
+    Details; ``mend`` : key of `mending.MENDS`; ``level`` : the trust that is left at best
+    """
+
+    phrase: str
+    short: str
+    mend: str = ""
+    level: str = "GREEN"
+
+
+KNOWN = (
+    Advice("geometry and photo do not line up", "Photo and geometry do not line up", "ALIGN", "RED"),
+    Advice("geometry and photo did not line up", "The camera is a little off; the engine made up for it", "ALIGN"),
+    Advice(MATERIAL, ""),
+    Advice(
+        "looks like none of the library's materials",
+        "{0} looks like no material of the library; give its colour",
+        "COLOUR",
+        "AMBER",
+    ),
+    Advice("the object's colour is not known", "The object's own colour is not known; give it", "COLOUR", "AMBER"),
+    Advice("light from nearby", "Part of the light is near (a lamp, a window); a World is far away", level="AMBER"),
+    Advice(
+        "brighter than they should be",
+        "Something that is not in the scene throws light on the object; add it",
+        level="AMBER",
+    ),
+    Advice("does not go with the photo", "The material does not quite fit the photo", "MATERIAL", "AMBER"),
+    Advice("poorly (relative residual", "The light explains {0} poorly: material, shape or camera", "ALIGN", "RED"),
+    Advice("are saturated or transparent", "Much of {0} is overexposed or transparent in the photo"),
+    Advice("pixels are saturated", "Overexposed pixels are left out"),
+    Advice("is mapped by projecting patches", ""),
+    Advice("is negative in some directions", ""),
+    Advice("not all of the first four", "The photo does not tell from where the light comes", level="RED"),
+    Advice("the fit is badly conditioned", "The photo tells little of so fine a light; a lower order is steadier"),
+    Advice("tone curve is doubtful", "The photo's tone curve may be another one", "CURVE", "AMBER"),
+    Advice("a depth shows one side", "The depth shows one side of it only"),
+)
+
+
+def advice(sentence: str) -> Advice:
+    """What to make of a warning; of one that is not known, how it begins."""
+    for known in KNOWN:
+        if known.phrase in sentence:
+            named = re.search(r"object '([^']+)'", sentence)
+            return Advice(
+                known.phrase, known.short.format(named[1] if named else "the object"), known.mend, known.level
+            )
+    first = re.match(r".{30,}?(?=[;:] | \(|$)|.*", sentence)[0].strip()
+    return Advice("", first[:1].upper() + first[1:])
+
+
+def worst(*levels) -> str:
+    """The least trust among ``levels``."""
+    return max(levels, key=LEVELS.index)

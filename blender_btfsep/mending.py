@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons beside a doubt: each goes where what is in doubt can be set right."""
+
+import bpy
+from bpy.props import EnumProperty, StringProperty
+
+from . import runs
+
+MENDS = (
+    ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
+    ("MATERIAL", "Choose Material", "Choose the object's material in the library"),
+    ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
+)
+
+
+class BTFSEP_OT_mend(runs.Greyed, bpy.types.Operator):
+    """Set right what is in doubt; estimate again afterwards"""
+
+    bl_idname = "btfsep.mend"
+    bl_label = "Mend"
+    bl_options = {"REGISTER", "UNDO"}
+    how: EnumProperty(name="How", items=MENDS, options={"SKIP_SAVE"})
+    object: StringProperty(name="Object", description="In the list; empty: the active one", options={"SKIP_SAVE"})
+
+    @classmethod
+    def description(cls, context, properties):
+        return next(about for name, _, about in MENDS if name == properties.how)
+
+    @staticmethod
+    def reason(context) -> str:
+        return runs.RUNNING if runs.is_running() else ""
+
+    def execute(self, context):
+        settings = context.scene.btfsep
+        if self.how == "CURVE":
+            settings.curve = "unknown"
+            return {"FINISHED"}
+        if settings.depth is not None:
+            settings.surface.source = "COLOUR" if self.how == "COLOUR" else "LIBRARY"
+            return {"FINISHED"}
+        for number, entry in enumerate(settings.objects):
+            if entry.object is not None and self.object in ("", entry.object.name):
+                if self.object:
+                    settings.active_object = number
+                chosen = settings.objects[settings.active_object]
+                chosen.source = "COLOUR" if self.how == "COLOUR" else "LIBRARY"
+                return {"FINISHED"}
+        self.report({"ERROR"}, f"object '{self.object}'; it is not in the list; add it")
+        return {"CANCELLED"}
+
+
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_mend,))

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an object is made of where the user says it: a colour, or the object's own Blender material."""
+
+import re
+
+from . import photo, surroundings
+from .bake import source_of
+from .errors import InputError
+
+BLENDER = "BLENDER"
+
+
+def material_of(entry) -> str | None:
+    """The library's material that an entry of the object list names; None: none is named."""
+    return entry.material or None if entry is not None and entry.source == "LIBRARY" else None
+
+
+def chosen(entry):
+    """What `of` takes for an entry of the object list: a "surface" of the job, BLENDER, or None."""
+    if entry.source == "COLOUR":
+        colour = [round(value, 6) for value in entry.colour]
+        return {"base_color": colour, "roughness": round(entry.roughness, 6), "metallic": round(entry.metallic, 6)}
+    return BLENDER if entry.source == "BLENDER" else None
+
+
+def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn) -> dict | None:
+    """The "surface" of an object in the job.
+
+    Parameters
+    ----------
+    name : of the object
+    part : its triangles, of `meshes.gather`; None for the surface of a depth
+    surfaces : object name -> as of `chosen`
+    folder : the job's; an image of the base colour is put there
+    mapping : of `export.export_job`
+    warn : called with a sentence about what is left out
+
+    Raises
+    ------
+    InputError
+        The object's own material cannot be read, or light goes through it.
+    """
+    wanted = (surfaces or {}).get(name)
+    if wanted != BLENDER:
+        return wanted
+    if part is None:
+        raise InputError("the surface of the depth", "it has no material of its own", "give its colour, or a material")
+    told = []
+    try:
+        surface = surroundings.surface_of(part["areas"], told.append)
+    except surroundings.Clear as error:
+        raise InputError(f"object '{name}'", str(error), "give its colour, or have it recognised") from None
+    if surface is None:
+        why = told[0] if told else "what it reflects is not known"
+        raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")
+    for sentence in told:
+        warn(f"object '{name}': {sentence}")
+    image = texture_of(part["areas"])
+    if image is not None and part["uv"] is not None and mapping != "UNWRAP":
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", f"colour_{name}")[:60]
+        surface["base_color"] = photo.put_texture(image, folder, stem)
+    return surface
+
+
+def texture_of(areas: dict):
+    """The image that is the base colour of all of an object, by its active UV map; None where it is something else."""
+    material = next(iter(areas)) if len(areas) == 1 else None
+    output = material.node_tree.get_output_node("CYCLES") if material and material.use_nodes else None
+    shader = source_of(output.inputs["Surface"]) if output else None
+    colour = shader and (shader.node.inputs.get("Base Color") or shader.node.inputs.get("Color"))
+    source = source_of(colour) if colour else None
+    if source is None or source.node.type != "TEX_IMAGE" or source.name != "Color":
+        return None
+    node = source.node
+    placed = source_of(node.inputs["Vector"])
+    by_uv = placed is None or (placed.node.type == "TEX_COORD" and placed.name == "UV")
+    plain = node.projection == "FLAT" and node.extension == "REPEAT" and by_uv
+    return node.image if plain and node.image and node.image.source in ("FILE", "GENERATED") else None

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The photo behind the camera: as its background, with the render's resolution, and how it is read."""
+
+import bpy
+
+from . import camera as pinhole
+from . import frames, photo, runs
+from .errors import InputError
+
+READ = {
+    "srgb": "read as sRGB",
+    "linear": "read as linear light",
+    "unknown": "its tone curve is found from the photo",
+}
+USABLE = {"PERSP", "ORTHO"}
+
+
+def background(camera):
+    """The picture that is the camera's background already; None where there is none."""
+    found = camera.data.background_images if camera is not None and camera.type == "CAMERA" else ()
+    return next((b.image for b in found if b.source == "IMAGE" and b.image is not None), None)
+
+
+def is_behind(scene) -> bool:
+    """Whether the photo is shown behind the camera."""
+    camera, image = scene.btfsep.camera or scene.camera, scene.btfsep.image
+    return (
+        image is not None
+        and camera is not None
+        and camera.data.show_background_images
+        and any(b.image == image and b.show_background_image for b in camera.data.background_images)
+    )
+
+
+def read_as(image, curve: str) -> str:
+    """How the engine is told to read the photo, in words; ``curve``: the panel's."""
+    path = photo.file_of(image)
+    if image.is_float or (path is not None and path.suffix.lower() in photo.FLOAT):
+        return "floats: read as linear light"
+    if curve != "auto":
+        return READ[curve]
+    space = image.colorspace_settings.name
+    if space in photo.LINEAR:
+        return READ["linear"]
+    return READ["srgb"] if space in photo.CODED else f"read as {space}, as Blender shows it"
+
+
+def fit_render(scene, size) -> list:
+    """Gives the render the photo's ``size`` and square pixels; sentences of what that changed.
+
+    A photo of the region that the render is cropped to stays one.
+    """
+    render, words = scene.render, []
+    if render.pixel_aspect_x != render.pixel_aspect_y:
+        render.pixel_aspect_x = render.pixel_aspect_y = 1
+        words.append("pixels are square")
+    whole = pinhole.shown(scene, size) == (0, 0, *pinhole.render_size(scene))
+    if pinhole.shown(scene, size) is None or (whole and pinhole.render_size(scene) != tuple(size)):
+        old = pinhole.render_size(scene)
+        render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
+        render.use_crop_to_border = False
+        words.append(f"the resolution is {size[0]} x {size[1]}, was {old[0]} x {old[1]}")
+    return words
+
+
+def put_behind(scene, camera, image) -> None:
+    """Makes ``image`` the background of ``camera``, where the photo was in the camera's picture."""
+    data = camera.data
+    data.show_background_images = True
+    own = next((b for b in data.background_images if b.source == "IMAGE" and b.image in (image, None)), None)
+    own = own or data.background_images.new()
+    own.source, own.image, own.show_background_image = "IMAGE", image, True
+    own.frame_method, own.display_depth, own.alpha = "FIT", "BACK", 1.0
+    own.rotation, own.use_flip_x, own.use_flip_y = 0.0, False, False
+    left, top, width, height = pinhole.shown(scene, image.size) or (0, 0, *pinhole.render_size(scene))
+    across, down = pinhole.render_size(scene)
+    # Offsets are in units of the picture's longer side; the scale is of what fits into the whole picture.
+    longer = max(across, down)
+    own.offset = ((left + width / 2 - across / 2) / longer, (down / 2 - top - height / 2) / longer)
+    own.scale = max(width / across, height / down)
+    if image.source == "SEQUENCE":
+        numbers = [frames.split(path.name)[1] for path in frames.family(photo.file_of(image))]
+        user = own.image_user
+        user.frame_start, user.frame_offset = numbers[0], numbers[0] - 1
+        user.frame_duration = numbers[-1] - numbers[0] + 1
+
+
+class BTFSEP_OT_use_photo(runs.Greyed, bpy.types.Operator):
+    """Put the photo behind the camera and give the render its resolution; or take the photo that is the background"""
+
+    bl_idname = "btfsep.use_photo"
+    bl_label = "Use Photo"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @staticmethod
+    def reason(context) -> str:
+        scene, settings = context.scene, context.scene.btfsep
+        camera = settings.camera or scene.camera
+        if camera is None:
+            return "The scene has no camera: add the one that took the photo"
+        if camera.data.type not in USABLE:
+            return f"Camera '{camera.name}' is neither perspective nor orthographic"
+        return "" if settings.image or background(camera) else "Open the photo first"
+
+    def execute(self, context):
+        scene, settings = context.scene, context.scene.btfsep
+        camera = settings.camera or scene.camera
+        settings.image = image = settings.image or background(camera)
+        size = tuple(image.size)
+        if not all(size):
+            self.report({"ERROR"}, f"the photo '{image.name}'; it has no pixels; choose it again")
+            return {"CANCELLED"}
+        words = fit_render(scene, size)
+        try:
+            put_behind(scene, camera, image)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for space in views(context):
+            through(space, camera)
+        words = [f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)]
+        self.report({"INFO"}, "; ".join(words))
+        return {"FINISHED"}
+
+
+def views(context) -> list:
+    """The space of the 3D view that a button is in, else of the screen's largest, if any."""
+    if context.space_data is not None and context.space_data.type == "VIEW_3D":
+        return [context.space_data]
+    areas = [area for area in context.screen.areas if area.type == "VIEW_3D"] if context.screen else []
+    return [max(areas, key=lambda area: area.width * area.height).spaces.active] if areas else []
+
+
+def through(space, camera) -> None:
+    """Has a 3D view look through ``camera``."""
+    if camera is None:
+        return
+    if space.camera != camera:
+        space.use_local_camera, space.camera = True, camera
+    space.region_3d.view_perspective = "CAMERA"
+
+
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_use_photo,))

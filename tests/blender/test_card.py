@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The card of a light: its words against lights that are known, and that it stays with the file."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_btfsep import advice, answer, card, kept_light, light_picture, light_words, lighting_file
+from btfsep_engine import sh
+
+LIGHTING = {
+    "format": "btfsep-lighting",
+    "version": 1,
+    "basis": "real-sh",
+    "order": 1,
+    "coefficients": [[1, 2, 3], [0.5, -0.5, 0], [0.25, 0, 1], [0, 0, -1]],
+}
+SAID = {
+    "objects": [{"name": "Cube", "material": "wood/oak", "unknown": False, "candidates": []}],
+    "determined": "the photo determines 3 of 4 coefficients",
+    "expected_error": {"order_1": None, "order_2": {"median": 0.124, "low": 0.08, "high": 0.2}},
+    "choice": {"order": "the order is 4"},
+}
+FRONT = np.array([[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0], [0, 0, 0, 1]])  # from -Y, level, +X to the right
+
+
+@pytest.mark.parametrize(
+    ("direction", "words"),
+    [
+        ((0, -1, 0), "the front, 0° up"),
+        ((1, -1, 0), "front right (45° round), 0° up"),
+        ((-1, -1, 1.4142), "front left (45° round), 45° up"),
+        ((-1, 0, 0), "left (90° round), 0° up"),
+        ((1, 1, 0), "back right (135° round), 0° up"),
+        ((0, 1, -0.2), "behind, 11° down"),
+        ((0, 0.1, 1), "above, 84°"),
+    ],
+)
+def test_directions_are_seen_from_the_camera(direction, words):
+    assert light_words.direction_words(direction, FRONT) == words
+    turn = np.eye(4)
+    turn[:2, :2] = [[0, -1], [1, 0]]  # camera and light together, a quarter about the vertical
+    assert light_words.direction_words(turn[:3, :3] @ direction, turn @ FRONT) == words
+
+
+def test_a_camera_that_looks_down_has_sides_too():
+    down = np.eye(4)  # up in the picture is +Y
+    assert light_words.direction_words((1, 0, 0), down).startswith("right")
+    assert light_words.direction_words((0, -1, 0), down).startswith("the front")
+
+
+def planck(kelvin):
+    """Linear Rec.709 of a black body: Planck's law; the CIE 1931 observer as Wyman, Sloan and Shirley (2013) fit it."""
+    nm = np.arange(380.0, 781.0)
+
+    def lobe(mean, low, high):
+        return np.exp(-0.5 * ((nm - mean) * np.where(nm < mean, low, high)) ** 2)
+
+    x = 0.362 * lobe(442.0, 0.0624, 0.0374) + 1.056 * lobe(599.8, 0.0264, 0.0323) - 0.065 * lobe(501.1, 0.049, 0.0382)
+    y = 0.821 * lobe(568.8, 0.0213, 0.0247) + 0.286 * lobe(530.9, 0.0613, 0.0322)
+    z = 1.217 * lobe(437.0, 0.0845, 0.0278) + 0.681 * lobe(459.0, 0.0385, 0.0725)
+    power = nm**-5 / np.expm1(1.4388e7 / (nm * kelvin))
+    return np.linalg.inv(light_words.TO_XYZ) @ np.array([power @ x, power @ y, power @ z])
+
+
+@pytest.mark.parametrize("kelvin", [2200, 3000, 4000, 5500, 6500, 9000, 12000])
+def test_black_bodies_have_their_temperature(kelvin):
+    assert light_words.kelvin(planck(kelvin)) == pytest.approx(kelvin, rel=0.04)
+
+
+def test_colours_without_a_temperature_have_a_hue():
+    assert light_words.colour_words((1, 1, 1)) == "white (6500 K)"
+    assert [light_words.colour_words(c) for c in ((0, 1, 0), (1, 0, 1), (1, 0, 0), (0, 0, 1), (0, 0, 0))] == [
+        "green",
+        "magenta",
+        "red",
+        "blue",
+        "dark",
+    ]
+
+
+def test_the_brighter_side_and_irradiance_are_those_of_a_light_that_is_known():
+    b, a = np.array([0.3, -0.2, 0.6]), 1.5
+    coefficients_ = np.zeros((9, 3))
+    coefficients_[0] = a * np.sqrt(4 * np.pi)
+    coefficients_[[3, 1, 2]] = (np.sqrt(4 * np.pi / 3) * b * [-1, -1, 1])[:, None]
+    side, more = light_words.brighter_side(coefficients_)
+    assert np.allclose(side, b / np.linalg.norm(b)) and more == pytest.approx(np.linalg.norm(b) / a)
+    # of a + b.d a surface that faces n gets pi a + 2 pi / 3 b.n
+    n = np.array([[0, 0, 1.0], [1, 0, 0], [0, -1, 0]])
+    expected = np.pi * a + 2 * np.pi / 3 * n @ b
+    assert np.allclose(light_words.irradiance(coefficients_, n), expected[:, None])
+    c = np.random.default_rng(0).normal(size=(9, 3)) + np.eye(9, 3) * 20
+    assert np.allclose(light_words.irradiance(c, n), sh.irradiance(c, n))
+
+
+def coefficients(world):
+    inputs = world.node_tree.nodes["BTFsep SH Lighting"].inputs
+    return [tuple(s.default_value) for s in inputs if s.name.startswith("Y ")]
+
+
+def lighting(**more):
+    return lighting_file.validate(LIGHTING | more)
+
+
+def sunny(size=0.5):
+    """An even white sky of radiance one, and a warm sun in front, left, 45 degrees up."""
+    sky = np.zeros((4, 3))
+    sky[0] = np.sqrt(4 * np.pi)
+    direction = np.array([-0.5, -0.5, np.sqrt(0.5)])
+    power = 3 * planck(3500) / (planck(3500) @ card.LUMINANCE)
+    whole = sky + sh.evaluate(1, direction)[:, None] * power
+    lamp = {"direction": direction.tolist(), "irradiance": power.tolist(), "size_degrees": size}
+    return lighting(coefficients=whole.tolist(), suns={"lamps": [lamp], "sky": sky.tolist()})
+
+
+def test_a_sunny_light_in_an_artists_words():
+    lines = card.card_of({}, sunny(), FRONT)["lines"]
+    assert len(lines) <= 6
+    assert lines[0] == ["Trust", "Not stated"]
+    assert lines[1] == ["Key light", "front left (45° round), 45° up"]
+    # 3 of 4 pi + 3
+    assert lines[2][1].startswith("hard, warm (3500 K), 19% of the light")
+    # the sky's irradiance is pi
+    assert lines[3] == ["Fill", "white (6500 K), even; key to fill 2.0 : 1"]
+    assert card.card_of({}, sunny(size=12), FRONT)["lines"][2][1].startswith("soft")
+
+
+def test_an_even_light_has_no_key():
+    even = np.zeros((4, 3))
+    even[0] = 2
+    lines = dict(card.card_of({}, lighting(coefficients=even.tolist()), FRONT)["lines"])
+    assert lines["Key light"].startswith("none") and "detail finer than 180°" in lines["Not shown"]
+    known = [True, False, False, False]
+    lines = dict(card.card_of({}, lighting(coefficients=even.tolist(), determined=known), FRONT)["lines"])
+    assert lines["Not shown"].startswith("from where")
+
+
+@pytest.mark.parametrize(
+    ("median", "warnings", "trust"),
+    [
+        (0.1, [], "GREEN"),
+        (0.2, [], "AMBER"),
+        (0.5, [], "RED"),
+        (0.1, ["the object's colour is not known: no usual light"], "AMBER"),
+        (0.1, ["geometry and photo do not line up: the outlines in the photo lie 2 pixels down"], "RED"),
+        (0.1, ["photo.png: 20 of 262144 pixels are saturated"], "GREEN"),
+    ],
+)
+def test_trust_is_a_traffic_light(median, warnings, trust):
+    result = {"expected_error": {"order_2": {"median": median, "low": median / 2, "high": 2 * median}}}
+    found = card.card_of(result, lighting(), FRONT, warnings=warnings)
+    assert found["trust"] == trust and f"about {100 * median:.0f}% off" in found["lines"][0][1]
+
+
+def test_materials_that_are_not_certain_are_said_shortly_and_once():
+    names = ["leather/brown-grain", "stone/granite-grey", "felt/green", "felt/grey", "carpet/loop", "wood/oak"]
+    result = {"objects": [{"name": "Cow", "material": names[0], "likely": names}]}
+    long = (
+        "object 'Cow' may be leather or stone, or one of 4 others: the photo does not rule them out (give --material)"
+    )
+    found = card.card_of(result, lighting(), FRONT, warnings=[long])
+    assert [(w["short"], w["mend"], w["object"]) for w in found["warnings"]] == [
+        (
+            "The material of Cow is not certain (leather, stone, felt, …); choose it for a surer light",
+            "MATERIAL",
+            "Cow",
+        )
+    ]
+    assert not any("may be" in sentence for sentence in found["details"])
+    result["objects"][0]["likely"] = names[2:4]
+    assert "(green felt or grey felt)" in card.card_of(result, lighting(), FRONT)["warnings"][0]["short"]
+    assert ["Material", "brown grain leather"] in found["lines"]
+
+
+def test_warnings_that_are_not_known_are_said_by_their_beginning():
+    told = "occluder 'Table': material 'Lamp' shines, which is left out; something more (and more)"
+    assert advice.advice(told).short == "Occluder 'Table': material 'Lamp' shines, which is left out"
+    assert advice.advice("a short one").short == "A short one"
+    assert not advice.advice("a mesh of 62976 faces is mapped by projecting patches onto planes").short
+
+
+def test_the_picture_shows_from_where_the_light_comes(photographed):
+    pixels = light_picture.picture_of(photographed, sunny(), FRONT)
+    assert pixels.shape == (256, 256, 3) and pixels.min() >= 0 and pixels.max() <= 1
+    ball = pixels[128:, 128:]
+    assert ball[40, 40].mean() > 1.2 * ball[90, 90].mean()  # from the front left, above
+    above = pixels[:128].mean(-1)
+    row, column = np.unravel_index(above.argmax(), above.shape)
+    azimuth = 2 * np.pi * (0.5 - (column + 0.5) / 256)
+    assert abs(np.degrees(azimuth) + 135) < 5 and abs(row - 32) < 3  # -X -Y, 45 degrees up
+    assert np.ptp(pixels[128:, :128]) == 0  # the photo is black
+
+
+@pytest.fixture
+def estimated(photographed, fake_engine):
+    fake_engine(lighting=LIGHTING, result=SAID | {"warnings": ["half of it is saturated"]})
+    photographed.world = bpy.data.worlds.new("Mine")
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="estimated")
+    return photographed
+
+
+def test_the_card_stays_with_the_file_and_its_light_can_be_applied_again(estimated, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    scene = bpy.context.scene
+    light = kept_light.kept(scene)
+    assert ["Trust", "Good: about 12% off (8–20%)"] in kept_light.card(light)["lines"]
+    assert light.picture.packed_file and tuple(light.picture.size) == (256, 256)
+    assert bpy.ops.btfsep.restore_world() == {"FINISHED"} and scene.world.name == "Mine"
+    assert bpy.ops.btfsep.apply() == {"FINISHED"}
+    assert coefficients(scene.world) == [tuple(row) for row in LIGHTING["coefficients"]]
+
+
+def test_the_card_follows_undo(estimated):
+    assert kept_light.kept(estimated)
+    bpy.ops.ed.undo()
+    assert kept_light.kept(bpy.context.scene) is None and bpy.context.scene.world.name == "Mine"
+    assert not [image for image in bpy.data.images if image.name.startswith(kept_light.PICTURE)]
+    bpy.ops.ed.redo()
+    assert kept_light.card(kept_light.kept(bpy.context.scene))["trust"] == "GREEN"
+
+
+def test_the_card_goes_where_the_world_goes(estimated):
+    other = bpy.data.scenes.new("Other")
+    assert kept_light.kept(other) is None
+    other.world = estimated.world
+    assert kept_light.kept(other).text == estimated.btfsep.light.text
+
+
+def test_an_imported_lighting_has_a_card_and_can_be_applied_again(addon, scene, tmp_path):
+    (tmp_path / "a.json").write_text(json.dumps(LIGHTING))
+    bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / "a.json"))
+    assert kept_light.card(kept_light.kept(scene))["trust"] == "NONE"
+    assert bpy.ops.btfsep.apply(mode="TEXTURE") == {"FINISHED"}
+
+
+def test_a_second_estimate_leaves_one_picture(estimated, fake_engine):
+    fake_engine(lighting=LIGHTING | {"coefficients": [[2, 2, 2]] * 4}, result=SAID)
+    bpy.ops.btfsep.estimate()
+    assert len([image for image in bpy.data.images if image.name.startswith(kept_light.PICTURE)]) == 1
+    assert kept_light.lighting_of(kept_light.kept(estimated))["coefficients"][0] == [2, 2, 2]
+
+
+def test_a_light_that_was_tampered_with_is_refused_in_words(estimated):
+    for text in ("[1]", "{", '{"lighting": {"format": "other"}}'):
+        estimated.btfsep.light.text = text
+        with pytest.raises(RuntimeError, match="not a BTFsep lighting"):
+            bpy.ops.btfsep.apply()
+
+
+def test_a_first_light_is_the_world_before_the_estimate_is_over(photographed, tmp_path):
+    (tmp_path / "a.json").write_text(json.dumps(LIGHTING))
+    answer.take_light(photographed, tmp_path / "a.json")
+    assert coefficients(photographed.world) == [tuple(row) for row in LIGHTING["coefficients"]]
+    photographed.btfsep.world_mode = "NONE"
+    answer.take_light(photographed, tmp_path / "absent.json")  # not even read

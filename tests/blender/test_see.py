@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The photo behind the camera, the objects drawn over it, the report and the Rendered view."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
+
+from blender_btfsep import camera, icons, kept_light, lighting_file, meshes, outlines, request, runs, use_photo
+
+LIGHTING = {
+    "format": "btfsep-lighting",
+    "version": 1,
+    "basis": "real-sh",
+    "order": 1,
+    "coefficients": [[1, 2, 3], [0.5, -0.5, 0], [0.25, 0, 1], [0, 0, -1]],
+}
+
+
+def photo(path, width, height, *, space=None):
+    image = bpy.data.images.new("made", width, height, float_buffer=path.suffix == ".exr")
+    image.filepath_raw = str(path)
+    image.file_format = {".png": "PNG", ".exr": "OPEN_EXR"}[path.suffix]
+    image.save()
+    bpy.data.images.remove(image)
+    image = bpy.data.images.load(str(path))
+    if space:
+        image.colorspace_settings.name = space
+    return image
+
+
+def test_one_click_puts_the_photo_behind_the_camera(photographed, tmp_path):
+    render = photographed.render
+    render.resolution_percentage, render.pixel_aspect_x = 50, 2
+    photographed.btfsep.image = image = photo(tmp_path / "wide.png", 60, 20)
+    assert camera.shown(photographed, image.size) is None
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.use_photo() == {"FINISHED"}
+    assert camera.render_size(photographed) == (60, 20) and render.pixel_aspect_x == render.pixel_aspect_y == 1
+    background = photographed.camera.data.background_images[0]
+    assert background.image == image and background.show_background_image and background.alpha == 1
+    assert (background.scale, tuple(background.offset)) == (1, (0, 0)) and use_photo.is_behind(photographed)
+    assert bpy.ops.btfsep.use_photo() == {"FINISHED"}
+    assert len(photographed.camera.data.background_images) == 1  # once
+    bpy.ops.ed.undo_push(message="used")
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert scene.render.resolution_percentage == 50 and not scene.camera.data.background_images
+
+
+def test_the_cameras_background_is_taken_for_the_photo(photographed):
+    image, photographed.btfsep.image = photographed.btfsep.image, None
+    with pytest.raises(RuntimeError, match="Open the photo first"):
+        bpy.ops.btfsep.use_photo()
+    background = photographed.camera.data.background_images.new()
+    background.image = image
+    assert bpy.ops.btfsep.use_photo() == {"FINISHED"}
+    assert photographed.btfsep.image == image and len(photographed.camera.data.background_images) == 1
+
+
+def test_cameras_that_cannot_be_used_are_said_before_the_click(photographed):
+    photographed.camera.data.type = "PANO"
+    with pytest.raises(RuntimeError, match="neither perspective nor orthographic"):
+        bpy.ops.btfsep.use_photo()
+
+
+def test_a_photo_of_the_render_region_lies_where_the_region_is(photographed, tmp_path):
+    render = photographed.render
+    render.resolution_x, render.resolution_y = 80, 40
+    render.use_border = render.use_crop_to_border = True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.5, 1.0, 0.25, 0.75
+    photographed.btfsep.image = photo(tmp_path / "part.png", 400, 200)
+    bpy.ops.btfsep.use_photo()
+    assert camera.render_size(photographed) == (80, 40)  # as it was
+    background = photographed.camera.data.background_images[0]
+    assert background.scale == 0.5 and tuple(background.offset) == (0.25, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "space", "curve", "words"),
+    [
+        ("a.png", None, "auto", "read as sRGB"),
+        ("a.png", "Non-Color", "auto", "read as linear light"),
+        ("a.png", "AgX Base sRGB", "auto", "read as AgX Base sRGB, as Blender shows it"),
+        ("a.png", None, "unknown", "its tone curve is found from the photo"),
+        ("a.png", None, "linear", "read as linear light"),
+        ("a.exr", None, "srgb", "floats: read as linear light"),
+    ],
+)
+def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name, space, curve, words):
+    image = photo(tmp_path / name, 48, 32, space=space)
+    assert use_photo.read_as(image, curve) == words
+    photographed.btfsep.image, photographed.btfsep.curve = image, curve
+    job = json.loads((request.write_job(photographed, folder=tmp_path / "job") / "job.json").read_text())
+    linear = job["image_colorspace"] == "linear" or job["image"].endswith(".exr")
+    assert linear == ("sRGB" not in words.removeprefix("read as AgX Base sRGB") and "found" not in words)
+
+
+def triangles(thing):
+    evaluated = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return meshes.triangles_of_mesh(evaluated.to_mesh(), np.eye(4))
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_the_outline_of_a_ball_is_its_horizon(photographed, kind):
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=1)
+    ball, eye, parallel = bpy.context.object, np.array([0.0, -6, 2]), kind == "ORTHO"
+    found = triangles(ball)
+    p = found["positions"]
+    normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    points, beside = outlines.edges_of(found)
+    assert len(points) == 64 * 31 + 64 * 32 + 64 * 30  # rings, meridians, diagonals
+    assert (beside[:, 0] != beside[:, 1]).all()  # it is closed
+    line = outlines.silhouette(points, beside, normals, p.mean(1), eye, parallel=parallel)
+    distance = np.linalg.norm(eye)
+    height = line.reshape(-1, 3) @ eye / distance
+    assert len(line) > 60 and np.abs(height - (0 if parallel else 1 / distance)).max() < 0.12
+
+
+def test_an_open_mesh_has_its_border_and_split_vertices_have_none(photographed):
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=3, y_subdivisions=3)
+    grid = triangles(bpy.context.object)
+    points, beside = outlines.edges_of(grid)
+    assert (beside[:, 0] == beside[:, 1]).sum() == 12
+    split = {**grid, "vertex": np.arange(grid["vertex"].size).reshape(-1, 3)}  # as files with UV seams have them
+    assert len(outlines.edges_of(split)[0]) == len(points)
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_the_photo_is_drawn_where_the_camera_sees_it(photographed, kind):
+    lens = photographed.camera.data
+    lens.type, lens.shift_x, lens.sensor_fit = kind, 0.1, "VERTICAL"
+    part = (12, 8, 24, 16)
+    corners = outlines.photo_corners(photographed, photographed.camera, part)
+    owner = photographed.camera
+    seen = [world_to_camera_view(photographed, owner, owner.matrix_world @ Vector(corner)) for corner in corners]
+    assert np.allclose(np.array(seen)[:, :2], [[0.25, 0.25], [0.75, 0.25], [0.75, 0.75], [0.25, 0.75]], atol=1e-5)
+    assert all(lens.clip_start < each[2] < lens.clip_end for each in seen)
+
+
+def test_shapes_are_forgotten_when_they_change(photographed):
+    cube = photographed.btfsep.objects[0].object
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    first = outlines._shape(cube, depsgraph)
+    assert outlines._shape(cube, depsgraph) is first and not outlines.too_fine(photographed)
+    cube.location.x += 1
+    bpy.context.view_layer.update()
+    assert outlines._shape(cube, bpy.context.evaluated_depsgraph_get()) is first  # its own space moves along
+    cube.data.vertices[0].co.x += 1
+    cube.data.update()
+    bpy.context.view_layer.update()
+    assert outlines._shape(cube, bpy.context.evaluated_depsgraph_get()) is not first
+
+
+@pytest.fixture
+def lit(photographed, tmp_path):
+    """A light is kept, with a report."""
+    image = photo(tmp_path / "report.png", 40, 8)
+    bpy.data.images.remove(image)
+    kept_light.keep(photographed, lighting_file.validate(dict(LIGHTING)), {"out": str(tmp_path)})
+    return photographed
+
+
+def test_the_report_is_shown_in_an_image_editor(lit, tmp_path):
+    (tmp_path / "report.png").unlink()  # it is in the file
+    area = bpy.context.window_manager.windows[0].screen.areas[0]
+    before, area.type = area.type, "IMAGE_EDITOR"
+    try:
+        assert bpy.ops.btfsep.show_report() == {"FINISHED"}
+        assert area.spaces.active.image == lit.btfsep.light.report and tuple(area.spaces.active.image.size) == (40, 8)
+    finally:
+        area.type = before
+    lit.btfsep.light.report = None
+    with pytest.raises(RuntimeError, match="Estimate the light first"):
+        bpy.ops.btfsep.show_report()
+
+
+def test_the_rendered_view_has_the_photos_colours_and_says_what_it_changed(lit, capfd):
+    view = lit.view_settings
+    view.view_transform, view.exposure = "AgX", 1.5
+    bpy.ops.btfsep.use_photo()
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.rendered_view() == {"FINISHED"}
+    said = capfd.readouterr().out
+    for words in ("View transform: Standard, was AgX", "Exposure: 0, was 1.5", "Film: transparent"):
+        assert words in said
+    assert (view.view_transform, view.exposure, lit.render.film_transparent) == ("Standard", 0, True)
+    assert bpy.ops.btfsep.rendered_view() == {"FINISHED"} and "as the photo's already" in capfd.readouterr().out
+    bpy.ops.ed.undo_push(message="looked")
+    bpy.ops.ed.undo()
+    assert bpy.context.scene.view_settings.view_transform == "AgX" and not bpy.context.scene.render.film_transparent
+
+
+def test_icons_show_the_picture_that_is_kept(lit):
+    picture = lit.btfsep.light.picture
+    before = set(icons._previews)
+    assert icons.of_image(picture) == icons.of_image(picture)
+    (key,) = set(icons._previews) - before
+    shown = np.array(icons._previews[key].image_pixels_float)
+    assert np.allclose(shown, np.array(picture.pixels), atol=1 / 255) and np.ptp(shown) > 0.5
+    for trust in ("GREEN", "AMBER", "RED", "other"):
+        icons.light(trust)
+    preview = icons._previews["GREEN"]
+    middle = np.array(preview.image_pixels_float).reshape(*preview.image_size, 4)[16, 16]
+    assert middle[1] > max(middle[0], middle[2]) and middle[3] == 1
+
+
+@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE"])
+def test_doubts_are_mended_where_they_arise(photographed, how):
+    bpy.ops.mesh.primitive_monkey_add()
+    photographed.btfsep.objects.add().object = bpy.context.object
+    assert bpy.ops.btfsep.mend(how=how, object="Suzanne") == {"FINISHED"}
+    if how == "CURVE":
+        assert photographed.btfsep.curve == "unknown"
+        return
+    assert photographed.btfsep.active_object == 1
+    assert [e.source for e in photographed.btfsep.objects] == ["RECOGNISE", {"MATERIAL": "LIBRARY"}.get(how, how)]
+    with pytest.raises(RuntimeError, match="'Gone'; it is not in the list"):
+        bpy.ops.btfsep.mend(how=how, object="Gone")
+
+
+def test_the_overlay_is_off_at_first(addon):
+    assert runs.run_state().overlay == "OFF"
