@@ -6,6 +6,7 @@ tests/blender/test_twins.py holds the rows against the engine's own settings.
 """
 
 import argparse
+import math
 from dataclasses import dataclass, replace
 
 
@@ -68,7 +69,10 @@ APPEARANCES = (
     ("mean", "Mean", "The material without its texture: right where the texture does not line up with the photo"),
     ("textured", "Textured", "The material with its texture"),
 )
-CLASSES_OF_MATERIAL = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
+CLASSES_OF_MATERIAL = (
+    *("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood"),  # of UBO2014
+    *("ceramic", "metal", "paint", "paper", "plaster", "plastic"),
+)
 CLASSES = tuple((name, name.capitalize(), "") for name in CLASSES_OF_MATERIAL)
 
 Row = EngineSetting
@@ -92,6 +96,23 @@ MEASURE = (
     Row("seed", "Seed", "Of all random numbers"),
     Row("replace", "Replace", "Replace a material of this name", False, kind=bool, unsaid=False),
 )
+
+
+TEXELS_A_MM, FEWEST, MOST = 2, 80, 160
+SECONDS, CORES = 20, 2  # what 80 texels with one path took on so many cores (docs/library.md: 10 to 27 s)
+
+
+def default_texels(size_mm: float) -> int:
+    """Texels along an edge, where nobody says it."""
+    return int(min(max(FEWEST, math.ceil(size_mm * TEXELS_A_MM)), MOST))
+
+
+def measuring_words(size_mm: float, texels: int, samples: int, cores: int) -> str:
+    """How long a measurement will take, roughly, in words."""
+    texels = texels or default_texels(size_mm)
+    seconds = SECONDS * (texels / FEWEST) ** 2 * samples * CORES / max(cores, 1)
+    words = f"{max(10 * round(seconds / 10), 10)} seconds" if seconds < 90 else f"{round(seconds / 60)} minutes"
+    return f"{texels} x {texels} texels: about {words if seconds < 5400 else f'{seconds / 3600:.1f} hours'}"
 
 
 def add_options(parser: argparse.ArgumentParser, settings, default: str) -> None:

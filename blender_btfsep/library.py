@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The material library in the panel: read by a child process of its own while Blender goes on, with thumbnails."""
 
+import time
 from pathlib import Path
 
 import bpy
@@ -75,7 +76,7 @@ def _step() -> float | None:
 def read_now() -> None:
     """Reads the library and waits for it (scripts, tests)."""
     while _step() is not None:
-        pass
+        time.sleep(INTERVAL / 4)
 
 
 def classes() -> list:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measuring the active object's material into a material library: its maps are baked, the engine measures them."""
 
+import os
 import re
 import shutil
 import tempfile
@@ -108,6 +109,16 @@ class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Ope
         self.library = self.library or preferences.get(context).library
         self._asked = True
         return context.window_manager.invoke_props_dialog(self, width=340)
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        for name in self.__annotations__:
+            if name != "ask":
+                layout.prop(self, name)
+        words = engine_settings.measuring_words(self.size_mm, self.texels, self.samples, os.cpu_count() or 1)
+        layout.label(text=words, icon="TIME")
+        layout.label(text="Blender stays usable; what is measured is kept if it is stopped")
 
     def execute(self, context):
         if not getattr(self, "_asked", False):

@@ -24,7 +24,10 @@ COMPONENTS = 32  # of a file that is factorised anew, unless told
 VERSION = 2  # of the cached factors; another one when the method changes
 CHECKED_TEXELS = 128
 MAX_DECODED_TEXELS = 1024 * 1024  # of a file that has to be decoded
-CLASSES = ("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood")
+CLASSES = (
+    *("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood"),  # of UBO2014
+    *("ceramic", "metal", "paint", "paper", "plaster", "plastic"),
+)
 
 
 def read(path, data=None, **options) -> Tabulated:

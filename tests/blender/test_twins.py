@@ -101,6 +101,16 @@ def test_every_doubt_that_the_panel_knows_is_said_by_the_engine(known):
 def test_presets_and_material_classes():
     assert [value for value, *_ in engine_settings.PRESETS] == list(settings.PRESETS)
     assert engine_settings.CLASSES_OF_MATERIAL == linear.CLASSES
+    for size in (0.1, 40, 40.3, 66.6, 80, 10_000):
+        assert engine_settings.default_texels(size) == measuring.default_texels(size)
+
+
+def test_the_time_of_a_measurement_is_said_in_words():
+    words = engine_settings.measuring_words
+    assert words(30, 0, 1, 2) == "80 x 80 texels: about 20 seconds"
+    assert words(30, 0, 1, 64) == "80 x 80 texels: about 10 seconds"
+    assert words(100, 0, 4, 2) == "160 x 160 texels: about 5 minutes"
+    assert words(100, 1024, 16, 2) == "1024 x 1024 texels: about 14.6 hours"
 
 
 @pytest.mark.parametrize(("command_name", "row"), ROWS)

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an object is made of: recognised, a colour, as in Blender, or a material of the library with its thumbnail."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_btfsep import command, icons, library, request, runs
+from btfsep_engine.job.load import load_job
+
+MATERIALS = [
+    {"name": "wood/oak", "class": "wood"},
+    {"name": "leather/black-nappa", "class": "leather"},
+    {"name": "leather/brown", "class": "leather"},
+]
+
+
+@pytest.fixture
+def cube(photographed):
+    return photographed.btfsep.objects[0]
+
+
+def job_of(scene, tmp_path):
+    folder = request.write_job(scene, folder=tmp_path / "job")
+    load_job(folder)  # the engine takes it
+    return json.loads((folder / "job.json").read_text())["objects"][0]
+
+
+def material(colour=(0.2, 0.4, 0.1, 1), **inputs):
+    made = bpy.data.materials.new("Own")
+    made.use_nodes = True
+    shader = made.node_tree.nodes["Principled BSDF"]
+    for name, value in {"Base Color": colour, **inputs}.items():
+        shader.inputs[name].default_value = value
+    return made
+
+
+def test_nothing_is_said_of_what_is_to_be_recognised(photographed, cube, tmp_path):
+    cube.colour = (1, 0, 0)
+    job = job_of(photographed, tmp_path)
+    assert job["material"] is None and job["surface"] is None
+
+
+def test_a_material_that_is_chosen_is_the_jobs(photographed, cube, tmp_path):
+    cube.material = "wood/oak"
+    assert cube.source == "LIBRARY" and job_of(photographed, tmp_path)["material"] == "wood/oak"
+    cube.source = "RECOGNISE"
+    assert job_of(photographed, tmp_path)["material"] is None
+    cube.material = ""
+    cube.source = "LIBRARY"
+    with pytest.raises(RuntimeError, match="Choose the material of 'Cube'"):
+        bpy.ops.btfsep.estimate()
+
+
+def test_a_colour_is_a_surface(photographed, cube, tmp_path):
+    cube.source, cube.colour, cube.roughness, cube.metallic = "COLOUR", (0.1, 0.5, 0.4), 0.25, 1
+    job = job_of(photographed, tmp_path)
+    assert job["material"] is None
+    assert job["surface"] == {"base_color": [0.1, 0.5, 0.4], "roughness": 0.25, "metallic": 1}
+    folder = request.write_job(photographed, folder=tmp_path / "other", material="wood/oak")
+    job = json.loads((folder / "job.json").read_text())["objects"][0]  # --material has the last word
+    assert (job["material"], job["surface"]) == ("wood/oak", None)
+
+
+def test_as_in_blender_is_what_its_material_says(photographed, cube, tmp_path):
+    cube.source = "BLENDER"
+    cube.object.data.materials.append(material(Roughness=0.3, Metallic=0.0))
+    surface = job_of(photographed, tmp_path)["surface"]
+    assert np.allclose(surface["base_color"], (0.2, 0.4, 0.1)) and surface["roughness"] == pytest.approx(0.3)
+    assert surface["specular"] == pytest.approx(0.5, abs=0.01) and surface["metallic"] == 0
+
+
+def test_as_in_blender_takes_the_texture_by_its_uv(photographed, cube, tmp_path):
+    image = bpy.data.images.new("Checks", 4, 4)
+    pixels = np.ones((4, 4, 4), np.float32)
+    pixels[::2, :, 0] = 0
+    image.pixels.foreach_set(pixels.ravel())
+    image.filepath_raw, image.file_format = str(tmp_path / "checks.png"), "PNG"
+    image.save()
+    own = material()
+    node = own.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = bpy.data.images.load(str(tmp_path / "checks.png"))
+    own.node_tree.links.new(node.outputs["Color"], own.node_tree.nodes["Principled BSDF"].inputs["Base Color"])
+    cube.object.data.materials.append(own)
+    cube.source = "BLENDER"
+    surface = job_of(photographed, tmp_path)["surface"]
+    assert surface["base_color"] == "colour_Cube.png"
+    assert (tmp_path / "job" / "colour_Cube.png").read_bytes() == (tmp_path / "checks.png").read_bytes()
+    photographed.btfsep.mapping = "UNWRAP"  # its own UV map is not the mesh's then
+    assert np.allclose(job_of(photographed, tmp_path)["surface"]["base_color"], (0.5, 1, 1))
+    photographed.btfsep.mapping = "CHARTS"
+    node.extension = "CLIP"
+    assert np.allclose(job_of(photographed, tmp_path)["surface"]["base_color"], (0.5, 1, 1))
+
+
+def test_what_cannot_be_read_from_blender_is_refused_in_words(photographed, cube, tmp_path):
+    cube.source = "BLENDER"
+    glass = material(**{"Transmission Weight": 1.0})
+    cube.object.data.materials.append(glass)
+    with pytest.raises(RuntimeError, match="'Cube'; light goes through material 'Own'; give its colour"):
+        bpy.ops.btfsep.estimate()
+    tree = glass.node_tree
+    tree.links.new(tree.nodes.new("ShaderNodeBsdfToon").outputs[0], tree.nodes["Material Output"].inputs["Surface"])
+    with pytest.raises(RuntimeError, match="is not known; give its colour"):
+        bpy.ops.btfsep.estimate()
+
+
+def test_the_command_line_takes_what_the_panel_says(photographed, cube, tmp_path):
+    cube.source, cube.colour = "COLOUR", (0.1, 0.5, 0.4)
+    assert command.main(["export", "--job", str(tmp_path / "job")]) == 0
+    assert json.loads((tmp_path / "job" / "job.json").read_text())["objects"][0]["surface"]["metallic"] == 0
+
+
+@pytest.fixture
+def shelf(fake_engine, tmp_path):
+    """A library of three materials, each with a thumbnail of its own grey; what the engine was told."""
+    listed = []
+    for number, entry in enumerate(MATERIALS):
+        image = bpy.data.images.new("thumbnail", 8, 8)
+        image.pixels.foreach_set(np.tile(np.float32([*[(number + 1) / 4] * 3, 1]), 64))
+        image.filepath_raw, image.file_format = str(tmp_path / f"{number}.png"), "PNG"
+        image.save()
+        bpy.data.images.remove(image)
+        listed.append(entry | {"thumbnail": str(tmp_path / f"{number}.png")})
+    fake_engine(log=str(tmp_path / "arguments"), lines=[{"type": "done", "result": {"materials": listed}}])
+    return tmp_path / "arguments"
+
+
+def test_the_library_is_read_beside_blender_without_a_click(shelf):
+    state = runs.run_state()
+    library.ensure()
+    library.ensure()
+    assert bpy.app.timers.is_registered(library._step) and not state.library  # asked for, nothing waited for
+    library.read_now()
+    assert [(m.name, m.kind) for m in state.library] == [(m["name"], m["class"]) for m in MATERIALS]
+    told = json.loads(shelf.read_text())
+    assert told[:2] == ["library", "list"] and "--thumbnails" in told and not library.is_reading()
+    bpy.app.timers.unregister(library._step)
+    library.ensure()
+    assert not bpy.app.timers.is_registered(library._step)  # it is read
+
+
+def test_a_library_that_cannot_be_read_is_said_once(fake_engine):
+    fake_engine(
+        lines=[{"type": "failed", "message": "library /x; no such folder; choose another", "exit_code": 2}], exit=2
+    )
+    library.read_now()
+    assert runs.run_state().library_error == "library /x; no such folder; choose another"
+    library.ensure()
+    assert not bpy.app.timers.is_registered(library._step)
+    bpy.context.preferences.addons["blender_btfsep"].preferences.engine = "/absent/engine"
+    library.read_now()
+    assert "no such file" in runs.run_state().library_error
+
+
+def test_materials_are_browsed_by_class_and_picture(photographed, cube, shelf):
+    assert library.items(cube) == [("NONE", "Choose", "No material of the library is chosen", 0, 0)]
+    library.read_now()
+    assert [c[0] for c in library.classes()] == ["ALL", "leather", "wood"]
+    assert [i[0] for i in library.items(cube)] == ["NONE", "wood/oak", "leather/black-nappa", "leather/brown"]
+    cube.browse = "leather/black-nappa"
+    assert (cube.material, cube.source, cube.browse) == ("leather/black-nappa", "LIBRARY", "leather/black-nappa")
+    runs.run_state().library_class = "wood"
+    assert [i[0] for i in library.items(cube)] == ["wood/oak", "leather/black-nappa"]  # what is chosen stays
+    runs.run_state().library_class = "ALL"
+    for name, score in (("leather/brown", 0.7), ("wood/oak", 0.2)):
+        candidate = cube.candidates.add()
+        candidate.name, candidate.score = name, score
+    assert [i[1] for i in library.items(cube)] == ["brown (70 %)", "oak (20 %)", "black nappa"]
+    pictures = [np.array(icons._previews[m.thumbnail].image_pixels_float)[:3] for m in runs.run_state().library]
+    assert np.allclose(pictures, [[0.25] * 3, [0.5] * 3, [0.75] * 3], atol=0.01)
+
+
+def test_thumbnails_of_the_engine_itself(addon, tmp_path):
+    library.read_now()
+    state = runs.run_state()
+    assert not state.library_error
+    assert {"wood/oak-boards", "reference/chrome"} <= {m.name for m in state.library}
+    assert all(icons.of_file(m.thumbnail) == icons.of_file(m.thumbnail) for m in state.library)
+    assert all(tuple(icons._previews[m.thumbnail].image_size) == (96, 96) for m in state.library)
