@@ -133,7 +133,7 @@ def _draw_photo(scene, camera) -> None:
     part = pinhole.shown(scene, image.size) if image is not None and image.size[0] else None
     if part is None:
         return
-    shader = gpu.shader.from_builtin("IMAGE_SCENE_LINEAR_TO_REC709_SRGB")
+    shader = gpu.shader.from_builtin("IMAGE")  # linear, as a 3D view takes it
     corners = [camera.matrix_world.normalized() @ Vector(corner) for corner in photo_corners(scene, camera, part)]
     where = {"pos": corners, "texCoord": ((0, 0), (1, 0), (1, 1), (0, 1))}
     batch = batch_for_shader(shader, "TRI_FAN", where)
