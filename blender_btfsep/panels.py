@@ -204,10 +204,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         light = kept_light.kept(context.scene)
         if light is not None:
             self._card(context, layout, run, light)
-        row = layout.row(align=True)
-        row.operator("btfsep.apply", icon="WORLD")
-        row.operator("btfsep.show_report", text="", icon="IMAGE_DATA")
-        row.operator("btfsep.rendered_view", text="", icon="SHADING_RENDERED")
+        layout.operator("btfsep.apply", icon="WORLD")
         if world.is_ours(context.scene.world):
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")
 
@@ -233,6 +230,9 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         if light.picture is not None:
             units = context.region.width / context.preferences.system.ui_scale / 20
             box.template_icon(icons.of_image(light.picture), scale=max(4, min(units - 3.5, 9)))
+        row = box.row(align=True)
+        row.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
+        row.operator("btfsep.show_report", text="Report", icon="IMAGE_DATA")
         column = box.column(align=True)
         for label, words in card.get("lines") or ():
             if label == "Trust":

@@ -87,7 +87,7 @@ def test_a_photo_of_the_render_region_lies_where_the_region_is(photographed, tmp
         ("a.png", "AgX Base sRGB", "auto", "read as AgX Base sRGB, as Blender shows it"),
         ("a.png", None, "unknown", "its tone curve is found from the photo"),
         ("a.png", None, "linear", "read as linear light"),
-        ("a.exr", None, "srgb", "floats: read as linear light"),
+        ("a.exr", None, "srgb", "read as linear light (floating point)"),
     ],
 )
 def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name, space, curve, words):
