@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the engine answers, put into the scene and said in sentences; for the buttons and the command line alike."""
 
+from pathlib import Path
+
 from . import kept_light, lighting_file, request, sun_lamp, world
+
+APPLIED = "The World is now the lighting"
+FOUND = "The light is found; the World is as it was"
 
 
 def take_materials(scene, objects: list, ids=None) -> list:
@@ -47,7 +52,9 @@ def take_light(scene, path) -> None:
     Raises InputError.
     """
     if scene.btfsep.world_mode != "NONE":
-        apply_light(scene, lighting_file.read(path))
+        lighting = lighting_file.read(path)
+        kept_light.keep(scene, lighting, {"out": Path(path).parent})
+        apply_light(scene, lighting)
 
 
 def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool | None = None, lamp=None) -> str:
@@ -63,4 +70,4 @@ def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool |
     if not kept_light.is_kept(scene, lighting):
         kept_light.keep(scene, lighting)
     kept_light.put_with_world(scene)
-    return f"The World is now the lighting of order {lighting['order']}{sun_lamp.beside(scene)}"
+    return f"{APPLIED} of order {lighting['order']}{sun_lamp.beside(scene)}"

@@ -42,7 +42,7 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
 
 def put_with_world(scene) -> None:
     """Gives the scene's World a copy of what is kept of the light that was made its own."""
-    here, there = scene.btfsep.light, scene.world.btfsep
+    here, there = scene.btfsep.light, scene.world.btfsep_kept
     there.text = here.text
     for name in ("picture", "report"):
         _replace(there, name, getattr(here, name))
@@ -50,7 +50,7 @@ def put_with_world(scene) -> None:
 
 def forget(scene) -> None:
     """Keeps no light any more: another one, which has no card, is the World."""
-    for light in (scene.btfsep.light, scene.world and scene.world.btfsep):
+    for light in (scene.btfsep.light, scene.world and scene.world.btfsep_kept):
         if light:
             light.text = ""
             _replace(light, "picture", None)
@@ -59,7 +59,7 @@ def forget(scene) -> None:
 
 def kept(scene):
     """What the panel shows: the scene's last light, else that of a World from elsewhere; None where there is none."""
-    both = (scene.btfsep.light, scene.world and scene.world.btfsep)
+    both = (scene.btfsep.light, scene.world and scene.world.btfsep_kept)
     return next((light for light in both if light and light.text), None)
 
 

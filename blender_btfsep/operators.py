@@ -4,7 +4,7 @@
 import bpy
 
 from . import library, request, runs
-from .answer import take_estimate, take_materials
+from .answer import FOUND, take_estimate, take_materials
 
 
 class NeedsScene(runs.Greyed):
@@ -47,7 +47,7 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         own = [warning.name for warning in runs.run_state().warnings if warning.name not in said]
         sentences = take_estimate(scene, result, self._ids, own=own)
         applied = scene.btfsep.world_mode != "NONE"
-        return sentences[sentences.index("") - 1] if applied else "The light is found; the World is as it was"
+        return sentences[sentences.index("") - 1] if applied else FOUND
 
 
 class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):

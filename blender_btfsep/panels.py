@@ -4,8 +4,8 @@
 import blf
 import bpy
 
-from . import camera as pinhole
 from . import (
+    answer,
     engine_settings,
     icons,
     kept_light,
@@ -19,6 +19,7 @@ from . import (
     use_photo,
     world,
 )
+from . import camera as pinhole
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
 SHOWN = 3  # candidates in the panel
@@ -215,7 +216,9 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             box.alert = True
             for number, part in enumerate(run.error.split("; ")):
                 _wrapped(context, box, part, icon="BLANK1" if number else "ERROR")
-        elif run.summary and not (run.task == "Estimating" and kept_light.kept(context.scene)):
+        elif run.summary and not run.summary.startswith(
+            (answer.APPLIED, answer.FOUND)
+        ):  # the card says it, and follows undo
             box = layout.box()
             for number, part in enumerate(run.summary.splitlines()):
                 _wrapped(context, box, part, icon="BLANK1" if number else "CHECKMARK")

@@ -123,7 +123,7 @@ def engine_properties(settings) -> dict:
     return made
 
 
-class BTFSEP_PG_light(bpy.types.PropertyGroup):
+class BTFSEP_PG_kept(bpy.types.PropertyGroup):
     """A light that was found, with its card (`kept_light`): of the scene, and of the World that was made of it."""
 
     text: StringProperty(name="Light", description="Lighting and card, as JSON")
@@ -162,7 +162,7 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         type=bpy.types.Image,
     )
     surface: PointerProperty(type=BTFSEP_PG_object)
-    light: PointerProperty(type=BTFSEP_PG_light)
+    light: PointerProperty(type=BTFSEP_PG_kept)
     interpolation: EnumProperty(
         name="Between Photos", description="What a sequence's light does between two photos", items=INTERPOLATIONS
     )
@@ -221,7 +221,7 @@ class BTFSEP_PG_run(bpy.types.PropertyGroup):
 CLASSES = (
     BTFSEP_PG_candidate,
     BTFSEP_PG_object,
-    BTFSEP_PG_light,
+    BTFSEP_PG_kept,
     BTFSEP_PG_settings,
     BTFSEP_PG_name,
     BTFSEP_PG_material,
@@ -235,12 +235,12 @@ _register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLAS
 def register():
     _register_classes()
     bpy.types.Scene.btfsep = PointerProperty(type=BTFSEP_PG_settings)
-    bpy.types.World.btfsep = PointerProperty(type=BTFSEP_PG_light)
+    bpy.types.World.btfsep_kept = PointerProperty(type=BTFSEP_PG_kept)
     bpy.types.WindowManager.btfsep = PointerProperty(type=BTFSEP_PG_run)
 
 
 def unregister():
     del bpy.types.WindowManager.btfsep
-    del bpy.types.World.btfsep
+    del bpy.types.World.btfsep_kept
     del bpy.types.Scene.btfsep
     _unregister_classes()
