@@ -87,7 +87,7 @@ def _object(scene) -> np.ndarray:
     image, camera = scene.btfsep.image, scene.btfsep.camera or scene.camera
     if image is None or not (image.size[0] and image.size[1]):
         return dark
-    pixels = _small(image)
+    pixels = small(image)
     if pixels is None:
         return dark
     height, width = pixels.shape[:2]
@@ -104,26 +104,47 @@ def _object(scene) -> np.ndarray:
     return _coded(part) if image.is_float else np.clip(part, 0, 1)
 
 
-def _small(image):
-    """(h, w, 3) of an image, not larger than LARGEST, its lowest row first; None where it has no pixels."""
+_last: tuple = (None, None)
+
+
+def small(image):
+    """(h, w, 3) of an image, not larger than LARGEST, its lowest row first; None where it has no pixels.
+
+    The last one is remembered: decoding 24 megapixels takes half a second, which the end of a run must not.
+    """
+    global _last
+    key = (image.session_uid, image.filepath_raw, tuple(image.size), image.colorspace_settings.name)
+    if image.is_dirty or key != _last[0]:
+        _last = (key, _read_small(image))
+    return _last[1]
+
+
+def _read_small(image):
+    if image.is_dirty or image.source == "GENERATED":
+        pixels = _pixels(image)  # a copy would not have what was painted
+        step = -(-max(image.size) // LARGEST)
+        return None if pixels is None else pixels[::step, ::step]
     copy = image.copy()
     try:
         if copy.source == "SEQUENCE":
             copy.source = "FILE"
-        if not copy.has_data:
-            copy.reload()
         shrink = LARGEST / max(*copy.size, 1)
         if shrink < 1:
-            copy.scale(max(int(copy.size[0] * shrink), 1), max(int(copy.size[1] * shrink), 1))
-        width, height, channels = *copy.size, copy.channels
-        if not (width and height and channels):
-            return None
-        flat = np.empty(width * height * channels, np.float32)
-        copy.pixels.foreach_get(flat)
-        pixels = flat.reshape(height, width, channels)
-        return pixels[..., :3] if channels > 2 else np.repeat(pixels[..., :1], 3, -1)
+            copy.scale(*(max(int(side * shrink), 1) for side in copy.size))
+        return _pixels(copy)
     finally:
         bpy.data.images.remove(copy)
+
+
+def _pixels(image):
+    """(h, w, 3) of an image, its lowest row first; None where it has none."""
+    width, height, channels = *image.size, image.channels
+    if not (width and height and channels):
+        return None
+    flat = np.empty(width * height * channels, np.float32)
+    image.pixels.foreach_get(flat)
+    pixels = flat.reshape(height, width, channels)
+    return pixels[..., :3] if channels > 2 else np.repeat(pixels[..., :1], 3, -1)
 
 
 def _middle(scene, camera) -> tuple[float, float, float]:

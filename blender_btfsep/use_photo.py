@@ -4,7 +4,7 @@
 import bpy
 
 from . import camera as pinhole
-from . import frames, photo, runs
+from . import frames, light_picture, photo, runs
 from .errors import InputError
 
 READ = {
@@ -116,6 +116,7 @@ class BTFSEP_OT_use_photo(runs.Greyed, bpy.types.Operator):
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        light_picture.small(image)  # for the picture of the light, later
         for space in views(context):
             through(space, camera)
         words = [f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)]

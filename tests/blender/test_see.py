@@ -9,7 +9,18 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from blender_btfsep import camera, icons, kept_light, lighting_file, meshes, outlines, request, runs, use_photo
+from blender_btfsep import (
+    camera,
+    icons,
+    kept_light,
+    light_picture,
+    lighting_file,
+    meshes,
+    outlines,
+    request,
+    runs,
+    use_photo,
+)
 
 LIGHTING = {
     "format": "btfsep-lighting",
@@ -97,6 +108,18 @@ def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name
     job = json.loads((request.write_job(photographed, folder=tmp_path / "job") / "job.json").read_text())
     linear = job["image_colorspace"] == "linear" or job["image"].endswith(".exr")
     assert linear == ("sRGB" not in words.removeprefix("read as AgX Base sRGB") and "found" not in words)
+
+
+def test_a_photo_is_looked_at_once_and_again_when_it_is_another(photographed, tmp_path):
+    image = photo(tmp_path / "a.png", 1500, 30)
+    first = light_picture.small(image)
+    assert first.shape == (20, 1024, 3) and tuple(image.size) == (1500, 30)
+    assert light_picture.small(image) is first
+    assert light_picture.small(photo(tmp_path / "b.png", 60, 30)).shape == (30, 60, 3)
+    painted = bpy.data.images.new("painted", 8, 8)
+    before = light_picture.small(painted).mean()
+    painted.pixels.foreach_set(np.ones(256, np.float32))
+    assert light_picture.small(painted).mean() > before
 
 
 def triangles(thing):
