@@ -54,7 +54,8 @@ def _step() -> float | None:
     global _reading, _read_for
     try:
         if _reading is None:
-            _reading = runs.start_engine(arguments())
+            found = engine_process.find_engine(bpy.path.abspath(preferences.get().engine))
+            _reading = engine_process.EngineProcess(found, arguments())
             return INTERVAL
         for message in _reading.poll():
             if isinstance(message, engine_process.Done):

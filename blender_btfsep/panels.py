@@ -68,7 +68,8 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
         if there:
             column.prop(settings, "curve", text="Read As")
             if settings.curve == "auto":
-                _wrapped(context, layout, use_photo.read_as(image, "auto").capitalize(), icon="INFO")
+                read = use_photo.read_as(image, "auto")
+                _wrapped(context, layout, read[:1].upper() + read[1:], icon="INFO")
         wrong = there and pinhole.shown(scene, image.size) is None
         if wrong:
             box = layout.box()

@@ -57,6 +57,18 @@ def file_of(image) -> Path | None:
     return Path(bpy.path.abspath(image.filepath_raw, library=image.library)) if image.filepath_raw else None
 
 
+def size_of(image) -> tuple[int, int]:
+    """Width and height of ``image``, of a sequence those of the photo that was opened; (0, 0) where it has no pixels."""
+    path = file_of(image)
+    if image.source != "SEQUENCE" or all(image.size) or path is None or not path.is_file():
+        return tuple(image.size)
+    one = bpy.data.images.load(str(path), check_existing=False)
+    try:
+        return tuple(one.size)
+    finally:
+        bpy.data.images.remove(one)
+
+
 def taken_as_is(image, path: Path) -> bool:
     """Whether the engine takes the colours of the file ``path`` of ``image`` for what Blender takes them for."""
     space = image.colorspace_settings.name

@@ -63,8 +63,8 @@ def fit_render(scene, size) -> list:
     return words
 
 
-def put_behind(scene, camera, image) -> None:
-    """Makes ``image`` the background of ``camera``, where the photo was in the camera's picture."""
+def put_behind(scene, camera, image, size) -> None:
+    """Makes ``image``, of ``size``, the background of ``camera``, where the photo was in the camera's picture."""
     data = camera.data
     data.show_background_images = True
     own = next((b for b in data.background_images if b.source == "IMAGE" and b.image in (image, None)), None)
@@ -72,7 +72,7 @@ def put_behind(scene, camera, image) -> None:
     own.source, own.image, own.show_background_image = "IMAGE", image, True
     own.frame_method, own.display_depth, own.alpha = "FIT", "BACK", 1.0
     own.rotation, own.use_flip_x, own.use_flip_y = 0.0, False, False
-    left, top, width, height = pinhole.shown(scene, image.size) or (0, 0, *pinhole.render_size(scene))
+    left, top, width, height = pinhole.shown(scene, size) or (0, 0, *pinhole.render_size(scene))
     across, down = pinhole.render_size(scene)
     # Offsets are in units of the picture's longer side; the scale is of what fits into the whole picture.
     longer = max(across, down)
@@ -106,13 +106,13 @@ class BTFSEP_OT_use_photo(runs.Greyed, bpy.types.Operator):
         scene, settings = context.scene, context.scene.btfsep
         camera = settings.camera or scene.camera
         settings.image = image = settings.image or background(camera)
-        size = tuple(image.size)
+        size = photo.size_of(image)
         if not all(size):
             self.report({"ERROR"}, f"the photo '{image.name}'; it has no pixels; choose it again")
             return {"CANCELLED"}
         words = fit_render(scene, size)
         try:
-            put_behind(scene, camera, image)
+            put_behind(scene, camera, image, size)
         except InputError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -19,6 +19,7 @@ from blender_btfsep import (
     outlines,
     request,
     runs,
+    sequence_run,
     use_photo,
 )
 
@@ -88,6 +89,17 @@ def test_a_photo_of_the_render_region_lies_where_the_region_is(photographed, tmp
     assert camera.render_size(photographed) == (80, 40)  # as it was
     background = photographed.camera.data.background_images[0]
     assert background.scale == 0.5 and tuple(background.offset) == (0.25, 0)
+
+
+def test_an_image_sequence_stands_behind_at_the_frames_of_its_numbers(photographed, tmp_path):
+    for number in (7, 8, 9):
+        image = photo(tmp_path / f"shot_{number:04}.png", 48, 32)
+    image.source = "SEQUENCE"
+    photographed.btfsep.image = image
+    bpy.ops.btfsep.use_photo()
+    user = photographed.camera.data.background_images[0].image_user
+    assert (user.frame_start, user.frame_duration, user.frame_offset) == (7, 3, 6)
+    assert sequence_run.start_of(image, photographed.camera, 7) == 7
 
 
 @pytest.mark.parametrize(
