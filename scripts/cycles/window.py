@@ -4,7 +4,7 @@
     blender --factory-startup --python scripts/cycles/window.py -- FOLDER
 
 in a Blender with a window (an Xvfb will do), with ImageMagick's ``import`` and a checkout that has its .venv. FOLDER
-gets overlay.png, library.png, panel.png (the sidebar after the estimate), report.png and rendered.png.
+gets overlay.jpg (the 3D view), library.png, panel.png (the sidebar after the estimate), report.png and rendered.png.
 """
 
 import subprocess
@@ -93,7 +93,7 @@ def steps(out: Path):
     blender_btfsep.register()
     state, settings = runs.run_state(), bpy.context.scene.btfsep
     settings.image = bpy.data.images.load(photographed(tempfile.mkdtemp()))
-    area, side, _ = view()
+    area, side, region = view()
     area.spaces.active.show_region_ui = True
     with in_view():
         bpy.ops.btfsep.add_objects()
@@ -102,7 +102,7 @@ def steps(out: Path):
     side.active_panel_category = "BTFsep"
     state.overlay = "OUTLINE"
     yield 2.0
-    picture(out / "overlay.png")
+    picture(out / "overlay.jpg", region)
     state.overlay, settings.objects[0].source = "OFF", "LIBRARY"
     yield 1.0
     while not state.library and not state.library_error:
