@@ -2,8 +2,10 @@
 """The objects drawn over the photo, as the camera should see them; nothing of the scene changes."""
 
 import bpy
+import gpu
 import numpy as np
 from bpy.app.handlers import persistent
+from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
 from . import camera as pinhole
@@ -93,9 +95,6 @@ def _draw():
     camera = context.space_data.camera or context.scene.camera
     if camera is None:
         return
-    import gpu
-    from gpu_extras.batch import batch_for_shader
-
     depsgraph = context.evaluated_depsgraph_get()
     parallel = camera.data.type == "ORTHO"
     gpu.state.blend_set("ALPHA")
@@ -126,9 +125,6 @@ def _draw():
 
 def _draw_photo(scene, camera) -> None:
     """Draws the photo before the scene's objects, so that lines and photo are seen together."""
-    import gpu
-    from gpu_extras.batch import batch_for_shader
-
     image = scene.btfsep.image
     part = pinhole.shown(scene, image.size) if image is not None and image.size[0] else None
     if part is None:

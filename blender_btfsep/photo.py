@@ -58,7 +58,7 @@ def file_of(image) -> Path | None:
 
 
 def size_of(image) -> tuple[int, int]:
-    """Width and height of ``image``, of a sequence those of the photo that was opened; (0, 0) where it has no pixels."""
+    """Width and height of ``image``, of a sequence those of the photo that was opened; (0, 0) without pixels."""
     path = file_of(image)
     if image.source != "SEQUENCE" or all(image.size) or path is None or not path.is_file():
         return tuple(image.size)
