@@ -144,7 +144,7 @@ class LightSolver:
         own_light = lights[:, 0].copy()  # what the lamps are a share of: a rival's light has none of them
         if rival is not None:
             lights[::2] = posterior_samples(rival, len(lights[::2]), random)[1]
-        hidden = hidden_lamps(self.basis, SAMPLES, random)
+        hidden = hidden_lamps(self.basis, SAMPLES, random, known=len(model.lamps))
         lights += hidden
         samples = lights * (unit * factors)[:, None]
         lamps = []
@@ -238,18 +238,20 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
     return whites, model.light(whites)[0].transpose(0, 2, 1)
 
 
-def hidden_lamps(basis: Basis, count: int, random) -> np.ndarray:
+def hidden_lamps(basis: Basis, count: int, random, *, known: int) -> np.ndarray:
     """Lamps in the directions from which hardly a pixel is lit: (count, terms, 3), most of them none.
 
-    A field's logarithm is Gaussian, and has no lamps; those that the photo shows have been found. Of others, behind the
-    object as a rule, nothing is known but that lamps are: as bright as `fit.light_model` takes lamps to be, or half of
-    its spread from it.
+    A field's logarithm is Gaussian, and has no lamps; those that the photo shows, ``known`` of them, have been found.
+    Of others, behind the object as a rule, nothing is known but that lamps are, and that they come in company: their
+    density is that of the known ones where they could be seen, under a Gamma prior of `HIDDEN_LAMPS` in one sphere.
+    Each is as bright as `fit.light_model` takes lamps to be, or half of its spread from it.
     """
     field = natural_field()
     response = basis.mean_response @ field.to_coefficients
     places = field.directions[response < HIDDEN * response.max()]
     out = np.zeros((count, basis.terms, 3))
-    lit = random.random(count) < HIDDEN_LAMPS * len(places) / len(field.directions)
+    share = len(places) / len(field.directions)
+    lit = random.random(count) < -np.expm1(-share * (HIDDEN_LAMPS + known) / (2 - share))
     if lit.any():
         d = places[random.integers(len(places), size=lit.sum())]
         irradiance = 2 * np.pi * np.exp(BRIGHTNESS / 2 * random.standard_normal(len(d)))
