@@ -183,17 +183,25 @@ class Aligner:
         centre = np.median(origins + view.distance[seen][:, None] * rays, 0)
         self.frame = Frame(camera, centre, float(np.sqrt(seen.sum() / np.pi)))
         about = binary_dilation(seen, iterations=NEAR)
+        self._seen: dict = {}  # camera -> what it sees, and the outlines there
         self.pictures = [Picture(photo.radiance, photo.usable, about, blur=level.blur) for level in LEVELS]
 
     def objects_in(self, view) -> np.ndarray:
         """(h, w) bool, where a view shows an object and no occluder."""
         return (view.mesh >= 0) & (view.mesh < len(self.job.objects))
 
+    def seen(self, camera: Camera):
+        """`camera_view` and `outline_of` of a camera: several levels ask for the same."""
+        key = camera.fx, camera.to_world.tobytes()
+        if key not in self._seen:
+            view = camera_view(self.tracer, replace(self.job, camera=camera))
+            self._seen[key] = view, outline_of(view, camera, self.tracer, limit=DEEP * self.tracer.radius)
+        return self._seen[key]
+
     def marks(self, camera: Camera, level: int) -> Marks:
         """What a camera sees, as points on the geometry."""
         job = replace(self.job, camera=camera)
-        view = camera_view(self.tracer, job)
-        outline, across, mesh = outline_of(view, camera, self.tracer, limit=DEEP * self.tracer.radius)
+        view, (outline, across, mesh) = self.seen(camera)
         mine = (mesh < len(job.objects)) & across.any(1)
         inner = binary_erosion(self.objects_in(view), iterations=1 + round(1.5 * LEVELS[level].blur))
         points = []
