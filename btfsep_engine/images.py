@@ -158,17 +158,18 @@ def read_depth(path) -> np.ndarray:
     raise InputError(path.name, "no channel in it is a depth", "save the depth as channel Z or as the only one")
 
 
-def write_exr(path, array, *, half: bool = False) -> None:
-    """Writes ``array : (h, w), (h, w, 1), (h, w, 3) or (h, w, 4) float`` as a ZIP-compressed EXR, whole or not at all.
+def write_exr(path, array, *, half: bool = False, compressed: bool = True) -> None:
+    """Writes ``array : (h, w), (h, w, 1), (h, w, 3) or (h, w, 4) float`` as an EXR, whole or not at all.
 
-    One channel is named Y (shown as grey), three RGB, four RGBA. ``half`` stores 16-bit floats.
+    One channel is named Y (shown as grey), three RGB, four RGBA. ``half`` stores 16-bit floats, ``compressed`` by ZIP.
     """
     a = np.asarray(array, np.float16 if half else np.float32)
     if a.ndim == 2:
         a = a[..., None]
     name = {1: "Y", 3: "RGB", 4: "RGBA"}[a.shape[2]]
     channels = {name: np.ascontiguousarray(a[..., 0] if name == "Y" else a)}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    compression = OpenEXR.ZIP_COMPRESSION if compressed else OpenEXR.NO_COMPRESSION
+    header = {"compression": compression, "type": OpenEXR.scanlineimage}
     with atomic.replacing(path) as scratch, contextlib.redirect_stdout(io.StringIO()):
         try:
             OpenEXR.File(header, channels).write(str(scratch) if _is_text(scratch) else os.fsencode(scratch))

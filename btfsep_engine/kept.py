@@ -119,7 +119,11 @@ def content(part) -> str:
     elif isinstance(part, list | tuple):
         h.update(f"list {len(part)};".encode() + "".join(content(p) for p in part).encode())
         lasting = False
-    elif part is None or isinstance(part, str | int | float | bytes | np.number):
+    elif isinstance(part, bytes):
+        h.update(b"bytes;")
+        h.update(part)
+        lasting = False
+    elif part is None or isinstance(part, str | int | float | np.number):
         h.update(f"{type(part).__name__} {part!r};".encode())
         lasting = False
     elif dataclasses.is_dataclass(part) and part.__dataclass_params__.frozen:

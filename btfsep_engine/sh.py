@@ -133,8 +133,34 @@ def series(coefficients, directions) -> np.ndarray:
     """The sums (..., n) of ``coefficients : ((L + 1)^2, n)`` in ``directions : (..., 3)``; by blocks."""
     x, d = np.asarray(coefficients, np.float64), np.asarray(directions, np.float64)
     order, flat = order_of(len(x)), d.reshape(-1, 3)
+    if len(flat) > BLOCK and (on_map := _on_map(x, order, d)) is not None:
+        return on_map
     parts = [_rows(order, flat[start : start + BLOCK]).T @ x for start in range(0, max(len(flat), 1), BLOCK)]
     return np.concatenate(parts).reshape(*d.shape[:-1], x.shape[1])
+
+
+def _on_map(x, order: int, directions):
+    """The sums on (part of) an equirectangular map (h, w, 3): harmonics are products of a row's and a column's factor.
+
+    None where the directions are no such map.
+    """
+    if directions.ndim != 3 or np.ptp(directions[..., 2], 1).any():
+        return None
+    turned, z = directions[..., 0] + 1j * directions[..., 1], directions[:, 0, 2]
+    away = np.abs(turned[:, 0])  # sin of the angle from z
+    widest = away.argmax()
+    columns = turned[widest] / max(away[widest], 1e-300)  # exp(i phi)
+    if np.abs(turned - away[:, None] * columns).max() > 1e-12:
+        return None
+    along = _rows(order, np.stack([away, 0 * z, z], 1))  # at phi = 0
+    m = np.arange(-order, order + 1)
+    turns = columns ** np.abs(m)[:, None]
+    turns = np.where(m[:, None] < 0, turns.imag, turns.real)
+    l = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    of = np.arange(len(x)) - l * l - l
+    upright = along[l * l + l + np.abs(of)]
+    by_turn = np.stack([upright[of == k].T @ x[of == k] for k in m], -1)  # (h, n, 2 L + 1)
+    return np.ascontiguousarray((by_turn @ turns).transpose(0, 2, 1))
 
 
 def to_map(coefficients, height: int, width: int) -> np.ndarray:

@@ -257,14 +257,14 @@ def lighting_map(lighting: Lighting, height: int, width: int, *, radiance=None) 
 
     Parameters
     ----------
-    radiance : the sky's own, (m, 3), >= 0, of unit directions (m, 3), which knows more of it than a series does;
+    radiance : the sky's own, (…, 3), >= 0, of unit directions (…, 3), which knows more of it than a series does;
         without it the sky is what its coefficients stand for (`positivity.positive_radiance`)
     """
     directions = pixel_directions(height, width)
     if radiance is None:
         sky = positive_radiance(lighting.sky, directions)
     else:
-        sky = np.asarray(radiance(directions.reshape(-1, 3)), np.float64).reshape(height, width, 3)
+        sky = np.asarray(radiance(directions), np.float64)
     return sky + sum(sun.to_map(height, width) for sun in lighting.suns)
 
 
@@ -285,8 +285,11 @@ def seen_lighting(lighting: Lighting):
 def write_lighting_exr(
     path, lighting: Lighting, *, radiance=None, height: int = MAP_SIZE[0], width: int = MAP_SIZE[1]
 ) -> None:
-    """Writes `lighting_map`, 32-bit float EXR; ``radiance`` is its."""
-    images.write_exr(path, lighting_map(lighting, height, width, radiance=radiance))
+    """Writes `lighting_map`, 32-bit float EXR; ``radiance`` is its.
+
+    Compressed, it would take nine tenths of the place and ten times as long to write.
+    """
+    images.write_exr(path, lighting_map(lighting, height, width, radiance=radiance), compressed=False)
 
 
 def read_any_lighting(path, order: int = 9) -> Lighting:

@@ -3,6 +3,7 @@
 
 import numpy as np
 
+from btfsep_engine import kept
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, clamped_share, structure_doubts
@@ -31,8 +32,9 @@ def all_doubts(estimate) -> list[str]:
 
 def shift_doubt(scene) -> str | None:
     """That the photo's outline does not lie where the geometry says."""
-    frayed = bool(unseen_meshes(scene.job))
-    return alignment_doubt(silhouette_shift(scene.job.photo.radiance, scene.view.mesh >= 0, frayed=frayed))
+    frayed, photo, seen = bool(unseen_meshes(scene.job)), scene.job.photo.radiance, scene.view.mesh
+    shift = kept.recalled("shift", [photo, seen, frayed], lambda: silhouette_shift(photo, seen >= 0, frayed=frayed))
+    return alignment_doubt(shift)
 
 
 def misfit_doubts(estimate) -> list[str]:

@@ -11,14 +11,14 @@ BROAD = 30.0  # a lamp that is no sun: exp(BROAD cos), 15 degrees wide
 
 
 def sky_radiance(fit: Fit, lighting: Lighting):
-    """The fit's own positive radiance (directions (m, 3) -> (m, 3)), with the lamps that are no suns as broad discs."""
+    """The fit's own positive radiance (directions (…, 3) -> (…, 3)), with the lamps that are no suns as broad discs."""
     kept = [lamp for lamp in fit.lamps if not any(np.allclose(lamp.direction, sun.direction) for sun in lighting.suns)]
 
     def radiance(directions):
         out = fit.election.radiance(directions)
         for lamp in kept:
             disc = np.exp(BROAD * (np.asarray(directions) @ lamp.direction - 1))  # of integral 2 pi / BROAD
-            out = out + disc[:, None] * (lamp.irradiance * BROAD / (2 * np.pi))
+            out = out + disc[..., None] * (lamp.irradiance * BROAD / (2 * np.pi))
         return out
 
     return radiance

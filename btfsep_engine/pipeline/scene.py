@@ -15,6 +15,7 @@ from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.beams import beam_radiance
 from btfsep_engine.render.homogeneous import reflected_share
 from btfsep_engine.render.radiosity import MOST, Indirect, diffuse_albedo
+from btfsep_engine.render.sampling import REGION, thinned
 from btfsep_engine.render.surface import (
     SurfacePoints,
     View,
@@ -155,6 +156,14 @@ class PreparedScene:
         """The same without tangents."""
         region = self.regions[index] if region is None else region
         return surface_points(self.view, self.job, index, region=region)
+
+    def footprint(self, index: int) -> float:
+        """Edge in world units of what a pixel shows of an object, as a rule."""
+
+        def usual() -> float:
+            return float(np.median(self.bare_points(index, region=thinned(self.regions[index], REGION)).footprint))
+
+        return kept.recalled("footprint", [self.seen, index], usual)
 
     def laid(self, points: SurfacePoints, index: int, *, textured: bool) -> SurfacePoints:
         """Points with tangents, and with the places of a texture where one is wanted or known."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import __version__, cache
+from btfsep_engine import __version__, cache, kept
 from btfsep_engine.cache import digest
 from btfsep_engine.errors import InputError
 from btfsep_engine.lock import locked
@@ -80,8 +80,9 @@ def source_digest(engine: Path = ENGINE) -> str:
 def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recogniser:
     """The recogniser of ``key``: from the cache, or made now and put there.
 
-    A damaged or older file is replaced silently. Of several processes one trains, and the others wait for it: many jobs
-    of one geometry train once. A cache that cannot be written is no error; the recogniser is made each time.
+    This process keeps it. A damaged or older file is replaced silently. Of several processes one trains, and the others
+    wait for it: many jobs of one geometry train once. A cache that cannot be written is no error; the recogniser is
+    made each time.
 
     Parameters
     ----------
@@ -91,15 +92,19 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
     """
     name, folder = digest(source_digest(), key)[:32], Path(folder or cache.cache_folder())
     path = folder / "recognisers" / f"{name}.entry"
-    if (kept := _kept(path)) is not None:
-        return kept
+    return kept.recalled("recogniser", [str(path)], lambda: _read_or_made(path, make, folder / "locks" / name[:2]))
+
+
+def _read_or_made(path: Path, make, lock: Path) -> Recogniser:
+    if (found := _found(path)) is not None:
+        return found
     with ExitStack() as alone:
         try:  # a lock for a few keys together: as many files would stay as there were trainings
-            alone.enter_context(locked(folder / "locks" / name[:2], PATIENCE, name="the cache's"))
+            alone.enter_context(locked(lock, PATIENCE, name="the cache's"))
         except InputError as error:
             log.info("trained beside others, perhaps: %s", error)
-        if (kept := _kept(path)) is not None:
-            return kept
+        if (found := _found(path)) is not None:
+            return found
         recogniser = make()
         try:
             cache.write(path, _arrays(recogniser))
@@ -108,10 +113,10 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
     return recogniser
 
 
-def _kept(path: Path) -> Recogniser | None:
+def _found(path: Path) -> Recogniser | None:
     """The recogniser of an entry, where there is one that is whole."""
-    kept = cache.read(path, SHAPES)
-    if kept is not None:
+    found = cache.read(path, SHAPES)
+    if found is not None:
         with suppress(ValueError, KeyError, TypeError, AttributeError):  # whole, but not a recogniser
-            return _assembled(kept)
+            return _assembled(found)
     return None

@@ -224,18 +224,39 @@ class Indirect:
     def _radiosity(self) -> list[np.ndarray]:
         """Radiosity of the samples, 1 or 3 channels of (s, M) float32; found when it is first needed."""
         net = self._network
-        light = np.moveaxis(np.asarray(self.lightings.cell_averages(net.directions), np.float32), 2, 0)
-        direct = [net.sky @ np.ascontiguousarray(channel) for channel in light]
         albedos = net.albedos(self.albedos)
+        alike = (albedos == albedos[:1]).all()
+        irradiance = self._irradiance(self.bounces if alike else 1)
         grey = (albedos == albedos[:, :1]).all()
         found = []
-        for c in range(1 if grey and len(direct) == 1 else 3):
-            albedo, straight = albedos[:, c, None], direct[min(c, len(direct) - 1)]
+        for c in range(1 if grey and len(irradiance) == 1 else 3):
+            again = irradiance[min(c, len(irradiance) - 1)]
+            if alike:
+                found.append(sum(albedos[0, c] ** (k + 1) * light for k, light in enumerate(again)))
+                continue
+            albedo, straight = albedos[:, c, None], again[0]
             radiosity = albedo * straight
             for _ in range(self.bounces - 1):
                 radiosity = albedo * (straight + net.gather @ radiosity)
             found.append(radiosity)
         return found
+
+    def _irradiance(self, times: int) -> list:
+        """Of samples by the sky, by white surfaces which that lights, … : 1 or 3 channels of ``times`` (s, M)."""
+
+        def found():
+            net = self._network
+            light = np.moveaxis(np.asarray(self.lightings.cell_averages(net.directions), np.float32), 2, 0)
+            out = [[net.sky @ np.ascontiguousarray(channel)] for channel in light]
+            for again in out:
+                for _ in range(times - 1):
+                    again.append(net.gather @ again[-1])
+            return out
+
+        if not isinstance(self.lightings, SHBasis):
+            return found()
+        parts = [self.tracer.key, self.samples, self.seed, self.lightings, times]  # whatever the material
+        return kept.recalled("irradiance", parts, found)
 
     def reflected(self, transport, material) -> np.ndarray:
         """Radiance (p, M, 3) float32 of a `Transport`'s points by the light that other surfaces send them.

@@ -122,3 +122,15 @@ def test_cosine_lobe_in_numbers():
     np.testing.assert_allclose(
         sh.cosine_lobe(6), [np.pi, 2 * np.pi / 3, np.pi / 4, 0, -np.pi / 24, 0, np.pi / 64], atol=1e-12
     )
+
+
+@pytest.mark.parametrize("order", [0, 1, 9])
+def test_a_map_is_the_same_by_rows_and_columns_as_by_directions(order):
+    directions = pixel_directions(96, 192)
+    x = np.random.default_rng(order).normal(size=(sh.term_count(order), 2))
+    for some in (directions, np.roll(directions, 50, 1), directions[10:70, 3:120]):
+        by_directions = sh.series(x, some.reshape(-1, 3)).reshape(*some.shape[:2], 2)
+        assert np.abs(sh.series(x, some) - by_directions).max() < 1e-12
+    bent = directions.copy()
+    bent[40, 30] = bent[41, 90]  # no map any more
+    assert np.abs(sh.series(x, bent).reshape(-1, 2) - sh.series(x, bent.reshape(-1, 3))).max() < 1e-12

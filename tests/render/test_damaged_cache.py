@@ -7,6 +7,7 @@ import numpy as np
 
 from btfsep_engine import cache
 from btfsep_engine.cli import main
+from btfsep_engine.kept import STORE
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.record import versions
 from btfsep_engine.render import backend
@@ -51,6 +52,7 @@ def test_every_kind_of_damage_is_mended_without_a_word(sphere_job_folder, capsys
     def estimated():
         backend.choose_backend.cache_clear()
         versions.cache_clear()
+        STORE.forget()
         assert main(["estimate", str(folder), *options, "--json"]) == 0
         said = capsys.readouterr()
         assert "Traceback" not in said.err

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from btfsep_engine import kept
-from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.lightings import SHBasis, SHLighting
+from btfsep_engine.pipeline.basis import USUAL
 from btfsep_engine.pipeline.model import solve_model
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine.surroundings import by_grey
@@ -35,7 +35,6 @@ NOT_SO_BRIGHT = (
 )
 PROBE = 400  # pixels of an object at which the scene's own light is found
 MOST = 0.8  # of the photo: if other surfaces would add so much, they are modelled without a trial
-OPEN_DIRECTIONS = 128
 NEIGHBOURS = 3
 
 
@@ -113,12 +112,11 @@ def contradicted(scenes, fit: Fit, without: Fit) -> bool:
 
 def open_share(scene: PreparedScene, points: SurfacePoints) -> np.ndarray:
     """How much of the hemisphere above each point is sky: (p,), weighted by the cosine."""
-    directions = fibonacci_sphere(OPEN_DIRECTIONS)
+    transport = scene.transport(points, directions=USUAL)  # the rays of the basis images, as a rule
 
     def share():
-        seen = np.asarray(scene.tracer.visible(points.position, points.flat_normal, directions))
-        cosine = np.maximum(points.normal @ directions.T, 0)
-        return (cosine * seen).sum(1) / np.maximum(cosine.sum(1), 1e-12)
+        cosine = np.maximum(points.normal @ transport.directions.T, 0)
+        return (cosine * transport.visible).sum(1) / np.maximum(cosine.sum(1), 1e-12)
 
     return kept.recalled("open", [scene.tracer.key, points.position, points.flat_normal, points.normal], share)
 
@@ -149,10 +147,10 @@ def own_light(model, light, *, bounces: int) -> OwnLight:
     """
     # what is not known may be bright
     problems, fit = [replace(p, scene=p.scene.with_grey(BRIGHTEST)) for p in model.problems], light.fit
-    probes = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
-    bound = max(even_sky_bound(q.scene, q.materials, p) for q, p in zip(problems, probes, strict=True))
+    bound = max(even_sky_bound(p.scene, p.materials, p.points) for p in problems)
     if bound < NEGLIGIBLE:
         return OwnLight(False, bound, None, None)
+    probes = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
     lighting, added = SHLighting(np.asarray(fit.shown)), []
     for problem, few in zip(problems, probes, strict=True):
         indirect = problem.scene.indirect(problem.materials, lighting, model.settings, bounces=bounces)

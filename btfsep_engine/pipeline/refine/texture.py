@@ -12,7 +12,6 @@ from scipy.ndimage import uniform_filter
 
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.pipeline.together import fit_together, stacked
-from btfsep_engine.render.sampling import REGION, thinned
 
 VISIBLE_CONTRAST = 0.05  # of the texture as the camera resolves it: less is not worth a second transport
 
@@ -35,8 +34,7 @@ def reason_against(scenes, materials, settings: TransportSettings) -> str | None
     answers = []
     for scene, each in zip(scenes, materials, strict=True):
         for i, m in enumerate(each):
-            points = scene.points(i, region=thinned(scene.regions[i], REGION), textured=False)
-            footprint = float(np.median(points.footprint)) * scene.millimetres_per_unit
+            footprint = scene.footprint(i) * scene.millimetres_per_unit
             answers.append(texture_may_help(scene.job.objects[i], m.material, footprint))
     return None if any(worth for worth, _ in answers) else "; ".join(dict.fromkeys(why for _, why in answers))
 
