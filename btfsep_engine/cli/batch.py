@@ -17,10 +17,10 @@ import click
 from btfsep_engine import __version__, atomic
 from btfsep_engine.cli.command import SomeFailed, command, opened_library
 from btfsep_engine.cli.jobs import find_jobs, result_folders, shard_of
-from btfsep_engine.cli.lanes import lanes_for, run_all
+from btfsep_engine.cli.lanes import lanes_for, run_all, run_here
 from btfsep_engine.cli.options import ESTIMATE, LIBRARY, MATERIAL, PATH, REPORT, out_option, takes_settings
 from btfsep_engine.cli.scheduler import run_scheduled
-from btfsep_engine.cli.summary import Journal, join
+from btfsep_engine.cli.summary import STATUSES, Journal, join
 from btfsep_engine.cli.worker import TOO_LONG, Outcome
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.settings import Settings
@@ -137,9 +137,9 @@ def number_or_auto(context, parameter, value: str) -> str | int:
     """The value of ``--lanes``."""
     if value == "auto":
         return value
-    if value.isascii() and value.isdigit() and 1 <= int(value) <= 256:
+    if value.isascii() and value.isdigit() and int(value) <= 256:
         return int(value)
-    raise click.BadParameter(f"'{value}'; give 1 to 256, or auto")
+    raise click.BadParameter(f"'{value}'; give 0 to 256, or auto")
 
 
 @click.command()
@@ -153,10 +153,11 @@ def number_or_auto(context, parameter, value: str) -> str | int:
     callback=number_or_auto,
     default="1",
     show_default=True,
-    help="Jobs at once; auto: as many as there are cores and memory for.",
+    help="Jobs at once; auto: as many as there are cores and memory for; 0: one, in this process.",
 )
 @click.option("--shard", metavar="K/N", help="Only every N-th job, from the K-th: a task of a farm's array.")
 @click.option("--join", "joined", is_flag=True, help="Makes one summary of those that are named instead of jobs.")
+@click.option("--allow-failures", is_flag=True, help="Exit status 0 also where jobs failed: a farm's task is done.")
 @click.option("--again", is_flag=True, help="Estimate also what is done already.")
 @click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), help="Seconds for one job.")
 @click.option(
@@ -181,6 +182,7 @@ def batch(
     lanes,
     shard,
     joined,
+    allow_failures,
     again,
     time_limit,
     retries,
@@ -197,7 +199,7 @@ def batch(
         if list_file or shard or not places:
             raise InputError("--join", "it takes summaries, and no jobs", "name the batch.json files of the shards")
         result = join(places, summary_place(summary, out, "batch.json"), reporter)
-        return concluded(result, sum(result[s] for s in ("done", "failed", "crashed")))
+        return concluded(result, sum(result[s] for s in STATUSES), allow_failures)
     every = find_jobs(places, list_file)
     mine = shard_of(list(zip(every, result_folders(every, out), strict=True)), shard)
     usual = "batch.json" if shard is None else f"batch-{shard.replace('/', '-of-')}.json"
@@ -210,21 +212,27 @@ def batch(
     opened_library(estimate_options["library_folder"])  # what is wrong with it is said once
     tasks = (EstimateTask(*pair, again=again, **estimate_options) for pair in zip(jobs, folders, strict=True))
     limits = {"time_limit": time_limit, "retries": retries}
-    if scheduler is None:
+    if lanes == 0 and (scheduler or time_limit):
+        raise InputError("--lanes 0", "it goes without --scheduler and --time-limit", "leave out one of them")
+    if lanes == 0:
+        ends = run_here(estimate_job, tasks, reporter)
+    elif scheduler is None:
         ends = run_all(estimate_job, tasks, lanes_for(lanes, len(jobs)), **limits)
     else:
         ends = run_scheduled(scheduler, estimate_job, map(of_anywhere, tasks), **limits)
     with stoppable():
         facts = {} if shard is None else {"shard": shard}
-        return concluded(run_batch(jobs, folders, ends, summary=summary, reporter=reporter, **facts), len(jobs))
+        result = run_batch(jobs, folders, ends, summary=summary, reporter=reporter, **facts)
+    return concluded(result, len(jobs), allow_failures)
 
 
-def concluded(result: dict, total: int) -> tuple[dict, str]:
+def concluded(result: dict, total: int, allow_failures: bool) -> tuple[dict, str]:
     """The result and its words. Raises SomeFailed."""
     bad = total - result["done"]
     place = "the warnings above" if result["summary"] is None else result["summary"]
-    if bad:
+    if bad and not allow_failures:
         do = f"see their messages in {place}; run it again for these"
         raise SomeFailed("batch", f"{bad} of {total} jobs failed", do, result=result)
     kept = f" ({result['kept']} of them before)" if "kept" in result else ""
-    return result, f"{result['done']} jobs done{kept}; see {place}"
+    failed = f", {bad} failed" if bad else ""
+    return result, f"{result['done']} jobs done{kept}{failed}; see {place}"

@@ -11,7 +11,8 @@ import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from btfsep_engine.cli.worker import TOO_LONG, Outcome, Worker
+from btfsep_engine.cli.worker import STOPPED, TOO_LONG, Outcome, Worker, outcome
+from btfsep_engine.progress import Reporter
 
 LANE_MB = 1500.0  # what an estimate holds with a recogniser being trained; of usual pictures
 MOST_MB = 3000.0  # a lane that holds more after a task begins the next in a new process
@@ -50,6 +51,28 @@ def tried(worker: Worker, work, task, time_limit: float | None, retries: int) ->
         if not (end.died or end.exit_code == TOO_LONG):
             break
     return end
+
+
+def run_here(work, tasks: Iterable, reporter) -> Iterator[tuple[int, Outcome]]:
+    """As `run_all`, in this process, which is supervised itself: one that dies ends all."""
+    check = getattr(reporter, "check", lambda: None)
+    for number, task in enumerate(tasks):
+        check()
+        ended = outcome(work, task, Within(check))
+        if ended.exit_code == STOPPED:
+            raise KeyboardInterrupt
+        yield number, ended
+
+
+class Within(Reporter):
+    """Says nothing; ``check`` is called at each word, and may raise."""
+
+    def __init__(self, check):
+        super().__init__()
+        self.check = check
+
+    def progress(self, stage, fraction, message=""):
+        self.check()
 
 
 def run_all(

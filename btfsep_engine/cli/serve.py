@@ -20,7 +20,7 @@ from btfsep_engine.cli.worker import STOPPED, Worker
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.record import plain
 
-NOT_HERE = {"serve", "batch"}  # they start processes of their own
+NOT_HERE = {"serve"}
 LONGEST = 1 << 20  # bytes of a request
 AT_ONCE = 0.04  # seconds in which most commands stop: it is said when they have
 GRACE = 2.0  # seconds; then the process ends, and what it keeps is lost
@@ -97,7 +97,7 @@ class Server:
         if not known or not all(isinstance(a, str | int | float) for a in arguments):
             return self._refuse(number, f"request {number}; it has no command, or its arguments are no list; {FORM}")
         if command in NOT_HERE:
-            return self._refuse(number, f"btfsep {command}; it starts processes of its own; run it by itself")
+            return self._refuse(number, f"btfsep {command}; it is running already; ask it for something else")
         with self._changed:
             if number == self._running or any(number == other for other, _ in self._asked):
                 return self._refuse(None, f"request {number}; one of this id is not over yet; give each its own")

@@ -138,16 +138,28 @@ def _is_entry(entry) -> bool:
     return isinstance(entry, dict) and isinstance(entry.get("job"), str) and entry.get("status") in STATUSES
 
 
+def summaries_in(path: Path) -> list[Path]:
+    """Itself; of a folder, those of shards. InputError where it has none."""
+    if not path.is_dir():
+        return [path]
+    found = sorted(path.glob("batch-*-of-*.json"))
+    if not found:
+        raise InputError(
+            f"{path}", "there is no batch-K-of-N.json in it", "name summaries, or a folder of those of shards"
+        )
+    return found
+
+
 def join(paths, summary: Path, reporter) -> dict:
-    """One summary of several: each job once, as it was done where one of them has it done, else as the last says.
+    """One summary of several, or of folders of them: each job once, done where one has it so, else as the last says.
 
     Returns
     -------
     dict: how many are "done", "failed", "crashed", and the "summary". Raises InputError.
     """
     jobs, shards = {}, {}
-    for path in paths:
-        facts, entries = read_entries(path)
+    for one in (one for path in paths for one in summaries_in(path)):
+        facts, entries = read_entries(one)
         shard = str(facts.get("shard") or "")
         if shard.count("/") == 1:
             k, n = shard.split("/")

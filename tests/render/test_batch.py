@@ -19,12 +19,15 @@ import trimesh
 from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
+from btfsep_engine.cli.batch import EstimateTask, estimate_job
 from btfsep_engine.cli.jobs import find_jobs, result_folders, shard_of
+from btfsep_engine.cli.lanes import run_here
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import job_digest, load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.resume import finished_result
 from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
 
 OPTIONS = ["--material", "reference/white-diffuse", "--order", "2", "--preset", "draft", "--no-report"]
 
@@ -213,7 +216,9 @@ def test_summaries_of_shards_are_joined(shots, tmp_path, monkeypatch, capsys):
     (tmp_path / "killed.jsonl").write_text(journal[:-20])
     code, lines = run(["--join", tmp_path / "killed.jsonl", *out], capsys)
     assert code == 0 and lines[-1]["result"]["done"] == 1
-    for wrong in (shots / "a" / "job.json", tmp_path / "batch.csv", tmp_path / "none", tmp_path):
+    shutil.copy(parts[0], parts[1])
+    assert run(["--join", tmp_path, *out], capsys)[0] == 0  # a folder's shards
+    for wrong in (shots / "a" / "job.json", tmp_path / "batch.csv", tmp_path / "none", shots):
         assert run(["--join", wrong, *out], capsys)[0] == 2
     assert run(["--join", *out], capsys)[0] == 2 and run(["--join", parts[0], "--shard", "1/2"], capsys)[0] == 2
 
@@ -298,3 +303,34 @@ def test_an_option_that_is_wrong_is_said_once_and_nothing_is_begun(shots, capsys
     code, lines = run([shots, *OPTIONS, "--order", "12"], capsys)
     assert code == 2 and [line["message"] for line in lines] == ["--order; '12'; choose 0 to 9, or auto"]
     assert not any((shots / name / "result").exists() for name in "abc")
+
+
+def test_a_batch_in_its_own_process_is_as_any_other(shots, tmp_path, capsys):
+    """As a resident engine does it; where a job may fail, that is no failure of the batch."""
+    own = [shots, "--out", tmp_path, "--lanes", "0", *OPTIONS]
+    code, lines = run(own, capsys)
+    assert code == 3 and lines[-1]["result"]["done"] == 2
+    code, lines = run([*own, "--allow-failures"], capsys)
+    assert code == 0 and lines[-1]["type"] == "done"
+    assert lines[-1]["result"] | {"summary": ""} == {"done": 2, "failed": 1, "crashed": 0, "kept": 2, "summary": ""}
+    assert main(["batch", *map(str, own), "--allow-failures"]) == 0
+    assert "2 jobs done (2 of them before), 1 failed; see" in capsys.readouterr().out
+    assert run([*own, "--time-limit", "3"], capsys)[0] == 2
+    for wrong in ("-1", "many", "257"):
+        assert main(["batch", str(shots), "--lanes", wrong]) == 2
+
+
+def test_a_batch_in_its_own_process_stops_when_its_reporter_says_so(shots):
+    class Stopping(Reporter):
+        words = 0
+
+        def check(self):
+            self.words += 1
+            if self.words > 12:
+                raise KeyboardInterrupt
+
+    task = EstimateTask(shots / "a", shots / "out", choose("draft", order=2), material=OPTIONS[1], with_report=False)
+    ends = run_here(estimate_job, [task] * 9, Stopping())
+    with pytest.raises(KeyboardInterrupt):
+        list(ends)
+    assert not (shots / "out" / "result.json").exists()
