@@ -97,9 +97,9 @@ class BTFSEP_OT_refine_alignment(operators.NeedsScene, runs.EngineOperator, bpy.
         return super().poll(context)
 
     def begin(self, context):
-        folder = request.write_job(context)
         self._camera = (context.scene.btfsep.camera or context.scene.camera).session_uid
         self._ids = set(request.ids_of(context.scene.btfsep).values())
+        folder = yield from request.job_slices(context)
         self._before = camera_of(folder)
         return ["align", folder, "--out", folder / "aligned"]
 

@@ -23,7 +23,8 @@ class BTFSEP_OT_recognise(NeedsScene, runs.EngineOperator, bpy.types.Operator):
 
     def begin(self, context):
         self._ids = request.ids_of(context.scene.btfsep)
-        return request.engine_arguments("recognise", request.write_job(context), context.scene)
+        folder = yield from request.job_slices(context)
+        return request.engine_arguments("recognise", folder, self.scene())
 
     def finish(self, context, result):
         return ", ".join(take_materials(self.scene(), result.get("objects"), self._ids)) or "Nothing was recognised"
@@ -39,8 +40,9 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     outlives = True
 
     def begin(self, context):
-        folder, self._ids = request.write_job(context), request.ids_of(context.scene.btfsep)
-        return request.engine_arguments("estimate", folder, context.scene, "--out", folder / "result")
+        self._ids = request.ids_of(context.scene.btfsep)
+        folder = yield from request.job_slices(context)
+        return request.engine_arguments("estimate", folder, self.scene(), "--out", folder / "result")
 
     def finish(self, context, result):
         scene, said = self.scene(), result.get("warnings") or []

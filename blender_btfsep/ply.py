@@ -28,16 +28,17 @@ def write(path, corner_positions, corner_normals, corner_vertex, *, corner_uv=No
     faces = len(corner_vertex)
     positions = np.asarray(corner_positions, np.float32).reshape(-1, 3)
     normals = np.asarray(corner_normals, np.float32).reshape(-1, 3)
-    # Normals are compared to 1e-4, so that rounding does not tear a smooth surface apart.
-    keys = [np.asarray(corner_vertex, np.int64).reshape(-1, 1), np.round(normals * 1e4).astype(np.int64)]
+    # Normals are compared to 1e-4, so that rounding does not tear a smooth surface apart; three of them fit one number.
+    x, y, z = np.round(normals.T * np.float32(1e4)).astype(np.int64) + 20_000
+    keys = [np.asarray(corner_vertex, np.int64).reshape(-1), (x << 40) | (y << 20) | z]
     columns, names = [positions, normals], ["x", "y", "z", "nx", "ny", "nz"]
     if corner_uv is not None:
-        uv = np.asarray(corner_uv, np.float32).reshape(-1, 2)
-        keys.append(np.ascontiguousarray(uv).view(np.int32).astype(np.int64))
+        uv = np.ascontiguousarray(corner_uv, np.float32).reshape(-1, 2)
+        keys.append(uv.view(np.int64).reshape(-1))
         columns.append(uv)
         names += ["s", "t"]
-    _, first, index = np.unique(np.concatenate(keys, axis=1), axis=0, return_index=True, return_inverse=True)
-    table = np.concatenate(columns, axis=1)[first].astype("<f4")
+    first, index = _distinct(keys)
+    table = np.concatenate([column[first] for column in columns], axis=1).astype("<f4")
     records = np.empty(faces, [("n", "u1"), ("corners", "<i4", 3)])
     records["n"] = 3
     records["corners"] = index.reshape(-1, 3)
@@ -46,3 +47,20 @@ def write(path, corner_positions, corner_normals, corner_vertex, *, corner_uv=No
     header += [f"element face {faces}", "property list uchar int vertex_indices", "end_header", ""]
     atomic.write_bytes(path, "\n".join(header).encode() + table.tobytes() + records.tobytes())
     return len(table)
+
+
+def _distinct(keys):
+    """The first of each group of corners that agree in all ``keys`` (list of (n,) int64), and the group of each corner.
+
+    By a hash, which takes a tenth of the time of sorting rows; corners that share only that are looked for.
+    """
+    hashed = np.zeros(len(keys[0]), np.uint64)
+    for key in keys:
+        hashed ^= key.view(np.uint64)
+        hashed *= np.uint64(0x9E3779B97F4A7C15)
+        hashed ^= hashed >> np.uint64(29)
+    _, first, index = np.unique(hashed, return_index=True, return_inverse=True)
+    if any((key[first][index] != key).any() for key in keys):
+        rows = np.stack(keys, axis=1)
+        _, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return first, index.reshape(-1)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is asked of the engine: a scene's job and the command for it; for the buttons and the command line alike."""
 
+import sys
 import zlib
 from pathlib import Path
 
 import bpy
 
-from . import engine_settings, export, own_surface, preferences, runs
+from . import engine_process, engine_settings, export, export_child, own_surface, preferences, runs
 from .errors import InputError
 
 
@@ -76,6 +77,7 @@ def write_job(
     occluders=None,
     exposure_ev=None,
     curve=None,
+    warn=None,
 ) -> Path:
     """Exports the job that the panel describes; gives its folder.
 
@@ -114,9 +116,44 @@ def write_job(
         exposure_ev=settings.exposure_ev if exposure_ev is None else exposure_ev,
         mapping=settings.mapping,
         curve=curve or settings.curve,
-        warn=runs.warn,
+        warn=warn or runs.warn,
     )
     return path.parent
+
+
+def job_slices(context, **given):
+    """As :func:`write_job`, as a generator that gives way while a Blender of its own exports a large scene.
+
+    Gives the folder. Raises InputError.
+    """
+    if given or not export_child.wanted(context, context.scene.btfsep):
+        return write_job(context, **given)
+    yield  # the panel says what is going on
+    folder = job_folder(context.scene)
+    file = folder.with_name(f"{folder.name}-export.blend")
+    process = None
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        export_child.write(context.scene, file)
+        told = export_child.command(file, context.scene, context.view_layer, folder)
+        process = engine_process.EngineProcess(engine_process.Engine(told[:1]), told[1:])
+        while not process.over:
+            for message in process.poll():
+                if isinstance(message, engine_process.Notice):
+                    runs.warn(message.message)
+                elif isinstance(message, engine_process.Failed):
+                    raise InputError(message.message, "", "") if message.exit_code == 2 else _export_failed(message)
+            yield
+    finally:
+        if process is not None:
+            process.kill()
+        file.unlink(missing_ok=True)
+    return folder
+
+
+def _export_failed(failed) -> InputError:
+    sys.stderr.write(failed.details + "\n")
+    return InputError("the export", "the Blender that was to write the job failed", "see the console; please report it")
 
 
 def engine_arguments(command: str, folder, scene, *own, options=None) -> list:

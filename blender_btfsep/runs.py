@@ -70,14 +70,6 @@ class Preparation:
         self.over = True
 
 
-def whole(slices):
-    """Does all slices of a generator; gives its value."""
-    preparation = Preparation(slices)
-    while not preparation.step():
-        pass
-    return preparation.arguments
-
-
 def start_engine(arguments, engine: str = "", *, stays: bool = True) -> engine_process.EngineProcess:
     """Starts a run of the engine, ``engine`` or the preferences'. Raises InputError.
 
@@ -180,7 +172,7 @@ class EngineOperator:
     def cancel(self, context):
         """Blender gives the operator up: another file is opened, or it quits."""
         self._no_timer(context)
-        if self.outlives and isinstance(current, engine_process.EngineProcess):
+        if self.outlives and not isinstance(current, Preparation):
             leave(current, self.task, self._scene_name)
         else:
             stop_now()
@@ -238,6 +230,7 @@ class EngineOperator:
             while not current.step():
                 if not whole:
                     return True
+                time.sleep(INTERVAL)
             current = start_engine(current.arguments)
         except InputError as error:
             current = None

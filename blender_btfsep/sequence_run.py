@@ -126,8 +126,9 @@ class BTFSEP_OT_estimate_sequence(NeedsScene, runs.EngineOperator, bpy.types.Ope
         start = self.frame_start if self.properties.is_property_set("frame_start") else None
         camera = settings.camera or context.scene.camera
         self._files, self._start = photos(settings.image, camera, pattern, start)
-        folder, self._ids = request.write_job(context, image=self._files[0]), request.ids_of(settings)
-        return engine_arguments(folder, context.scene, self._files, folder / OUT, pattern=pattern)
+        self._ids = request.ids_of(settings)
+        folder = yield from request.job_slices(context, image=self._files[0])
+        return engine_arguments(folder, self.scene(), self._files, folder / OUT, pattern=pattern)
 
     def finish(self, context, result):
         scene = self.scene()

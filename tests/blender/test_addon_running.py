@@ -87,7 +87,8 @@ def test_the_bar_is_where_the_engine_says(photographed, fake_engine, monkeypatch
     done = {"type": "done", "result": FOUND}
     fake_engine(lines=[line | {"whole": 0.25}, line | {"whole": 0.75, "message": ""}, done])
     assert bpy.ops.btfsep.recognise() == {"FINISHED"}
-    assert [s for s in seen if s[0]] == [("Tomorrow", "oak", 0.25), ("Tomorrow", "", 0.75)]
+    writing = ("Writing the job", "", 0.0)
+    assert [s for s in seen if s[0]] == [writing, ("Tomorrow", "oak", 0.25), ("Tomorrow", "", 0.75)]
 
 
 def test_the_bar_and_the_tooltip_go_by_the_last_run(photographed, fake_engine):

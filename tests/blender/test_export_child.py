@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The export in a Blender of its own: the same job, its words, its end; and when it is wanted."""
+
+import json
+import shutil
+import time
+
+import bpy
+import numpy as np
+import pytest
+
+from tests.blender.test_addon_operators import FOUND
+
+
+@pytest.fixture
+def large(photographed, monkeypatch):
+    """A scene that would hold a window up: smoothed in a render; something hidden; a second scene of the file."""
+    from blender_btfsep import export_child
+
+    cube = photographed.btfsep.objects[0].object
+    modifier = cube.modifiers.new("Smooth", "SUBSURF")
+    modifier.levels, modifier.render_levels = 0, 7
+    bpy.ops.mesh.primitive_plane_add(size=9, location=(0, 0, -1))
+    bpy.context.object.name = "Table"
+    bpy.context.object.hide_set(True)
+    photographed.btfsep.objects[0].material = "wood/oak"
+    bpy.data.scenes.new("Another")
+    monkeypatch.setattr(export_child, "wanted", export_child.is_large)  # as if there were a window to hold up
+    return photographed
+
+
+def files_of(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
+
+
+def test_a_second_blender_writes_the_same_job(large):
+    from blender_btfsep import request
+
+    here = files_of(request.write_job(bpy.context))
+    shutil.rmtree(request.job_folder(large))
+    slices = request.job_slices(bpy.context)
+    count = 0
+    while True:
+        try:
+            next(slices)
+        except StopIteration as end:
+            folder = end.value
+            break
+        count += 1
+        time.sleep(0.02)
+    there = files_of(folder)
+    assert count > 1 and set(here) == set(there) == {"job.json", "photo.png", "Cube.ply", "Table.ply"}
+    mine, its = (json.loads(files["job.json"]) for files in (here, there))
+    assert np.allclose(mine["camera"].pop("to_world"), its["camera"].pop("to_world")) and mine == its
+    assert all(here[name] == there[name] for name in ("photo.png", "Table.ply", "Cube.ply"))
+    assert not list(folder.parent.glob("*-export.blend"))
+
+
+def test_its_faults_are_passed_on_and_nothing_is_left(large):
+    from blender_btfsep import request, runs
+    from blender_btfsep.errors import InputError
+
+    large.camera.data.type = "PANO"
+    slices = request.job_slices(bpy.context)
+    with pytest.raises(InputError, match="choose a perspective or orthographic camera"):
+        for _ in slices:
+            pass
+    folder = request.job_folder(large)
+    assert not list(folder.parent.glob("*-export.blend")) and not (folder / "job.json").exists()
+    # given up in its midst
+    large.camera.data.type = "PERSP"
+    preparation = runs.Preparation(request.job_slices(bpy.context))
+    assert not preparation.step() and not preparation.step()
+    assert list(folder.parent.glob("*-export.blend"))
+    preparation.kill()
+    assert preparation.over and not list(folder.parent.glob("*-export.blend"))
+    assert not (folder / "job.json").exists()
+
+
+def test_an_operator_waits_for_it(large, fake_engine, tmp_path):
+    fake_engine(log=str(tmp_path / "log"), lines=[{"type": "done", "result": FOUND}])
+    assert bpy.ops.btfsep.recognise() == {"FINISHED"}
+    folder = json.loads((tmp_path / "log").read_text())[1]
+    assert "Cube" in [o["name"] for o in json.loads(open(f"{folder}/job.json").read())["objects"]]
+    large.camera.data.type = "PANO"
+    with pytest.raises(RuntimeError, match="choose a perspective or orthographic camera"):
+        bpy.ops.btfsep.recognise()
+    assert not bpy.context.window_manager.btfsep.running
+
+
+def test_when_it_is_wanted(large):
+    from blender_btfsep import export_child
+
+    def asked():
+        return export_child.is_large(bpy.context, large.btfsep)
+
+    cube = large.btfsep.objects[0].object
+    assert asked()
+    cube.modifiers["Smooth"].render_levels = 2
+    assert not asked()
+    cube.modifiers["Smooth"].levels = 5  # the viewport's own is not the render's
+    assert not asked()
+    cube.modifiers["Smooth"].levels, cube.modifiers["Smooth"].render_levels = 0, 7
+    cloth = cube.modifiers.new("Cloth", "CLOTH")  # what it has come to is in this Blender only
+    assert not asked()
+    cube.modifiers.remove(cloth)
+    driver = cube.driver_add("location", 0).driver
+    driver.expression = "frame * 0.1"
+    assert asked()
+    driver.expression = "my_function(frame)"  # of this Blender's name space
+    assert not asked()
