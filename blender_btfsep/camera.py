@@ -5,6 +5,7 @@ import numpy as np
 
 from .errors import InputError
 
+TYPES = ("PERSP", "ORTHO")  # of cameras that have a pinhole's or a parallel projection
 OFF_CENTRE = 0.005  # of the width: the centre of a clip's distortion may be so far from the camera's
 
 
@@ -44,7 +45,7 @@ def intrinsics(scene, camera, width: float, height: float) -> dict:
         When the camera is of another type.
     """
     data = camera.data
-    if data.type not in ("PERSP", "ORTHO"):
+    if data.type not in TYPES:
         got = f"its type is {data.type}"
         raise InputError(f"camera '{camera.name}'", got, "choose a perspective or orthographic camera")
     aspect = scene.render.pixel_aspect_y / scene.render.pixel_aspect_x

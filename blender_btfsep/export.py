@@ -73,10 +73,13 @@ def export_job(
     if depth is None and not objects:
         raise InputError("the objects", "none is chosen", "choose the objects that the photo shows")
     for thing in objects:
-        if thing.type not in meshes.SURFACE_TYPES:
-            raise InputError(f"object '{thing.name}'", f"it is a {thing.type.lower()}", "choose objects with a surface")
+        if not meshes.has_surface(thing):
+            got = "it has no surface, nor has what it instances"
+            raise InputError(f"object '{thing.name}'", got, "choose objects with a surface")
     folder = _prepare(folder)
 
+    for sentence in meshes.not_as_rendered({*objects, *(scene.objects if occluders is None else occluders)}):
+        warn(sentence)
     touched = set(objects) | {o for o in scene.objects if occluders is None or o in occluders}
     with meshes.as_rendered(view_layer, touched, chosen={*objects, *(occluders or ())}):
         view_layer.update()

@@ -10,6 +10,14 @@ SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 VIEWPORT = ("hide_viewport", "show_instancer_for_viewport", "show_viewport", ".levels")  # what a render has of its own
 
 
+def has_surface(thing) -> bool:
+    """Whether an object may have faces: of its own, or those of a collection that it instances."""
+    if thing.type in SURFACE_TYPES:
+        return True
+    held = thing.instance_collection if thing.instance_type == "COLLECTION" else None
+    return held is not None and any(has_surface(each) for each in held.all_objects)
+
+
 def triangles_of_mesh(mesh, matrix) -> dict | None:
     """The triangles of an evaluated ``bpy.types.Mesh`` under ``matrix : (4, 4)``.
 
@@ -154,6 +162,19 @@ def render_occluders(view_layer, depsgraph, excluded) -> list:
     return [found[name] for name in sorted(found)]
 
 
+def not_as_rendered(things) -> list:
+    """Sentences about objects whose modifiers `as_rendered` cannot have as a render has them: linked ones."""
+
+    def differs(modifier):
+        levels = getattr(modifier, "levels", 0) != getattr(modifier, "render_levels", 0)
+        return modifier.show_viewport != modifier.show_render or (levels and modifier.show_render)
+
+    linked = sorted(t.name for t in things if t.library is not None and any(differs(m) for m in t.modifiers))
+    return [
+        f"object '{name}' is linked from another file: its modifiers are as the viewport has them" for name in linked
+    ]
+
+
 @contextmanager
 def as_rendered(view_layer, objects, *, chosen=()):
     """While it lasts, the viewport shows what a render would: what is hidden, and the modifiers of ``objects``.
@@ -198,6 +219,17 @@ def as_rendered(view_layer, objects, *, chosen=()):
                 put(modifier, "show_viewport", modifier.show_render)
                 if isinstance(modifier, bpy.types.SubsurfModifier | bpy.types.MultiresModifier):
                     put(modifier, "levels", modifier.render_levels)
+            data = thing.data
+            for finer in ("resolution", "resolution_u", "resolution_v"):  # of metaballs; of curves, where 0 is the same
+                if getattr(data, f"render_{finer}", 0) and data.library is None:
+                    put(data, finer, getattr(data, f"render_{finer}"))
+            for system in thing.particle_systems:
+                if system.settings.library is None:
+                    put(system.settings, "display_percentage", 100)
+        render = view_layer.id_data.render
+        if render.use_simplify:
+            put(render, "simplify_subdivision", render.simplify_subdivision_render)
+            put(render, "simplify_child_particles", render.simplify_child_particles_render)
         yield
     finally:
         for owner, name, old in reversed(changed):

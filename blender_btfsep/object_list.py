@@ -4,7 +4,7 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from .meshes import SURFACE_TYPES
+from .meshes import has_surface
 from .request import active_entry
 from .runs import Greyed
 
@@ -18,14 +18,14 @@ class BTFSEP_OT_add_objects(Greyed, bpy.types.Operator):
 
     @staticmethod
     def reason(context) -> str:
-        chosen = any(thing.type in SURFACE_TYPES for thing in context.selected_objects)
+        chosen = any(has_surface(thing) for thing in context.selected_objects)
         return "" if chosen else "Select objects with a surface first"
 
     def execute(self, context):
         settings = context.scene.btfsep
         present = {entry.object for entry in settings.objects}
         for thing in context.selected_objects:
-            if thing.type in SURFACE_TYPES and thing not in present:
+            if has_surface(thing) and thing not in present:
                 settings.objects.add().object = thing
         settings.active_object = len(settings.objects) - 1
         return {"FINISHED"}

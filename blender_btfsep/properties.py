@@ -15,7 +15,7 @@ from bpy.props import (
 
 from . import engine_settings, library
 from .animation import INTERPOLATIONS
-from .meshes import SURFACE_TYPES
+from .meshes import has_surface
 
 WORLD_MODES = (
     ("NODES", "Nodes", "An editable node group that evaluates the spherical harmonics, coefficients as its inputs"),
@@ -60,7 +60,7 @@ class BTFSEP_PG_candidate(bpy.types.PropertyGroup):
 class BTFSEP_PG_object(bpy.types.PropertyGroup):
     """An object that the photo shows, or the surface of its depth (then without ``object``)."""
 
-    object: PointerProperty(name="Object", type=bpy.types.Object, poll=lambda self, thing: thing.type in SURFACE_TYPES)
+    object: PointerProperty(name="Object", type=bpy.types.Object, poll=lambda self, thing: has_surface(thing))
     source: EnumProperty(name="Made Of", description="What the object is made of", items=SOURCES)
     material: StringProperty(
         name="Material",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_process, engine_settings, export, export_child, own_surface, preferences, runs
+from . import engine_process, engine_settings, export, export_child, own_surface, preferences, reasons, runs
 from .errors import InputError
 
 
@@ -44,14 +44,7 @@ def missing(context) -> str:
     settings = context.scene.btfsep
     if runs.is_running():
         return runs.RUNNING
-    if settings.image is None:
-        return "Choose the photo first"
-    if (settings.camera or context.scene.camera) is None:
-        return "The scene has no camera: add the one that took the photo"
-    if not fitted(settings):
-        return "Add the objects that the photo shows to the list first"
-    unnamed = [name for name, e in fitted(settings).items() if e.source == "LIBRARY" and not e.material]
-    return f"Choose the material of '{unnamed[0]}', or have it recognised" if unnamed else ""
+    return reasons.of(context.scene, context.view_layer, settings, fitted(settings))
 
 
 def job_folder(scene) -> Path:

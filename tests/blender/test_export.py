@@ -328,7 +328,7 @@ def test_wrong_scenes_are_refused_in_words(scene, tmp_path, add_camera):
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
     with pytest.raises(InputError, match="none is chosen"):
         export.export_job(scene, job, image_path=photo, objects=[])
-    with pytest.raises(InputError, match="it is a camera"):
+    with pytest.raises(InputError, match="it has no surface"):
         export.export_job(scene, job, image_path=photo, objects=[camera])
     with pytest.raises(InputError, match="no such file"):
         export.export_job(scene, job, image_path=tmp_path / "absent.png", objects=[cube])

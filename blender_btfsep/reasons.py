@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Why a run cannot be begun, in sentences for tooltips: told by looks alone, before a click. Nothing here is slow."""
+
+from . import camera as pinhole
+from . import meshes, photo, runs
+
+
+def of(scene, view_layer, settings, entries: dict) -> str:
+    """The first thing that the scene lacks for a run, as a sentence; empty when nothing is missing.
+
+    ``entries`` : name -> entry of what is fitted.
+    """
+    return (
+        _of_photo(settings.image)
+        or _of_camera(settings.camera or scene.camera)
+        or _of_shape(scene, settings.image)
+        or next(filter(None, (_of_entry(name, e, view_layer, settings) for name, e in entries.items())), "")
+        or ("" if entries else "Add the objects that the photo shows to the list first")
+    )
+
+
+def _of_photo(image) -> str:
+    if image is None:
+        return "Choose the photo first"
+    path = photo.file_of(image)
+    kept = image.packed_file is not None or image.source not in {"FILE", "SEQUENCE"} or image.is_dirty
+    if not kept and (path is None or not path.is_file()):
+        return f"The photo's file {path.name if path else ''} is not there: choose the photo again"
+    return ""
+
+
+def _of_camera(camera) -> str:
+    if camera is None:
+        return "The scene has no camera: add the one that took the photo"
+    if camera.type != "CAMERA":
+        return f"'{camera.name}' is no camera: choose the one that took the photo"
+    if camera.data.type not in pinhole.TYPES:
+        return f"Camera '{camera.name}' is panoramic: choose a perspective or orthographic one"
+    if camera.matrix_world.determinant() <= 0:
+        return f"The scale of camera '{camera.name}' is negative or zero: apply it"
+    return ""
+
+
+def _of_shape(scene, image) -> str:
+    width, height = image.size
+    if not (width and height):
+        return f"The photo '{image.name}' has no pixels: choose it again"
+    if pinhole.shown(scene, (width, height)) is not None:
+        return ""
+    wide, high = pinhole.render_region(scene)[2:]
+    return f"The photo is {width} x {height}, the scene renders {wide} x {high}: set the resolution to the photo's"
+
+
+def _of_entry(name: str, entry, view_layer, settings) -> str:
+    thing = entry.object
+    if thing is not None and settings.depth is None:
+        if not meshes.has_surface(thing):
+            return f"'{name}' has no surface: take it off the list"
+        if thing.name not in view_layer.objects:
+            return f"'{name}' is in no collection of this view layer: include its collection, or take it off the list"
+        if settings.mapping == "OWN" and thing.type == "MESH" and not thing.data.uv_layers and not thing.modifiers:
+            return f"'{name}' has no UV map: unwrap it, or take another Material Mapping"
+    if entry.source == "LIBRARY":
+        if not entry.material:
+            return f"Choose the material of '{name}', or have it recognised"
+        known = [material.name for material in runs.run_state().library]
+        if known and entry.material not in known:
+            return f"The library has no material '{entry.material}', which '{name}' is to be of"
+    mask = entry.mask
+    if mask is not None and tuple(mask.size) != tuple(settings.image.size):
+        return f"The mask of '{name}' has another size than the photo: make it from the photo"
+    return ""
