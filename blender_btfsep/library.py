@@ -15,8 +15,7 @@ ALL = ("ALL", "All Classes", "Every material of the library")
 
 _reading = None
 _read_for = None  # the folder that was read, or whose reading failed
-_items: dict = {"materials": [], "classes": []}
-"""Blender keeps no copy of the strings that an enumeration's callback gives."""
+_choices: dict = {}
 
 
 def arguments() -> list:
@@ -80,11 +79,15 @@ def read_now() -> None:
         time.sleep(INTERVAL / 4)
 
 
+def _kept(choices: list) -> list:
+    """The same list whenever it has the same choices: Blender keeps no copy of an enumeration's strings."""
+    return _choices.setdefault(tuple(choices), choices)
+
+
 def classes() -> list:
     """The choices of the class filter."""
     kinds = sorted({item.kind for item in runs.run_state().library if item.kind})
-    _items["classes"] = [ALL, *((kind, kind.capitalize(), "") for kind in kinds)]
-    return _items["classes"]
+    return _kept([ALL, *((kind, kind.capitalize(), "") for kind in kinds)])
 
 
 def items(entry) -> list:
@@ -102,8 +105,7 @@ def items(entry) -> list:
     out.sort(key=lambda item: -scores.get(item[0], 0))
     if not number_of(entry.material):
         out.insert(0, ("NONE", "Choose", "No material of the library is chosen", 0, 0))
-    _items["materials"] = out
-    return out
+    return _kept(out)
 
 
 def number_of(name: str) -> int:

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The buttons that start the engine."""
 
+import contextlib
+
 import bpy
 
-from . import library, request, runs
-from .answer import FOUND, take_estimate, take_materials
+from . import engine_process, library, request, runs
+from .answer import FOUND, take_estimate, take_light, take_materials
+from .errors import InputError
 
 
 class NeedsScene(runs.Greyed):
@@ -43,6 +46,19 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         self._ids = request.ids_of(context.scene.btfsep)
         folder = yield from request.job_slices(context)
         return request.engine_arguments("estimate", folder, self.scene(), "--out", folder / "result")
+
+    def _heard(self, message):
+        super()._heard(message)
+        if isinstance(message, engine_process.Light):
+            with contextlib.suppress(InputError):  # what is wrong with it is said at the end
+                take_light(self.scene(), message.lighting)
+                self._lit = True
+
+    def _end(self, context, last):
+        done = super()._end(context, last)
+        if done == {"CANCELLED"} and getattr(self, "_lit", False):
+            bpy.ops.ed.undo_push(message=self.bl_label)  # the light that came before the end is a step of its own
+        return done
 
     def finish(self, context, result):
         scene, said = self.scene(), result.get("warnings") or []

@@ -253,6 +253,31 @@ def test_a_light_that_was_tampered_with_is_refused_in_words(estimated):
             bpy.ops.btfsep.apply()
 
 
+@pytest.mark.parametrize("mode", ["NODES", "NONE"])
+def test_the_light_is_the_world_as_soon_as_the_engine_has_it(photographed, fake_engine, tmp_path, mode):
+    (tmp_path / "a.json").write_text(json.dumps(LIGHTING))
+    sentence = "the report; the disk is full; make room"
+    last = {"type": "failed", "message": sentence, "exit_code": 2}
+    fake_engine(lines=[{"type": "light", "lighting": str(tmp_path / "a.json")}, last], exit=2)
+    photographed.world = bpy.data.worlds.new("Mine")
+    photographed.btfsep.world_mode = mode
+    bpy.ops.ed.undo_push(message="before")
+    with pytest.raises(RuntimeError, match="the disk is full"):
+        bpy.ops.btfsep.estimate()
+    scene = bpy.context.scene
+    assert (scene.world.name == "Mine") == (mode == "NONE")
+    if mode == "NODES":  # it stays, and is a step of its own
+        assert coefficients(scene.world)[0] == tuple(LIGHTING["coefficients"][0])
+        bpy.ops.ed.undo()
+        assert bpy.context.scene.world.name == "Mine"
+
+
+def test_a_light_that_cannot_be_read_is_said_at_the_end_alone(photographed, fake_engine, tmp_path):
+    early = {"type": "light", "lighting": str(tmp_path / "absent.json")}
+    fake_engine(lighting=LIGHTING, result=SAID, lines=[early])
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+
+
 def test_a_first_light_is_the_world_before_the_estimate_is_over(photographed, tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(LIGHTING))
     answer.take_light(photographed, tmp_path / "a.json")
