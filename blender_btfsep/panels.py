@@ -202,6 +202,9 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             row.operator("btfsep.estimate", icon="LIGHT_SUN")
             if sequence_run.is_sequence(settings.image):
                 layout.operator("btfsep.estimate_sequence", icon="SEQUENCE")
+            lacking = request.missing(context)
+            if lacking:
+                _wrapped(context, layout, lacking, icon="INFO")
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
         if light is not None:

@@ -12,7 +12,7 @@ def of(scene, view_layer, settings, entries: dict) -> str:
     """
     return (
         _of_photo(settings.image)
-        or _of_camera(settings.camera or scene.camera)
+        or of_camera(settings.camera or scene.camera)
         or _of_shape(scene, settings.image)
         or next(filter(None, (_of_entry(name, e, view_layer, settings) for name, e in entries.items())), "")
         or ("" if entries else "Add the objects that the photo shows to the list first")
@@ -29,7 +29,8 @@ def _of_photo(image) -> str:
     return ""
 
 
-def _of_camera(camera) -> str:
+def of_camera(camera) -> str:
+    """Why a camera (or None) cannot be used; empty where it can."""
     if camera is None:
         return "The scene has no camera: add the one that took the photo"
     if camera.type != "CAMERA":

@@ -4,7 +4,7 @@
 import bpy
 
 from . import camera as pinhole
-from . import frames, light_picture, photo, runs
+from . import frames, light_picture, photo, reasons, runs
 from .errors import InputError
 
 READ = {
@@ -12,7 +12,6 @@ READ = {
     "linear": "read as linear light",
     "unknown": "its tone curve is found from the photo",
 }
-USABLE = {"PERSP", "ORTHO"}
 
 
 def background(camera):
@@ -96,11 +95,8 @@ class BTFSEP_OT_use_photo(runs.Greyed, bpy.types.Operator):
     def reason(context) -> str:
         scene, settings = context.scene, context.scene.btfsep
         camera = settings.camera or scene.camera
-        if camera is None:
-            return "The scene has no camera: add the one that took the photo"
-        if camera.data.type not in USABLE:
-            return f"Camera '{camera.name}' is neither perspective nor orthographic"
-        return "" if settings.image or background(camera) else "Open the photo first"
+        lacking = reasons.of_camera(camera)
+        return lacking or ("" if settings.image or background(camera) else "Open the photo first")
 
     def execute(self, context):
         scene, settings = context.scene, context.scene.btfsep

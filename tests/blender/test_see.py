@@ -73,10 +73,27 @@ def test_the_cameras_background_is_taken_for_the_photo(photographed):
     assert photographed.btfsep.image == image and len(photographed.camera.data.background_images) == 1
 
 
-def test_cameras_that_cannot_be_used_are_said_before_the_click(photographed):
+def test_what_cannot_be_estimated_is_said_before_the_click(photographed, tmp_path):
+    settings, said = photographed.btfsep, lambda: request.missing(bpy.context)
+    assert said() == ""
     photographed.camera.data.type = "PANO"
-    with pytest.raises(RuntimeError, match="neither perspective nor orthographic"):
-        bpy.ops.btfsep.use_photo()
+    for operator in (bpy.ops.btfsep.use_photo, bpy.ops.btfsep.estimate):
+        with pytest.raises(RuntimeError, match="is panoramic"):
+            operator()
+    photographed.camera.data.type = "ORTHO"
+    settings.image = photo(tmp_path / "wide.png", 60, 20)
+    assert "set the resolution" in said()
+    bpy.ops.btfsep.use_photo()
+    assert said() == ""
+    (tmp_path / "wide.png").unlink()
+    settings.image.reload()
+    assert said() == "The photo's file wide.png is not there: choose the photo again"
+    settings.image = photo(tmp_path / "again.png", 60, 20)
+    settings.objects[0].material = "wood/oka"
+    assert said() == ""  # the library was not read yet
+    runs.run_state().library.add().name = "wood/oak"
+    assert said().startswith("The library has no material 'wood/oka'")
+    runs.run_state().library.clear()
 
 
 def test_a_photo_of_the_render_region_lies_where_the_region_is(photographed, tmp_path):
