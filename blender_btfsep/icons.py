@@ -37,12 +37,18 @@ def of_image(image) -> int:
 
 def of_file(path: str) -> int:
     """The icon of a picture file; 0 where it cannot be read."""
+    preview = preview_of_file(path)
+    return 0 if preview is None else preview.icon_id
+
+
+def preview_of_file(path: str):
+    """The bpy.types.ImagePreview of a picture file; None where it cannot be read."""
     if path not in _previews:
         try:
             _previews.load(path, path, "IMAGE")
         except (KeyError, RuntimeError):
-            return 0
-    return _previews[path].icon_id
+            return None
+    return _previews[path]
 
 
 def _put(preview, rgba, *, icon: bool = False) -> None:

@@ -33,6 +33,7 @@ def take(result: dict) -> int:
         item = state.library.add()
         item.name, item.kind = str(material["name"]), str(material.get("class") or "")
         item.thumbnail = str(material.get("thumbnail") or "")
+        item.colour = material.get("albedo") or (0.5, 0.5, 0.5)
     state.library_error, _read_for = "", preferences.get().library
     return len(state.library)
 

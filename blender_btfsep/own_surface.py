@@ -3,7 +3,7 @@
 
 import re
 
-from . import photo, surroundings
+from . import library_assets, photo, surroundings
 from .bake import source_of
 from .errors import InputError
 
@@ -12,6 +12,8 @@ BLENDER = "BLENDER"
 
 def material_of(entry) -> str | None:
     """The library's material that an entry of the object list names; None: none is named."""
+    if entry is not None and entry.source == BLENDER:
+        return library_assets.material_named_by(entry.object) or None
     return entry.material or None if entry is not None and entry.source == "LIBRARY" else None
 
 
@@ -20,7 +22,8 @@ def chosen(entry):
     if entry.source == "COLOUR":
         colour = [round(value, 6) for value in entry.colour]
         return {"base_color": colour, "roughness": round(entry.roughness, 6), "metallic": round(entry.metallic, 6)}
-    return BLENDER if entry.source == "BLENDER" else None
+    stands_for = library_assets.material_named_by(entry.object)
+    return BLENDER if entry.source == BLENDER and not stands_for else None
 
 
 def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn) -> dict | None:

@@ -10,6 +10,7 @@ from . import (
     icons,
     kept_light,
     library,
+    library_assets,
     mending,
     outlines,
     preferences,
@@ -133,9 +134,8 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
             split.prop(entry, "metallic")
         elif entry.source == "BLENDER":
             material = entry.object and entry.object.active_material
-            _wrapped(
-                context, layout, f"'{material.name}'" if material else "It has no material: white", icon="MATERIAL"
-            )
+            words = library_assets.material_named_by(entry.object) or (material and f"'{material.name}'")
+            _wrapped(context, layout, words or "It has no material: white", icon="MATERIAL")
         elif entry.source == "LIBRARY":
             self._library(context, layout, entry)
         elif entry.candidates:
@@ -147,6 +147,7 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         row = layout.row(align=True)
         if run.library:
             row.prop(run, "library_class", text="")
+            row.operator("btfsep.library_assets", text="", icon="ASSET_MANAGER")
             row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
             layout.template_icon_view(entry, "browse", show_labels=True, scale=5, scale_popup=4.5)
             layout.prop_search(entry, "material", run, "library", text="", icon="MATERIAL")
@@ -167,10 +168,14 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         if entry.unknown:
             _wrapped(context, box, "It looks like no material of the library; the nearest are:", icon="QUESTION")
         column = box.column(align=True)
+        library.ensure()  # for the thumbnails
+        pictures = {material.name: material.thumbnail for material in runs.run_state().library}
         for candidate in entry.candidates[:SHOWN]:
             row = column.split(factor=0.7, align=True)
             row.active = candidate.name == entry.recognised
-            row.operator("btfsep.use_candidate", text=candidate.name, emboss=False).material = candidate.name
+            name, picture = candidate.name, pictures.get(candidate.name)
+            shown = icons.of_file(picture) if picture else 0
+            row.operator("btfsep.use_candidate", text=name, icon_value=shown, emboss=False).material = name
             row.progress(factor=candidate.score, type="BAR", text=f"{100 * candidate.score:.0f} %")
 
 
@@ -243,6 +248,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         column = box.column(align=True)
         for label, words in card.get("lines") or ():
             if label == "Trust":
+                words = "Being checked …" if runs.is_running() and card["trust"] == "NONE" else words
                 _wrapped(context, column, words, icon_value=icons.light(card["trust"]))
                 continue
             row = column.split(factor=0.3)

@@ -191,6 +191,7 @@ class BTFSEP_PG_material(bpy.types.PropertyGroup):
 
     kind: StringProperty(name="Class")
     thumbnail: StringProperty(name="Thumbnail", subtype="FILE_PATH")
+    colour: FloatVectorProperty(name="Colour", subtype="COLOR", size=3, min=0, max=1, default=(0.5, 0.5, 0.5))
 
 
 class BTFSEP_PG_run(bpy.types.PropertyGroup):

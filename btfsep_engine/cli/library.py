@@ -46,8 +46,9 @@ def library_list(*, library_folder, thumbnails, side, reporter):
         for number, material in enumerate(materials):
             reporter.progress("thumbnails", number / len(materials), material["name"])
             path = thumbnails / (material["name"].replace("/", "_") + ".png")
-            write_png(path, render(opened.load(material["name"]), side))
-            material["thumbnail"] = str(path)
+            found = opened.load(material["name"])
+            write_png(path, render(found, side))
+            material |= {"thumbnail": str(path), "albedo": [round(float(v), 4) for v in found.diffuse_albedo()]}
         reporter.progress("thumbnails", 1.0)
     return {"materials": materials}, "\n".join(m["name"] for m in materials)
 

@@ -12,7 +12,7 @@ from btfsep_engine.job.load import load_job
 
 MATERIALS = [
     {"name": "wood/oak", "class": "wood"},
-    {"name": "leather/black-nappa", "class": "leather"},
+    {"name": "leather/black-nappa", "class": "leather", "albedo": [0.1, 0.2, 0.3]},
     {"name": "leather/brown", "class": "leather"},
 ]
 
@@ -173,10 +173,36 @@ def test_materials_are_browsed_by_class_and_picture(photographed, cube, shelf):
     assert np.allclose(pictures, [[0.25] * 3, [0.5] * 3, [0.75] * 3], atol=0.01)
 
 
+def test_the_librarys_materials_are_assets_that_say_what_an_object_is_made_of(photographed, cube, shelf, tmp_path):
+    with pytest.raises(RuntimeError, match="Read the library first"):
+        bpy.ops.btfsep.library_assets()
+    library.read_now()
+    assert bpy.ops.btfsep.library_assets() == {"FINISHED"} == bpy.ops.btfsep.library_assets()
+    assets = [m for m in bpy.data.materials if m.asset_data]
+    assert [m.name for m in assets] == ["Black nappa", "Brown", "Oak"]  # once
+    assert [t.name for t in assets[0].asset_data.tags] == ["leather"]
+    shader = assets[0].node_tree.nodes["Principled BSDF"]
+    assert np.allclose(shader.inputs["Base Color"].default_value[:3], (0.1, 0.2, 0.3))
+    assert np.allclose(np.array(assets[0].preview.image_pixels_float)[:3], 0.5, atol=0.01)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    scene = bpy.context.scene
+    entry, asset = scene.btfsep.objects[0], bpy.data.materials["Black nappa"]
+    assert np.allclose(np.array(asset.preview.image_pixels_float)[:3], 0.5, atol=0.01)
+    entry.object.data.materials.append(asset)
+    entry.source = "BLENDER"
+    job = job_of(scene, tmp_path)
+    assert (job["material"], job["surface"]) == ("leather/black-nappa", None)
+    entry.object.data.materials.append(bpy.data.materials["Oak"])  # of two kinds: then as it looks
+    job = job_of(scene, tmp_path)
+    assert job["material"] is None and np.allclose(job["surface"]["base_color"], (0.1, 0.2, 0.3))
+
+
 def test_thumbnails_of_the_engine_itself(addon, tmp_path):
     library.read_now()
     state = runs.run_state()
     assert not state.library_error
     assert {"wood/oak-boards", "reference/chrome"} <= {m.name for m in state.library}
+    assert state.library["reference/white-diffuse"].colour[0] > 0.7 > state.library["leather/black-nappa"].colour[0]
     assert all(icons.of_file(m.thumbnail) == icons.of_file(m.thumbnail) for m in state.library)
     assert all(tuple(icons._previews[m.thumbnail].image_size) == (96, 96) for m in state.library)
