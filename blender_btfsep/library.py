@@ -14,7 +14,8 @@ SIDE = 96  # pixels of a thumbnail
 ALL = ("ALL", "All Classes", "Every material of the library")
 
 _reading = None
-_read_for = None  # the folder that was read, or whose reading failed
+_last: tuple = (None, {})
+"""The folder that was read last, and the engine's answer: opening a file empties what is on the WindowManager."""
 _choices: dict = {}
 
 
@@ -26,7 +27,7 @@ def arguments() -> list:
 
 def take(result: dict) -> int:
     """Puts the engine's list into the panel; gives how many materials there are."""
-    global _read_for
+    global _last
     state = runs.run_state()
     state.library.clear()
     for material in result.get("materials") or []:
@@ -34,8 +35,16 @@ def take(result: dict) -> int:
         item.name, item.kind = str(material["name"]), str(material.get("class") or "")
         item.thumbnail = str(material.get("thumbnail") or "")
         item.colour = material.get("albedo") or (0.5, 0.5, 0.5)
-    state.library_error, _read_for = "", preferences.get().library
+    state.library_error, state.library_for = "", preferences.get().library
+    _last = (state.library_for, result)
     return len(state.library)
+
+
+def forget() -> None:
+    """The library has changed: it is read anew where it is drawn next."""
+    global _last
+    _last = (None, {})
+    runs.run_state().property_unset("library_for")
 
 
 def is_reading() -> bool:
@@ -45,25 +54,29 @@ def is_reading() -> bool:
 
 def ensure() -> None:
     """Has the library read if it was not; called where it is drawn, so it only asks for it."""
-    if _reading is None and _read_for != preferences.get().library and not bpy.app.timers.is_registered(_step):
-        bpy.app.timers.register(_step, first_interval=INTERVAL)
+    read = runs.run_state().library_for == preferences.get().library
+    if not read and _reading is None and not bpy.app.timers.is_registered(_step):
+        bpy.app.timers.register(_step, first_interval=INTERVAL, persistent=True)
 
 
 def _step() -> float | None:
     """Starts the child, looks at it, takes what it says; seconds to the next look, None at the end."""
-    global _reading, _read_for
+    global _reading
+    state, folder = runs.run_state(), preferences.get().library
     try:
-        if _reading is None:
+        if _reading is None and _last[0] == folder and state.library_for != folder:
+            take(_last[1])
+        elif _reading is None:
             found = engine_process.find_engine(bpy.path.abspath(preferences.get().engine))
             _reading = engine_process.EngineProcess(found, arguments())
             return INTERVAL
-        for message in _reading.poll():
+        for message in _reading.poll() if _reading is not None else ():
             if isinstance(message, engine_process.Done):
                 take(message.result)
             elif isinstance(message, engine_process.Failed):
                 raise InputError(message.message, "", "")
     except InputError as error:
-        runs.run_state().library_error, _read_for = str(error).strip("; "), preferences.get().library
+        state.library_error, state.library_for = str(error).strip("; "), folder
         if _reading is not None:
             _reading.kill()
         _reading = None
@@ -105,7 +118,7 @@ def items(entry) -> list:
             out.append((item.name, words, f"{item.name}, {item.kind}", icon, number))
     out.sort(key=lambda item: -scores.get(item[0], 0))
     if not number_of(entry.material):
-        out.insert(0, ("NONE", "Choose", "No material of the library is chosen", 0, 0))
+        out.insert(0, ("NONE", "Choose", "No material of the library is chosen", "MATERIAL", 0))
     return _kept(out)
 
 
@@ -121,8 +134,8 @@ def name_of(number: int) -> str:
 
 
 def register():
-    global _read_for
-    _read_for = None
+    global _last
+    _last = (None, {})
 
 
 def unregister():

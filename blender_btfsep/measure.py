@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, FloatProperty, StringProperty
 
-from . import bake, engine_settings, headless, preferences, properties, runs
+from . import bake, engine_settings, headless, library, preferences, properties, runs
 from .errors import InputError
 
 RESOLUTION = 512  # pixels along an edge of the baked maps
@@ -158,6 +158,7 @@ class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Ope
     def finish(self, context, result):
         if not result.get("measured", True):
             return f"{result['name']} is in the library already, measured in the same way"
+        library.forget()
         return f"{result['name']} is in {result['library']}; relief {result['relief_mm']:.2g} mm"
 
 

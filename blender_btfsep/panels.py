@@ -196,7 +196,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
 
         if runs.is_running():
             row = layout.row(align=True)
-            row.progress(factor=run.fraction, type="BAR", text=f"{run.stage or run.task}  {100 * run.fraction:.0f} %")
+            row.progress(factor=run.fraction, type="BAR", text=f"{100 * run.fraction:.0f}%  {run.stage or run.task}")
             row.operator("btfsep.cancel", text="", icon="X")
             if run.message:
                 layout.label(text=run.message)

@@ -214,6 +214,7 @@ class BTFSEP_PG_run(bpy.types.PropertyGroup):
     warnings: CollectionProperty(type=BTFSEP_PG_name)
     library: CollectionProperty(type=BTFSEP_PG_material)
     library_error: StringProperty()
+    library_for: StringProperty(default="?")  # the folder that `library` is of; "?": it was not read yet
     library_class: EnumProperty(
         name="Class", description="Materials to choose from", items=lambda self, context: library.classes()
     )

@@ -35,7 +35,7 @@ def read_as(image, curve: str) -> str:
     """How the engine is told to read the photo, in words; ``curve``: the panel's."""
     path = photo.file_of(image)
     if image.is_float or (path is not None and path.suffix.lower() in photo.FLOAT):
-        return "read as linear light (floating point)"
+        return "read as linear light (floats)"
     if curve != "auto":
         return READ[curve]
     space = image.colorspace_settings.name

@@ -142,6 +142,23 @@ def test_the_library_is_read_beside_blender_without_a_click(shelf):
     assert not bpy.app.timers.is_registered(library._step)  # it is read
 
 
+def test_another_file_has_the_library_without_a_further_child(shelf, tmp_path):
+    library.read_now()
+    shelf.unlink()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    runs.run_state().library.clear()
+    runs.run_state().property_unset("library_for")  # as a window's manager is anew
+    library.ensure()
+    assert bpy.app.timers.is_registered(library._step)
+    library.read_now()
+    assert len(runs.run_state().library) == 3 and not shelf.exists()
+    library.forget()
+    library.read_now()
+    assert shelf.exists()
+    bpy.app.timers.unregister(library._step)
+
+
 def test_a_library_that_cannot_be_read_is_said_once(fake_engine):
     fake_engine(
         lines=[{"type": "failed", "message": "library /x; no such folder; choose another", "exit_code": 2}], exit=2
@@ -156,7 +173,7 @@ def test_a_library_that_cannot_be_read_is_said_once(fake_engine):
 
 
 def test_materials_are_browsed_by_class_and_picture(photographed, cube, shelf):
-    assert library.items(cube) == [("NONE", "Choose", "No material of the library is chosen", 0, 0)]
+    assert library.items(cube) == [("NONE", "Choose", "No material of the library is chosen", "MATERIAL", 0)]
     library.read_now()
     assert [c[0] for c in library.classes()] == ["ALL", "leather", "wood"]
     assert [i[0] for i in library.items(cube)] == ["NONE", "wood/oak", "leather/black-nappa", "leather/brown"]

@@ -127,7 +127,7 @@ def test_an_image_sequence_stands_behind_at_the_frames_of_its_numbers(photograph
         ("a.png", "AgX Base sRGB", "auto", "read as AgX Base sRGB, as Blender shows it"),
         ("a.png", None, "unknown", "its tone curve is found from the photo"),
         ("a.png", None, "linear", "read as linear light"),
-        ("a.exr", None, "srgb", "read as linear light (floating point)"),
+        ("a.exr", None, "srgb", "read as linear light (floats)"),
     ],
 )
 def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name, space, curve, words):
