@@ -30,6 +30,11 @@ def default_name(material) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", material.name).strip("-.") or "material"
 
 
+def class_in(name: str) -> str:
+    """The class that a material's name tells; empty where it tells none."""
+    return next((kind for kind in engine_settings.CLASSES_OF_MATERIAL if kind in name.lower()), "")
+
+
 def library_folder(folder: str = "") -> Path:
     """Where a measured material goes: ``folder``, else the preferences' library. Raises InputError."""
     folder = folder or preferences.get().library
@@ -105,7 +110,9 @@ class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Ope
     def invoke(self, context, event):
         if bpy.app.background or not self.ask:
             return super().invoke(context, event)
-        self.name = self.name or default_name(material_of(context.object))
+        material = material_of(context.object)
+        self.name = self.name or default_name(material)
+        self.material_class = class_in(material.name) or self.material_class
         self.library = self.library or preferences.get(context).library
         self._asked = True
         return context.window_manager.invoke_props_dialog(self, width=340)
@@ -149,6 +156,8 @@ class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Ope
         return super()._end(context, last)
 
     def cancel(self, context):
+        if not hasattr(self, "_folder"):
+            return  # it is the dialog that is left: nothing was begun
         super().cancel(context)
         self._clear()
 

@@ -351,3 +351,12 @@ def test_the_engine_reads_what_was_baked(thing, scene, tmp_path):
     expected = 2.0 * (expected_waves() - expected_waves().mean())
     np.testing.assert_allclose(found.height_mm, expected, atol=2 * MEAN_OF_PIXEL)
     agree_on_checks(found.base_colour)
+
+
+def test_the_class_is_told_by_the_name():
+    assert [measure.class_in(name) for name in ("Brown Leather", "METAL.003", "Wallpaper old", "Material")] == [
+        "leather",
+        "metal",
+        "wallpaper",
+        "",
+    ]
