@@ -155,6 +155,11 @@ def test_trust_is_a_traffic_light(median, warnings, trust):
     assert found["trust"] == trust and f"about {100 * median:.0f}% off" in found["lines"][0][1]
 
 
+def test_a_light_that_may_be_quite_another_is_not_green():
+    result = {"expected_error": {"order_2": {"median": 0.1, "low": 0.06, "high": 0.7}}}
+    assert card.card_of(result, lighting(), FRONT)["trust"] == "AMBER"
+
+
 def test_materials_that_are_not_certain_are_said_shortly_and_once():
     names = ["leather/brown-grain", "stone/granite-grey", "felt/green", "felt/grey", "carpet/loop", "wood/oak"]
     result = {"objects": [{"name": "Cow", "material": names[0], "likely": names}]}
