@@ -2,6 +2,8 @@
 """Files are written whole or not at all, and read with errors in words."""
 
 import hashlib
+import json
+import math
 import os
 import tempfile
 import time
@@ -76,6 +78,24 @@ def write_bytes(path, data: bytes) -> None:
 def write_text(path, text: str) -> None:
     """Writes ``text`` as UTF-8 to ``path``, whole or not at all; bytes of names that are none as \\udcXX."""
     write_bytes(path, text.encode(errors="backslashreplace"))
+
+
+def plain(value):
+    """NumPy's values and arrays as JSON's own; numbers that JSON cannot hold become null."""
+    if hasattr(value, "tolist"):  # without NumPy: the first line of a command needs none of it
+        return plain(value.tolist())
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path, value) -> None:
+    """Writes ``value`` as indented JSON, whole or not at all."""
+    write_text(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
 
 
 def remove(*paths) -> None:

@@ -14,6 +14,7 @@ _LEARNING = {"training rays": 4, "training images": 23, "dictionaries": 10, "cla
 _SEEN = {**_SCENE, **_LEARNING, "transport": 20}
 RUNS = {
     "estimate": {
+        "starting": 3,
         **_ALIGNED,
         **_SEEN,
         "fit": 5,
@@ -41,6 +42,7 @@ RUNS = {
 """Command -> its stages in the order of their first beginning -> their shares of its time; a rough guide only."""
 
 TITLES = {
+    "starting": "Starting",
     "reading": "Reading the job",
     "geometry": "Preparing the geometry",
     "training": "Learning the materials",

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from btfsep_engine import atomic, kept
-from btfsep_engine.btf import linear, procedural
+from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.model import Lambertian, Material, Mirror, Tabulated
 from btfsep_engine.btf.surfaces import GIVEN, SURFACES
@@ -40,7 +40,7 @@ Side = Annotated[int, Field(gt=0, le=1 << 24)]
 class Entry(BaseModel):
     """One material of a library."""
 
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, defer_build=True)
 
     name: str = Field(pattern=NAME, max_length=100)
     material_class: str = Field(alias="class", max_length=50)
@@ -215,6 +215,8 @@ def unknown_material(name: str, names) -> InputError:
         return InputError(
             f"material '{name}'", "it is made from the key 'surface' of an object", "give that key in every job"
         )
+    from btfsep_engine.btf import procedural  # a library that has all that it is asked for starts without it
+
     if name in procedural.NAMES:
         return InputError(
             f"material '{name}'", "it is not in the library", f"make it: btfsep library build FOLDER --only {name}"

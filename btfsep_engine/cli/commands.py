@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The commands. Exit status 0: done; 2: the input is at fault; 1: a bug."""
 
+import importlib
 import os
 import signal
 
@@ -8,9 +9,7 @@ import click
 
 from btfsep_engine import __version__
 from btfsep_engine.cli import words
-from btfsep_engine.cli.batch import batch
 from btfsep_engine.cli.command import INPUT_FAULT, command, opened_library
-from btfsep_engine.cli.library import library
 from btfsep_engine.cli.options import (
     ESTIMATE,
     JOB,
@@ -23,11 +22,24 @@ from btfsep_engine.cli.options import (
     out_option,
     takes_settings,
 )
-from btfsep_engine.cli.serve import serve
 from btfsep_engine.errors import InputError
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Commands(click.Group):
+    """The commands of this file, and those of files that are read when they are asked for."""
+
+    OTHERS = ("batch", "library", "serve")
+
+    def list_commands(self, context):
+        return sorted({*super().list_commands(context), *self.OTHERS})
+
+    def get_command(self, context, name):
+        if name in self.OTHERS and name not in self.commands:
+            self.add_command(getattr(importlib.import_module(f"btfsep_engine.cli.{name}"), name))
+        return super().get_command(context, name)
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="btfsep")
 def cli():
     """Illumination from one photograph, known geometry and a library of digitised materials."""
@@ -63,7 +75,8 @@ def doctor(*, library_folder, reporter):
 @takes_settings(*ESTIMATE)
 def estimate(*, job, library_folder, settings, reporter, **options):
     """Recognises the material and estimates the light of JOB."""
-    from btfsep_engine.pipeline.estimation import run_estimate
+    with reporter.stage("starting"):  # said before the libraries are loaded
+        from btfsep_engine.pipeline.estimation import run_estimate
 
     result = run_estimate(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, words.estimate(result)
@@ -205,11 +218,6 @@ def compare(*, a, b, job, order, library_folder, material, protocol, reporter):
         library = opened_library(library_folder) if job else None
         result = run_compare(a, b, order=order, job=job, library=library, material=material, reporter=reporter)
     return result, words.compare(result)
-
-
-cli.add_command(batch)
-cli.add_command(library)
-cli.add_command(serve)
 
 
 def main(arguments=None) -> int:

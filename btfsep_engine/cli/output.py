@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from btfsep_engine.pipeline.record import plain
+from btfsep_engine.atomic import plain
 from btfsep_engine.progress import TITLES, Reporter
 
 

@@ -15,10 +15,10 @@ from collections import deque
 import click
 
 from btfsep_engine import __version__, kept
+from btfsep_engine.atomic import plain
 from btfsep_engine.cli.command import INPUT_FAULT
 from btfsep_engine.cli.worker import STOPPED, Worker
 from btfsep_engine.errors import InputError
-from btfsep_engine.pipeline.record import plain
 
 NOT_HERE = {"serve"}
 LONGEST = 1 << 20  # bytes of a request

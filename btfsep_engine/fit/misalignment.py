@@ -12,8 +12,8 @@ speak for a shift, the one that it leads to and the one that it leads away from.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy.ndimage import binary_erosion, gaussian_filter1d, gaussian_gradient_magnitude
 
 from btfsep_engine.conventions import REC709_LUMINANCE
 
@@ -63,7 +63,7 @@ def silhouette_shift(photo, seen, *, frayed: bool = False) -> Shift | None:
     Shift, or None where there is no silhouette inside the picture
     """
     seen = np.asarray(seen, bool)
-    edge = seen & ~binary_erosion(seen, np.ones((3, 3), bool))
+    edge = seen & ~cv2.erode(seen.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0).astype(bool)
     margin = REACH + 1
     inside = np.zeros_like(edge)
     inside[margin:-margin, margin:-margin] = True
@@ -74,7 +74,7 @@ def silhouette_shift(photo, seen, *, frayed: bool = False) -> Shift | None:
     level = np.median(luminance[seen])
     if not level > 0:
         return None
-    gradient = gaussian_gradient_magnitude(np.log(luminance + DARK * level), BLUR)
+    gradient = np.hypot(*blurred_slopes(np.log(luminance + DARK * level), BLUR))
     gradient = np.minimum(gradient, np.percentile(gradient, CAP))
     shifts = range(-REACH, REACH + 1)
     score = np.array([[gradient[rows + i, columns + j].mean() for j in shifts] for i in shifts])
@@ -83,7 +83,7 @@ def silhouette_shift(photo, seen, *, frayed: bool = False) -> Shift | None:
     gain = best / max(float(score[REACH, REACH]), 1e-300)
     down, right = int(i) - REACH, int(j) - REACH
     if frayed and (down or right):
-        outwards = [-gaussian_filter1d(seen.astype(np.float64), OUTWARDS, axis=k, order=1) for k in (0, 1)]
+        outwards = [-slope for slope in blurred_slopes(seen.astype(np.float64), OUTWARDS, across=False)]
         along = (down * outwards[0] + right * outwards[1])[rows, columns] / np.hypot(down, right)
         for side in (along > FACING, along < -FACING):
             if side.any():
@@ -95,3 +95,17 @@ def silhouette_shift(photo, seen, *, frayed: bool = False) -> Shift | None:
         float(gain),
         best / max(float(np.median(score)), 1e-300),
     )
+
+
+def blurred_slopes(image, sigma: float, *, across: bool = True) -> list[np.ndarray]:
+    """What a Gaussian makes of the slopes of an image (h, w) float64 along its rows and its columns: two of (h, w).
+
+    ``across`` : whether it blurs at right angles to the slope, too
+    """
+    reach = int(4 * sigma + 0.5)
+    x = np.arange(-reach, reach + 1)
+    bell = np.exp(-0.5 * (x / sigma) ** 2)
+    bell /= bell.sum()
+    slope, other = bell * x / sigma**2, bell if across else np.ones(1)
+    kernels = (other, slope), (slope, other)  # along columns' numbers and along rows'
+    return [cv2.sepFilter2D(image, -1, *each, borderType=cv2.BORDER_REFLECT) for each in kernels]

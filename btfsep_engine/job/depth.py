@@ -4,7 +4,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import binary_fill_holes
 
 from btfsep_engine.job.model import Camera, TriangleMesh
 
@@ -81,6 +80,8 @@ def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
     far = z[valid].max() + BEHIND * np.linalg.norm(np.ptp(corners, 0)) / 2
     near = z.ravel()[used] * (1 + GAP / camera.focal)
     ends = rays.reshape(-1, 3)[used] * far
+    from scipy.ndimage import binary_fill_holes  # slow to import, and most jobs have meshes
+
     count, back = len(used), _rectangles(binary_fill_holes(_squares_of(body, h, w)))
     faces = np.concatenate(
         [

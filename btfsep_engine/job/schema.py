@@ -6,11 +6,13 @@
 
 import difflib
 import json
+import os
 from typing import Annotated, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
-
 from btfsep_engine.errors import InputError
+
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # none is ours, and to look for them takes longer than a job
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 MAX_OBJECTS = 1000
 MAX_BYTES = 2**24
@@ -37,7 +39,7 @@ ColourOrImage = Annotated[
 class Strict(BaseModel):
     """No unknown keys, no conversions, no NaN, not changeable."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True, defer_build=True)
 
 
 class CameraSchema(Strict):

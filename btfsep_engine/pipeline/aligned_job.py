@@ -8,12 +8,13 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from btfsep_engine import atomic, report
+from btfsep_engine.atomic import write_json
 from btfsep_engine.errors import InputError
 from btfsep_engine.images import write_png
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Camera
 from btfsep_engine.pipeline.alignment import Alignment, Left, align, camera_keys, refuse_depth, with_camera
-from btfsep_engine.pipeline.record import peak_memory_mb, versions, write_json
+from btfsep_engine.pipeline.record import peak_memory_mb, versions
 from btfsep_engine.pipeline.scene import PreparedScene
 
 RESULT, OVERLAY = "alignment.json", "alignment.png"

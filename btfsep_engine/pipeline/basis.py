@@ -8,7 +8,6 @@ number (docs/results/sampling.md), because what the model misses of a photo is s
 import numpy as np
 
 from btfsep_engine.pipeline.settings import TransportSettings
-from btfsep_engine.render.reference import Reference
 
 USUAL = 256  # directions; with fewer estimates err more, with more as much (docs/results/speed-accuracy.md)
 
@@ -40,6 +39,8 @@ def basis_images(scene, materials, chosen, lights, settings: TransportSettings) 
 
 
 def _by_reference(scene, materials, chosen, lights, settings: TransportSettings):
+    from btfsep_engine.render.reference import Reference  # an estimate by the kernel starts without it
+
     reference = Reference(
         scene.job,
         scene.tracer,

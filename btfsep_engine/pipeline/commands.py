@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.atomic import write_json
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.compare import compare
 from btfsep_engine.fit.three_spheres import three_spheres
@@ -14,7 +15,7 @@ from btfsep_engine.light.files import read_any_lighting, read_any_map
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.recognition import trained_recogniser
-from btfsep_engine.pipeline.record import run_record, versions, write_json
+from btfsep_engine.pipeline.record import run_record, versions
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings, choose
 from btfsep_engine.report import render_objects

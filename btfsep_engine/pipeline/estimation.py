@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import report
-from btfsep_engine.atomic import digest, remove
+from btfsep_engine.atomic import digest, remove, write_json
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.images import write_exr
 from btfsep_engine.job.load import load_job
@@ -20,7 +20,7 @@ from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
 from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
-from btfsep_engine.pipeline.record import result_record, write_json
+from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces

@@ -4,7 +4,6 @@
 The job's files stay as they are; `btfsep align` makes a job of it.
 """
 
-from btfsep_engine.pipeline.alignment import Alignment, align, camera_keys, with_camera
 from btfsep_engine.pipeline.checks import shift_doubt
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import PhotoSettings
@@ -12,8 +11,8 @@ from btfsep_engine.pipeline.settings import PhotoSettings
 MOST_PIXELS, MOST_DEGREES = 6.0, 4.0  # of a move: 4 pixels and 2 degrees, and what is found beside them
 
 
-def mends(scene: PreparedScene, found: Alignment) -> bool:
-    """Whether an estimate takes an alignment of its scene."""
+def mends(scene: PreparedScene, found) -> bool:
+    """Whether an estimate takes an `alignment.Alignment` of its scene."""
     small = found.moved_px <= MOST_PIXELS and found.degrees <= MOST_DEGREES
     return found.aligned and small and shift_doubt(scene) is not None
 
@@ -25,6 +24,8 @@ def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
     """
     if settings.align == "never" or unseen_meshes(scene.job) or shift_doubt(scene) is None:
         return scene
+    from btfsep_engine.pipeline.alignment import align, with_camera  # most photos are in line, and start without it
+
     with scene.reporter.stage("alignment"):
         found = align(scene)
     if not mends(scene, found):
@@ -43,5 +44,7 @@ def mending_record(scene: PreparedScene) -> dict | None:
     found = scene.mended_by
     if found is None:
         return None
+    from btfsep_engine.pipeline.alignment import camera_keys
+
     moved = {"moved_px": found.moved_px, "degrees": found.degrees, "focal_percent": found.focal_percent}
     return {**moved, "camera": camera_keys(found.camera)}

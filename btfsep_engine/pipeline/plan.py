@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.atomic import write_json
 from btfsep_engine.conventions import direction_to_equirect, pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
@@ -17,7 +18,7 @@ from btfsep_engine.lettering import shortened, write_on
 from btfsep_engine.pipeline.materials import given_materials
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.problem import Problem
-from btfsep_engine.pipeline.record import determined_words, run_record, write_json
+from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.refine.texture import texture_contrast
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings

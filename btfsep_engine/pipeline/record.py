@@ -2,8 +2,6 @@
 """What is kept of a run: settings, versions, time, memory; and of an estimate, all that it found."""
 
 import importlib.metadata
-import json
-import math
 import platform
 import sys
 from dataclasses import asdict
@@ -12,7 +10,6 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine import __version__, sh
-from btfsep_engine.atomic import write_text
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.mending import mending_record
@@ -111,21 +108,3 @@ def result_record(estimate) -> dict:
         "saturated_pixels": job.photo.saturated,
         **run_record(settings, reporter),
     }
-
-
-def plain(value):
-    """NumPy values as JSON's own; numbers that JSON cannot hold become null."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def write_json(path, value) -> None:
-    """Writes ``value`` as indented JSON, whole or not at all."""
-    write_text(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")

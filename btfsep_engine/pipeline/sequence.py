@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from btfsep_engine.atomic import write_json
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.stated import Fit, expected_error
 from btfsep_engine.images import SUFFIXES
@@ -20,7 +21,7 @@ from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_e
 from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.problem import Problem
-from btfsep_engine.pipeline.record import determined_words, run_record, write_json
+from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import light_solver

@@ -7,7 +7,7 @@ only then loaded here. The choice is remembered in the cache folder until a cand
 
 import atexit
 import glob
-import importlib.metadata
+import importlib.util
 import json
 import os
 import platform
@@ -153,8 +153,10 @@ def has_cuda_driver() -> bool:
 def _fingerprint() -> str:
     """Changes whenever the choice may: Mitsuba, the libraries, their files, the CUDA driver."""
     files = [(path, os.stat(path).st_size if os.path.exists(path) else -1) for path in candidates()]
-    versions = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
-    return json.dumps([versions, files, has_cuda_driver(), os.environ.get("BTFSEP_VARIANT"), sys.executable])
+    # by their files: the versions' names take longer to look up than the rest of the choice
+    specs = [importlib.util.find_spec(name) for name in ("mitsuba", "drjit")]
+    engines = [(spec.origin, os.stat(spec.origin).st_mtime_ns) for spec in specs if spec and spec.origin]
+    return json.dumps([engines, files, has_cuda_driver(), os.environ.get("BTFSEP_VARIANT"), sys.executable])
 
 
 @lru_cache(maxsize=1)
@@ -227,10 +229,15 @@ def import_mitsuba():
         else:
             os.environ["HOME"] = home
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    from btfsep_engine.render.mitsuba_bsdf import register
-
-    register(mitsuba)
+    mitsuba.register_bsdf("btf", _btf_plugin)
     return mitsuba
+
+
+def _btf_plugin(properties):
+    """The BSDF plugin ``btf`` of a scene, whose module most scenes do not need."""
+    from btfsep_engine.render.mitsuba_bsdf import made
+
+    return made(properties)
 
 
 def limit_threads(count: int) -> None:

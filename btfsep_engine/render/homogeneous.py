@@ -29,9 +29,8 @@ from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.render.appearance import spatial_factors
 from btfsep_engine.render.arrays import dr, floats, mi, vector
 from btfsep_engine.render.hats import sharpened
-from btfsep_engine.render.microfacet import Microfacets
+from btfsep_engine.render.microfacet import R2, Microfacets
 from btfsep_engine.render.parametrise import mean_scale
-from btfsep_engine.render.patch import R2
 
 LEAST_ROUGHNESS = 0.05  # narrower lobes overflow single precision, and the table is much wider anyway
 LOBE = 1024  # directions of the lobe for each view

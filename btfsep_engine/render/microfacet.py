@@ -18,6 +18,7 @@ import numpy as np
 from btfsep_engine.render.arrays import dr, floats, mi
 
 TABLE = 32  # nodes along n.v and along roughness
+R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence: the steps from one of them to the next
 
 
 def _index(f0: float) -> float:

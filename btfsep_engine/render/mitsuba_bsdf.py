@@ -53,8 +53,12 @@ def register(mi) -> None:
     ----------
     mi : the mitsuba module, with a variant set
     """
-    variant = mi.variant()
-    mi.register_bsdf(NAME, lambda properties: _plugin_class(variant)(properties))
+    mi.register_bsdf(NAME, made)
+
+
+def made(properties):
+    """The plugin of the current variant with these properties."""
+    return _plugin_class(mi.variant())(properties)
 
 
 def material_of(properties) -> Tabulated:

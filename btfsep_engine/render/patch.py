@@ -29,13 +29,12 @@ from btfsep_engine.btf.procedural import Maps
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.arrays import dr, floats, mi
 from btfsep_engine.render.hats import Hats, sharpened
-from btfsep_engine.render.microfacet import Facet, Microfacets
+from btfsep_engine.render.microfacet import R2, Facet, Microfacets
 
 BOUNCES = 3  # path vertices that are connected to the lights
 INDIRECT_ROUGHNESS = 0.4  # least roughness of what is seen by reflection: its highlights would be fireflies
 LOBES = 4  # directions of the lobe at the first vertex
 SURE = 0.25  # paths of less weight go on with the probability weight / SURE, and count for the others
-R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence: the steps from one of them to the next
 AT_ONCE = 40_000  # texels, of several views together: small ones cost little more than their launch
 
 

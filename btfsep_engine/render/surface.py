@@ -4,7 +4,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_erosion
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import Job
@@ -117,8 +116,15 @@ def object_region(view: View, job: Job, index: int) -> np.ndarray:
             "check that the mask belongs to this photo and is not inverted",
         )
     # pixels at an edge mix object and background
-    inner = binary_erosion(region, np.ones((3, 3), bool))
+    inner = eroded(region)
     return inner if inner.sum() >= 0.2 * region.sum() else region
+
+
+def eroded(region) -> np.ndarray:
+    """A region (h, w) bool without the pixels that have one that is not in it, or none, among the eight around."""
+    padded = np.pad(region, 1)
+    rows = padded[:-2] & padded[1:-1] & padded[2:]
+    return rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
 
 
 def surface_points(view: View, job: Job, index: int, *, region=None) -> SurfacePoints:

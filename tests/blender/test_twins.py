@@ -62,7 +62,7 @@ ROWS = [pytest.param(name, row, id=f"{name} {row.name}") for name, rows in TABLE
 
 def engine_option(command_name, row):
     """The engine's option that a row names."""
-    command = cli.commands.get(command_name) or cli.commands["library"].get_command(None, command_name)
+    command = cli.get_command(None, command_name) or cli.get_command(None, "library").get_command(None, command_name)
     return next(p for p in command.params if row.flag in p.opts)
 
 

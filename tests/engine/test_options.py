@@ -12,7 +12,8 @@ from btfsep_engine.cli.commands import cli
 from btfsep_engine.pipeline.settings import PRESETS, choose, meanings
 
 USUAL = choose()
-TAKE_SETTINGS = {name: c for name, c in cli.commands.items() if any(p.name == "preset" for p in c.params)}
+COMMANDS = {name: cli.get_command(None, name) for name in cli.list_commands(None)}
+TAKE_SETTINGS = {name: c for name, c in COMMANDS.items() if any(p.name == "preset" for p in c.params)}
 
 
 def settings_of(arguments, capsys, *names, **how):
@@ -69,7 +70,7 @@ def test_every_default_is_shown_and_can_be_typed(name, capsys):
 
 def test_a_batch_takes_what_an_estimate_takes_but_for_further_photos_of_one_light():
     """A shot can be tried alone and then with all; the jobs of a batch know nothing of each other."""
-    alone, many = ({o for p in cli.commands[n].params for o in p.opts} for n in ("estimate", "batch"))
+    alone, many = ({o for p in COMMANDS[n].params for o in p.opts} for n in ("estimate", "batch"))
     assert alone - many == {"job", "--with"}
     assert many - alone == {
         *("places", "--list", "--summary", "--lanes", "--shard", "--join", "--again", "--time-limit", "--retries"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from btfsep_engine.atomic import plain
 from btfsep_engine.btf.library import REFERENCE
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.job.model import Photo
@@ -16,7 +17,7 @@ from btfsep_engine.pipeline.alternatives import alternatives, combinations, mixt
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
-from btfsep_engine.pipeline.record import plain, result_record
+from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter

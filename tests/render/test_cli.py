@@ -45,6 +45,7 @@ def test_estimate_gives_back_the_light_of_a_white_sphere(sphere_job_folder, caps
     result = lines[-1]["result"]
     assert lines[-1]["type"] == "done"
     assert_whole_run(lines, "estimate")
+    assert lines[0]["stage"] == "starting"
     report = next(line for line in lines if line.get("stage") == "report")
     assert report["whole"] < 0.95, "the bar is full before the report is made"
     found = read_lighting(result["lighting"])

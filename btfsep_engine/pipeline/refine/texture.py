@@ -8,7 +8,6 @@ blocks of neighbouring pixels (misfit is structured, pixels are no independent w
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter
 
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.pipeline.together import fit_together, stacked
@@ -50,6 +49,8 @@ def texture_contrast(material, footprint_mm: float) -> float:
     size = max(1, round(footprint_mm / material.texel_mm))
     if size >= max(brightness.shape):
         return 0.0
+    from scipy.ndimage import uniform_filter  # slow to import, and many objects have no texture
+
     seen = uniform_filter(brightness.astype(np.float64), size, mode="wrap")
     return float(seen.std() / max(abs(seen.mean()), 1e-30))
 
