@@ -143,7 +143,7 @@ def _plain(name: str) -> str:
     if kind == "reference":
         return own.replace("-", " ")
     if kind == "surface":
-        return "the colour given" if own == "given" else f"plain {own}"
+        return "as given" if own == "given" else f"plain {own}"
     return f"{own} {kind}".replace("-", " ").strip()
 
 

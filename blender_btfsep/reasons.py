@@ -45,6 +45,8 @@ def of_camera(camera) -> str:
 def _of_shape(scene, image) -> str:
     width, height = image.size
     if not (width and height):
+        if image.source == "SEQUENCE":
+            return ""  # it has pixels only at the frames where the scene has it: the export looks at its file
         return f"The photo '{image.name}' has no pixels: choose it again"
     if pinhole.shown(scene, (width, height)) is not None:
         return ""
@@ -68,6 +70,6 @@ def _of_entry(name: str, entry, view_layer, settings) -> str:
         if known and entry.material not in known:
             return f"The library has no material '{entry.material}', which '{name}' is to be of"
     mask = entry.mask
-    if mask is not None and tuple(mask.size) != tuple(settings.image.size):
+    if mask is not None and all(settings.image.size) and tuple(mask.size) != tuple(settings.image.size):
         return f"The mask of '{name}' has another size than the photo: make it from the photo"
     return ""
