@@ -9,6 +9,8 @@ from . import engine_process, library, request, runs
 from .answer import FOUND, take_estimate, take_light, take_materials
 from .errors import InputError
 
+TOLD = ("test render", "library", "processors", "CUDA driver", "cache")  # of what Test Engine finds out
+
 
 class NeedsScene(runs.Greyed):
     """Greyed out until there are a photo, a camera and objects."""
@@ -79,7 +81,9 @@ class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):
         return ["doctor"]
 
     def finish(self, context, result):
-        return "The engine works"
+        facts = result.get("facts") or {}
+        told = [f"{name}: {facts[name]}" for name in TOLD if facts.get(name)]
+        return "\n".join(["The engine works", *told])
 
 
 class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operator):

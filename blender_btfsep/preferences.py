@@ -33,6 +33,13 @@ class BTFSEP_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "library")
         layout.prop(self, "keep_jobs")
         layout.operator("btfsep.doctor", icon="CHECKMARK")
+        run = context.window_manager.btfsep
+        if run.task == "Testing":
+            column = layout.box().column(align=True)
+            said = ["Testing …"] if run.running else (run.error or run.summary).splitlines()
+            for number, line in enumerate(said):
+                first = "TIME" if run.running else "ERROR" if run.error else "CHECKMARK"
+                column.label(text=line, icon="BLANK1" if number else first)
 
 
 def get(context=None):
