@@ -79,8 +79,7 @@ def _key_and_fill(result: dict, lighting: dict, to_world) -> list:
     if not lamps:
         broad = [lamp for lamp in result.get("lamps") or [] if lamp["share"] >= LEAST_LAMP][:1]
         lamps = [(np.array(lamp["direction"]), np.array(lamp["irradiance"]), BROAD) for lamp in broad]
-        for direction, power, _ in lamps:  # it is in the harmonics, too
-            sky = whole - power * _beam(direction, len(whole))
+        sky = whole - sum(power * _beam(direction, len(whole)) for direction, power, _ in lamps)
     where = (lambda d: direction_words(d, to_world)) if to_world is not None else _in_the_world
     side, more = brighter_side(sky)
     if not lamps:

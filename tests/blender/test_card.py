@@ -128,6 +128,18 @@ def test_a_sunny_light_in_an_artists_words():
     assert card.card_of({}, sunny(size=12), FRONT)["lines"][2][1].startswith("soft")
 
 
+def test_a_lamp_that_is_no_sun_is_the_key_and_is_not_its_own_fill():
+    sun = sunny()
+    lamp = sun["suns"]["lamps"][0] | {"share": 0.2}
+    whole = sun | {"suns": None}  # it is in the harmonics alone
+    lines = card.card_of({"lamps": [lamp]}, whole, FRONT)["lines"]
+    assert lines[1] == ["Key light", "front left (45° round), 45° up"]
+    assert lines[2][1] == "soft, warm (3500 K), 19% of the light"
+    assert lines[3] == ["Fill", "white (6500 K), even; key to fill 2.0 : 1"]
+    lines = card.card_of({"lamps": [lamp | {"share": 0.05}]}, whole, FRONT)["lines"]
+    assert lines[1][1].startswith("front left") and "one-sided" not in lines[1][1] and "very soft" in lines[1][1]
+
+
 def test_an_even_light_has_no_key():
     even = np.zeros((4, 3))
     even[0] = 2

@@ -119,6 +119,15 @@ def test_an_image_sequence_stands_behind_at_the_frames_of_its_numbers(photograph
     assert sequence_run.start_of(image, photographed.camera, 7) == 7
 
 
+def test_a_photo_of_another_shape_than_the_region_is_one_of_the_whole_picture(photographed, tmp_path):
+    render = photographed.render
+    render.use_border = render.use_crop_to_border = True
+    render.border_min_x, render.border_max_x = 0.5, 0.9
+    photographed.btfsep.image = photo(tmp_path / "wide.png", 90, 30)
+    bpy.ops.btfsep.use_photo()
+    assert camera.shown(photographed, (90, 30)) == (0, 0, 90, 30) and camera.render_region(photographed)[2:] == (90, 30)
+
+
 @pytest.mark.parametrize(
     ("name", "space", "curve", "words"),
     [
@@ -177,6 +186,10 @@ def test_an_open_mesh_has_its_border_and_split_vertices_have_none(photographed):
     grid = triangles(bpy.context.object)
     points, beside = outlines.edges_of(grid)
     assert (beside[:, 0] == beside[:, 1]).sum() == 12
+    p = grid["positions"]
+    flat = np.tile([0.0, 0.0, 1.0], (len(p), 1))
+    line = outlines.silhouette(points, beside, flat, p.mean(1), np.array([0.3, 0.2, 9.0]), parallel=False)
+    assert len(line) == 12 and np.allclose(np.abs(line[..., :2]).max(-1), 1)  # all of it faces the camera
     split = {**grid, "vertex": np.arange(grid["vertex"].size).reshape(-1, 3)}  # as files with UV seams have them
     assert len(outlines.edges_of(split)[0]) == len(points)
 
