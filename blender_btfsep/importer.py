@@ -1,26 +1,42 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""File > Import > BTFsep Lighting, and the same by dragging a .json into the 3D view."""
+"""File > Import and File > Export of a light; dragging a .btfsep into the 3D view imports it."""
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, StringProperty
-from bpy_extras.io_utils import ImportHelper
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
 
-from . import lighting_file
+from . import light_files, runs, sh_nodes, world
 from .answer import apply_light
 from .errors import InputError
 from .properties import WORLD_MODES
 
+SUFFIXES = (
+    (".json", "BTFsep (.json)", "Coefficients and key lights, as the engine reads and writes them"),
+    (".btfsep", "BTFsep (.btfsep)", "The same, under a name that can be dragged into the 3D view"),
+    (".exr", "OpenEXR map (.exr)", "An environment map, key lights as discs, 32 bit"),
+    (".hdr", "Radiance map (.hdr)", "An environment map, key lights as discs"),
+    (".txt", "Harmonics as text (.txt)", "As Filament's cmgen writes them: radiance, Y up"),
+    (".usda", "USD lights (.usda)", "A dome light with its map beside it, and a distant light for each key light"),
+)
+
 
 class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
-    """Make an estimated lighting the World of the scene"""
+    """Make a light in a file the World of the scene: BTFsep's own, an environment map, or cmgen's harmonics"""
 
     bl_idname = "btfsep.import_lighting"
     bl_label = "Import BTFsep Lighting"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = ".json"
-    filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
+    filter_glob: StringProperty(default="*.json;*.btfsep;*.exr;*.hdr;*.txt", options={"HIDDEN"})
     mode: EnumProperty(name="World", items=WORLD_MODES[:2])
+    order: IntProperty(
+        name="Order",
+        description="Of the harmonics of a map that becomes nodes",
+        default=4,
+        min=0,
+        max=sh_nodes.MAX_NODE_ORDER,
+    )
     clamp: BoolProperty(
         name="Clamp Negative", description="Black where the sum of the harmonics is negative", default=True
     )
@@ -36,7 +52,7 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
 
     def execute(self, context):
         try:
-            lighting = lighting_file.read(bpy.path.abspath(self.filepath))
+            lighting = light_files.read(bpy.path.abspath(self.filepath), self.order)
             sentence = apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
         except InputError as error:
             self.report({"ERROR"}, str(error))
@@ -45,28 +61,69 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
         return {"FINISHED"}
 
 
+class BTFSEP_OT_export_lighting(runs.Greyed, bpy.types.Operator, ExportHelper):
+    """Write the light as World and Sun lamps have it now, with all that was changed of it"""
+
+    bl_idname = "btfsep.export_lighting"
+    bl_label = "Export BTFsep Lighting"
+    bl_options = {"REGISTER", "PRESET"}
+
+    filename_ext = ""
+    check_extension = None  # the suffix is the format's
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix, *_ in SUFFIXES), options={"HIDDEN"})
+    format: EnumProperty(name="Format", items=SUFFIXES, description="Where the file's name has no suffix")
+    order: IntProperty(name="Order", description="Of harmonics", default=4, min=0, max=sh_nodes.MAX_NODE_ORDER)
+
+    @staticmethod
+    def reason(context) -> str:
+        return "" if world.is_ours(context.scene.world) else "The World is none of BTFsep's"
+
+    def execute(self, context):
+        path = bpy.path.abspath(self.filepath)
+        if not any(path.lower().endswith(suffix) for suffix, *_ in SUFFIXES):
+            path += self.format
+        try:
+            light_files.write(path, context.scene, self.order)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"wrote {path}")
+        return {"FINISHED"}
+
+
 class BTFSEP_FH_lighting(bpy.types.FileHandler):
+    """Blender tells a file handler nothing of a file but its last suffix: only one that is ours alone is claimed."""
+
     bl_idname = "BTFSEP_FH_lighting"
     bl_label = "BTFsep Lighting"
     bl_import_operator = "btfsep.import_lighting"
-    bl_file_extensions = ".json"
+    bl_file_extensions = ".btfsep"
 
     @classmethod
     def poll_drop(cls, context):
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-def _menu(self, context):
-    self.layout.operator(BTFSEP_OT_import_lighting.bl_idname, text="BTFsep Lighting (.json)")
+def _import_menu(self, context):
+    self.layout.operator(BTFSEP_OT_import_lighting.bl_idname, text="BTFsep Lighting (.json, .exr, .hdr, .txt)")
+
+
+def _export_menu(self, context):
+    self.layout.operator(BTFSEP_OT_export_lighting.bl_idname, text="BTFsep Lighting (.json, .exr, .hdr, .txt, .usda)")
+
+
+_register, _unregister = bpy.utils.register_classes_factory(
+    (BTFSEP_OT_import_lighting, BTFSEP_OT_export_lighting, BTFSEP_FH_lighting)
+)
 
 
 def register():
-    bpy.utils.register_class(BTFSEP_OT_import_lighting)
-    bpy.utils.register_class(BTFSEP_FH_lighting)
-    bpy.types.TOPBAR_MT_file_import.append(_menu)
+    _register()
+    bpy.types.TOPBAR_MT_file_import.append(_import_menu)
+    bpy.types.TOPBAR_MT_file_export.append(_export_menu)
 
 
 def unregister():
-    bpy.types.TOPBAR_MT_file_import.remove(_menu)
-    bpy.utils.unregister_class(BTFSEP_FH_lighting)
-    bpy.utils.unregister_class(BTFSEP_OT_import_lighting)
+    bpy.types.TOPBAR_MT_file_export.remove(_export_menu)
+    bpy.types.TOPBAR_MT_file_import.remove(_import_menu)
+    _unregister()

@@ -80,7 +80,8 @@ def validate(data, name: str = "the lighting") -> dict:
 
 def as_data(lighting: dict) -> dict:
     """What :func:`validate` takes and makes ``lighting`` of, as plain JSON."""
-    return {"format": FORMAT, "version": VERSION, "basis": "real-sh", "frame": "blender-z-up", **lighting}
+    plain = {name: value for name, value in lighting.items() if name != "map"}  # of `light_files`, no JSON
+    return {"format": FORMAT, "version": VERSION, "basis": "real-sh", "frame": "blender-z-up", **plain}
 
 
 def _suns(data: dict, order: int, name: str) -> dict | None:

@@ -84,8 +84,8 @@ def _write(lamp, sun: dict, world) -> None:
     irradiance = colour.to_working(_as_the_world(sun["irradiance"], world))
     energy = float(irradiance.max())
     tint = irradiance / energy if energy > 0 else np.ones(3)
-    direction = Vector(sun["direction"])
-    turned, place, angle = direction.to_track_quat("Z", "Y"), DISTANCE * direction, math.radians(sun["size_degrees"])
+    turned, place = facing(sun["direction"]), DISTANCE * Vector(sun["direction"])
+    angle = math.radians(sun["size_degrees"])
     times, shades = before.get("times", 1.0), np.array(before.get("shades", (1.0, 1.0, 1.0)))
     user_turn, moved, resized = Quaternion(), False, False
     if "energy" in before:
@@ -93,7 +93,7 @@ def _write(lamp, sun: dict, world) -> None:
         if written > 0:
             times = _ratio(data.energy, written)
             shades = np.array([_ratio(now, then) for now, then in zip(data.color, before["color"], strict=True)])
-        user_turn = _rotation_of(lamp) @ was.to_track_quat("Z", "Y").inverted()
+        user_turn = _rotation_of(lamp) @ facing(was).inverted()
         moved = (lamp.location - DISTANCE * was).length > SAME * DISTANCE
         resized = abs(data.angle - math.radians(before["size_degrees"])) > SAME
     data.energy, data.color = energy * times, np.clip(tint * shades, 0, None)
@@ -122,6 +122,11 @@ def _ratio(now: float, written: float) -> float:
     """What the user has multiplied a number by; 1 where only rounding has."""
     ratio = now / written if written > 0 else 1.0
     return 1.0 if abs(ratio - 1) < SAME else ratio
+
+
+def facing(direction) -> Quaternion:
+    """The rotation of a lamp whose light comes from ``direction``."""
+    return Vector(direction).to_track_quat("Z", "Y")
 
 
 def _rotation_of(lamp) -> Quaternion:

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lights from and for other programs: against the engine's own reading, closed forms, and Cycles."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from blender_btfsep import harmonics, light_files, sh_nodes, sun_lamp, world
+from blender_btfsep.errors import InputError
+from btfsep_engine import conventions, images, sh
+from btfsep_engine.light.files import read_lighting
+from tests.blender.lit import look_around, positive_coefficients
+from tests.blender.test_sun_lamp import write_sunny
+
+LAMP = {"direction": [0.6, -0.48, 0.64], "irradiance": [3.0, 2.0, 1.0], "size_degrees": 3.0}
+
+
+def write_map(path, radiance):
+    image = light_files._image(radiance)
+    light_files._save_map(image, path)
+    bpy.data.images.remove(image)
+
+
+def changed(scene, tmp_path):
+    """A scene with sky and lamp, turned, tinted, stronger; gives the map of its sky and its lamp as they have to be."""
+    c = positive_coefficients(3, seed=8)
+    path = tmp_path / "light.json"
+    write_sunny(path, order=3, direction=LAMP["direction"], irradiance=LAMP["irradiance"], size=3.0, sky=c)
+    world.apply_lighting(scene, light_files.read(path))
+    inputs = sh_nodes.node_of(scene.world.node_tree).inputs
+    inputs["Strength"].default_value, inputs["Rotation"].default_value = 2.0, 0.7
+    inputs["Tint"].default_value = (1.0, 0.5, 0.25, 1)
+    turn = np.array(Matrix.Rotation(0.7, 3, "Z"))
+    sky = 2 * (sh.rotation_matrix(3, turn) @ c) * [1, 0.5, 0.25]
+    return sky, LAMP | {"direction": (turn @ LAMP["direction"]).tolist()}
+
+
+def test_what_was_changed_is_exported_and_comes_back(addon, scene, tmp_path):
+    sky, lamp = changed(scene, tmp_path)
+    out = tmp_path / "out.btfsep"
+    assert bpy.ops.btfsep.export_lighting(filepath=str(out), order=3) == {"FINISHED"}
+    light = read_lighting(out)  # the engine's: refuses what does not add up
+    assert np.allclose(light.sky, sky, atol=5e-3 * np.abs(sky).max())
+    (sun,) = light.suns
+    assert np.allclose(sun.direction, lamp["direction"], atol=1e-5) and np.allclose(sun.irradiance, lamp["irradiance"])
+    assert sun.size_degrees == pytest.approx(3)
+    world.restore_previous(scene)
+    assert bpy.ops.btfsep.import_lighting(filepath=str(out)) == {"FINISHED"}
+    (made,) = sun_lamp.lamps(scene)
+    bpy.context.view_layer.update()
+    assert np.allclose(np.array(made.matrix_world)[:3, 2], lamp["direction"], atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".hdr"])
+def test_a_map_has_the_sky_and_the_lamp(scene, tmp_path, suffix):
+    sky, lamp = changed(scene, tmp_path)
+    light_files.write(tmp_path / f"map{suffix}", scene)
+    found = images.read_linear(tmp_path / f"map{suffix}").pixels
+    truth = sh.to_map(sky, 256, 512)
+    away = (conventions.pixel_directions(256, 512) @ lamp["direction"]) < 0.99
+    assert np.abs(found - truth)[away].max() < (0.02 if suffix == ".hdr" else 2e-3) * truth.max()
+    d, area = conventions.pixel_directions(256, 512), conventions.pixel_solid_angles(256, 512)[:, None]
+    received = np.maximum(d @ lamp["direction"], 0) * area * ~away
+    assert np.allclose(((found - truth) * received[..., None]).sum((0, 1)), lamp["irradiance"], rtol=0.02)
+
+
+@pytest.mark.parametrize("mode", ["NODES", "TEXTURE"])
+def test_a_map_is_imported(addon, scene, render, tmp_path, mode):
+    look_around(scene)
+    c = positive_coefficients(4, seed=2)
+    write_map(tmp_path / "sky.exr", sh.to_map(c, 128, 256))
+    bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / "sky.exr"), mode=mode, order=4)
+    truth = sh.to_map(c, 64, 128)
+    assert np.abs(render(scene) - truth).max() < 0.02 * truth.max()
+    if mode == "NODES":
+        group = sh_nodes.node_of(scene.world.node_tree)
+        found = np.array([group.inputs[harmonics_name(k)].default_value[:] for k in range(25)])
+        assert np.allclose(found, sh.project_map(sh.to_map(c, 128, 256), 4), atol=1e-4 * np.abs(c).max())
+
+
+def harmonics_name(k):
+    l = int(np.sqrt(k))
+    return sh_nodes.coefficient_name(l, k - l * l - l)
+
+
+def test_what_cmgen_writes_for_a_shader(scene, tmp_path):
+    """Radiance 1 + y, Y up, is an irradiance over pi of 1 + 2/3 y: the polynomial of Filament's shaders."""
+    rows = [1, 2 / 3, 0, 0, 0, 0, 0, 0, 0]
+    names = ["00", "1-1", "10", "11", "2-2", "2-1", "20", "21", "22"]
+    text = "".join(
+        f"({v}, {2 * v},  0.0); // L{n}, irradiance, pre-scaled base\n" for v, n in zip(rows, names, strict=True)
+    )
+    (tmp_path / "sh.txt").write_text(text)
+    c = np.array(light_files.read(tmp_path / "sh.txt")["coefficients"])
+    z = conventions.pixel_directions(32, 64)[..., 2:]
+    assert np.allclose(sh.to_map(c, 32, 64), (1 + z) * [1, 2, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["", ", irradiance"])
+def test_text_comes_back(scene, tmp_path, kind):
+    c = positive_coefficients(2, seed=5)
+    world.apply_lighting(scene, {"order": 2, "coefficients": c.tolist()})
+    light_files.write(tmp_path / "sh.txt", scene, order=2)
+    text = (tmp_path / "sh.txt").read_text()
+    assert text.splitlines()[1].endswith("// L1-1")
+    # +Y of the file is up: the coefficient of y there is that of z here, with the basis's other sign
+    assert np.allclose([float(v) for v in text.splitlines()[1][1:].split(")")[0].split(",")], -c[2], atol=2e-3)
+    if kind:
+        over_pi = [1] + [2 / 3] * 3 + [1 / 4] * 5
+        lines = [line.split(")") for line in text.splitlines()]
+        (tmp_path / "sh.txt").write_text(
+            "".join(
+                "(" + ", ".join(str(f * float(v)) for v in a[1:].split(",")) + ")" + b + kind + "\n"
+                for f, (a, b) in zip(over_pi, lines, strict=True)
+            )
+        )
+    assert np.allclose(light_files.read(tmp_path / "sh.txt")["coefficients"], c, atol=2e-3 * np.abs(c).max())
+
+
+@pytest.mark.skipif(not bpy.app.build_options.usd, reason="this Blender has no USD")
+def test_usd_is_the_same_light_when_blender_reads_it(scene, render, tmp_path):
+    sky, lamp = changed(scene, tmp_path)
+    before = {kind: len(getattr(bpy.data, kind)) for kind in ("worlds", "scenes", "images", "lights", "objects")}
+    light_files.write(tmp_path / "light.usda", scene)
+    assert before == {kind: len(getattr(bpy.data, kind)) for kind in before}
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    fresh = bpy.context.scene
+    fresh.world = bpy.data.worlds.new("World")  # without one Blender makes none of a dome
+    bpy.ops.wm.usd_import(filepath=str(tmp_path / "light.usda"), create_world_material=True)
+    (sun,) = (o for o in fresh.objects if o.type == "LIGHT")
+    assert np.allclose(np.array(sun.matrix_world)[:3, 2], lamp["direction"], atol=1e-4)
+    assert np.allclose(sun.data.energy * np.array(sun.data.color), lamp["irradiance"], rtol=1e-3)
+    bpy.data.objects.remove(sun)
+    fresh.render.engine, fresh.cycles.device = "CYCLES", "CPU"
+    fresh.render.image_settings.file_format = "OPEN_EXR"
+    look_around(fresh)
+    truth = sh.to_map(sky, 64, 128)
+    away = (conventions.pixel_directions(64, 128) @ lamp["direction"]) < 0.98
+    error = np.where(away[..., None], np.abs(render(fresh) - truth), 0)
+    assert error[1:-1, 1:-1].max() < 0.02 * truth.max()  # at the seam and the poles the reader looks beside the map
+
+
+def test_faults_are_in_words(addon, scene, tmp_path):
+    write_map(tmp_path / "square.exr", np.ones((8, 8, 3)))
+    (tmp_path / "none.txt").write_text("nothing")
+    (tmp_path / "half.txt").write_text("(1, 1, 1); // L00\n(1, 1, 1); // L1-1\n")
+    (tmp_path / "high.txt").write_text("(1, 1, 1); // L30, irradiance\n")
+    (tmp_path / "words.txt").write_text("(a, b, c); // L00\n")
+    (tmp_path / "bad.exr").write_bytes(b"no picture")
+    for name, words in {
+        "square.exr": "twice as wide as high",
+        "none.txt": "there are no lines as",
+        "half.txt": "2 coefficients, not all of an order",
+        "high.txt": "irradiance of order 3 says nothing",
+        "words.txt": "are not three numbers",
+        "bad.exr": "no pixels",
+        "absent.txt": "No such file",
+        "absent.hdr": "absent.hdr",
+    }.items():
+        with pytest.raises(RuntimeError, match=words):
+            bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / name))
+    assert not bpy.data.worlds and not bpy.data.images
+    assert not bpy.ops.btfsep.export_lighting.poll()
+    with pytest.raises(InputError, match="none of BTFsep's"):
+        light_files.write(tmp_path / "x.json", scene)
+    with pytest.raises(InputError, match="no format has this suffix"):
+        light_files.write(tmp_path / "x.jpg", scene)
+
+
+def test_only_files_of_our_own_are_claimed_when_dropped(addon):
+    from blender_btfsep import importer
+
+    assert importer.BTFSEP_FH_lighting.bl_file_extensions == ".btfsep"
+
+
+def test_the_name_without_a_suffix_gets_the_formats(addon, scene, tmp_path):
+    world.apply_lighting(scene, {"order": 1, "coefficients": positive_coefficients(1).tolist()})
+    assert bpy.ops.btfsep.export_lighting(filepath=str(tmp_path / "light"), format=".json") == {"FINISHED"}
+    assert json.loads((tmp_path / "light.json").read_text())["order"] == 4
+    assert harmonics.order_of(25) == 4
