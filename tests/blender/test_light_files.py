@@ -140,7 +140,7 @@ def test_usd_is_the_same_light_when_blender_reads_it(scene, render, tmp_path):
     truth = sh.to_map(sky, 64, 128)
     away = (conventions.pixel_directions(64, 128) @ lamp["direction"]) < 0.98
     error = np.where(away[..., None], np.abs(render(fresh) - truth), 0)
-    assert error[1:-1, 1:-1].max() < 0.02 * truth.max()  # at the seam and the poles the reader looks beside the map
+    assert error[1:-1, 1:-1].max() < 0.04 * truth.max()  # at the seam and the poles the reader looks beside the map
 
 
 def test_faults_are_in_words(addon, scene, tmp_path):
