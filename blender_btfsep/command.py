@@ -11,44 +11,66 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_settings, export, headless, lighting_file, measure, request, sequence_run
+from . import batch, engine_settings, export, headless, light_files, measure, request, runs, sequence_run, sh_nodes
 from .answer import apply_light, take_estimate, take_materials
 from .engine_process import BUG, INPUT_FAULT
 from .errors import InputError
 from .headless import say, scene_of
-from .properties import CURVES, OCCLUDERS, WORLD_MODES
+from .properties import CURVES, MAPPINGS, OCCLUDERS, WORLD_MODES
 
 
 def main(arguments) -> int:
     """Runs a command; ``arguments`` as on the command line after ``btfsep``. Returns the exit status."""
+    headless.speech = speech = headless.Speech()
     try:
         options = _parser().parse_args(list(arguments))
     except SystemExit as stop:  # argparse has said why
         return int(stop.code or 0)
+    speech.json = options.json
+    runs.run_state().warnings.clear()
     try:
-        options.run(options)
+        result = options.run(options) or {}
         if getattr(options, "save", None):
-            _save(options.save)
+            result["saved"] = save_file(options.save)
     except InputError as error:
-        say(f"error: {error}", sys.stderr)
-        return INPUT_FAULT
+        return speech.failed(str(error), INPUT_FAULT)
     except KeyboardInterrupt:
-        say("error: stopped", sys.stderr)
-        return 130
+        return speech.failed("stopped", 130)
     except headless.EngineBug as error:
-        say(f"{error.details}\nerror: {error}", sys.stderr)
-        return BUG
-    except Exception:
+        return speech.failed(str(error), BUG, error.details)
+    except Exception as error:
         traceback.print_exc()
-        return BUG
-    return 0
+        return speech.failed(f"a bug in BTFsep: {type(error).__name__}: {error}; please report it", BUG)
+    speech.done(result)
+    return result.get("exit_code", 0)
+
+
+def by_blender(arguments) -> int:
+    """As :func:`main`, where Blender was to read a file first: it goes on with its default scene if it cannot."""
+    before = sys.argv[1 : next((i for i, a in enumerate(sys.argv) if a in ("--command", "-c")), len(sys.argv))]
+    files = [argument for argument in before if argument.lower().endswith(".blend") and not argument.startswith("-")]
+    if files and (not bpy.data.filepath or Path(files[-1]).resolve() != Path(bpy.data.filepath).resolve()):
+        headless.speech = headless.Speech()
+        headless.speech.json = "--json" in arguments
+        why = "it was not read" if Path(files[-1]).exists() else "there is no such file"
+        return headless.speech.failed(str(InputError(files[-1], why, "check its name, and what Blender says of it")), 2)
+    return main(arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="btfsep", description="The light of a photograph as the scene's World.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    job = argparse.ArgumentParser(add_help=False)
+    everything = argparse.ArgumentParser(add_help=False)
+    everything.add_argument("--json", action="store_true", help="one JSON object a line, for programs")
+
+    job = argparse.ArgumentParser(add_help=False, parents=[everything])
+    job.add_argument("--frame", type=int, help="frame of the scene (default: the file's)")
+    job.add_argument(
+        "--mask", action="append", metavar="[OBJECT=]FILE", help="where the object may be used; may be given for each"
+    )
+    mappings = [name.lower() for name, *_ in MAPPINGS]
+    job.add_argument("--mapping", choices=mappings, help="how materials lie on the objects (default: the panel's)")
     job.add_argument("--scene", help="name of the scene (default: the active one)")
     job.add_argument("--image", help="the photo (default: the panel's)")
     job.add_argument("--camera", help="name of the camera object (default: the panel's, then the scene's)")
@@ -75,7 +97,12 @@ def _parser() -> argparse.ArgumentParser:
     sun.add_argument("--sun", choices=("lamp", "world"), help="where key lights go (default: the panel's)")
 
     fit = argparse.ArgumentParser(add_help=False)
-    fit.add_argument("--material", help="the material of all objects, instead of recognition")
+    fit.add_argument(
+        "--material",
+        action="append",
+        metavar="[OBJECT=]NAME",
+        help="the material of all objects, or of one (may be given for each), instead of recognition",
+    )
     fit.add_argument("--out", help="folder for the results (default: in the job's)")
 
     estimate = commands.add_parser(
@@ -91,28 +118,41 @@ def _parser() -> argparse.ArgumentParser:
     exporting = commands.add_parser("export", parents=[job], help="write the job folder only")
     exporting.set_defaults(run=_export)
 
-    apply = commands.add_parser("apply", parents=[save, sun], help="make a lighting.json the World")
-    apply.add_argument("lighting")
+    apply = commands.add_parser("apply", parents=[everything, save, sun], help="make a light in a file the World")
+    apply.add_argument("lighting", help="lighting.json, an environment map (.exr, .hdr), or cmgen's text")
+    apply.add_argument("--order", type=int, default=4, help="of a map that becomes nodes (default: 4)")
     apply.add_argument("--scene", help="name of the scene (default: the active one)")
     apply.set_defaults(run=_apply)
 
+    light = commands.add_parser("light", parents=[everything], help="write the World's light to a file, as it is now")
+    light.add_argument("file", help=".json, .btfsep, .exr, .hdr, .txt or .usda")
+    light.add_argument("--order", type=int, default=4, help="of harmonics (default: 4)")
+    light.add_argument("--scene", help="name of the scene (default: the active one)")
+    light.set_defaults(run=_light)
+
     sequence_run.add_command(commands, [job, engine, fit, save])
-    measure.add_command(commands)
+    batch.add_command(commands, [job, engine, fit, sun], estimate=estimate_scene, save=save_file)
+    measure.add_command(commands, [everything])
     return parser
 
 
-def _estimate(options) -> None:
-    scene = scene_of(options)
-    folder = headless.write_job(options, scene)
-    out = Path(options.out).absolute() if options.out else folder / "result"
+def _estimate(options) -> dict:
+    return estimate_scene(options, scene_of(options))
+
+
+def estimate_scene(options, scene, *, image=None, out=None, stays: bool = False) -> dict:
+    """Estimates the light of ``scene`` as the command line says; what came of it, for ``--json``."""
+    folder = headless.write_job(options, scene, image=image)
+    out = Path(out or options.out).absolute() if out or options.out else folder / "result"
     arguments = request.engine_arguments("estimate", folder, scene, "--out", out, options=options)
-    result = headless.run_engine(arguments, options.engine)
+    result = headless.run_engine(arguments, options.engine, stays=stays)
     for sentence in take_estimate(scene, result, mode=_mode(options), lamp=_lamp(options)):
         say(sentence)
     say(f"wrote {out}")
+    return {"out": str(out), "estimate": result}
 
 
-def _recognise(options) -> None:
+def _recognise(options) -> dict:
     scene = scene_of(options)
     folder = headless.write_job(options, scene)
     arguments = request.engine_arguments("recognise", folder, scene, options=options)
@@ -121,17 +161,33 @@ def _recognise(options) -> None:
         say(sentence)
         for candidate in (found.get("candidates") or [])[:5]:
             say(f"  {candidate['score']:8.3f}  {candidate['name']}")
+    return {"objects": objects}
 
 
-def _export(options) -> None:
-    say(f"wrote {headless.write_job(options, scene_of(options)) / export.JOB_FILE}")
+def _export(options) -> dict:
+    job = headless.write_job(options, scene_of(options)) / export.JOB_FILE
+    say(f"wrote {job}")
+    return {"job": str(job)}
 
 
 def _apply(options) -> None:
     scene = scene_of(options)
     if (_mode(options) or scene.btfsep.world_mode) == "NONE":
         raise InputError("the World", "'none' was asked for", "choose nodes or texture")
-    say(apply_light(scene, lighting_file.read(options.lighting), mode=_mode(options), lamp=_lamp(options)))
+    lighting = light_files.read(options.lighting, _order(options))
+    say(apply_light(scene, lighting, mode=_mode(options), lamp=_lamp(options)))
+
+
+def _light(options) -> dict:
+    light_files.write(options.file, scene_of(options), _order(options))
+    say(f"wrote {options.file}")
+    return {"file": str(Path(options.file).absolute())}
+
+
+def _order(options) -> int:
+    if not 0 <= options.order <= sh_nodes.MAX_NODE_ORDER:
+        raise InputError("--order", f"{options.order}", f"give 0 to {sh_nodes.MAX_NODE_ORDER}")
+    return options.order
 
 
 def _mode(options) -> str | None:
@@ -142,7 +198,8 @@ def _lamp(options) -> bool | None:
     return None if options.sun is None else options.sun == "lamp"
 
 
-def _save(path: str) -> None:
+def save_file(path: str) -> str:
+    """Saves the file, and gives its name. Raises InputError."""
     target = Path(path).absolute()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -150,6 +207,7 @@ def _save(path: str) -> None:
     except (OSError, RuntimeError) as error:
         raise InputError(f"cannot write {target}", str(error).strip(), "choose a folder that can be written") from None
     say(f"saved {target}")
+    return str(target)
 
 
 _handle = None
@@ -157,7 +215,7 @@ _handle = None
 
 def register():
     global _handle
-    _handle = bpy.utils.register_cli_command("btfsep", main)
+    _handle = bpy.utils.register_cli_command("btfsep", by_blender)
 
 
 def unregister():

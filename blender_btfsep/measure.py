@@ -176,9 +176,9 @@ _shown = {"name": _own["name"]} | properties.engine_properties(engine_settings.M
 BTFSEP_OT_measure_material.__annotations__ = _shown
 
 
-def add_command(commands) -> None:
+def add_command(commands, parents=()) -> None:
     """Adds ``measure`` to the commands that Blender runs without a window."""
-    parser = commands.add_parser("measure", help="measure an object's material into a library")
+    parser = commands.add_parser("measure", parents=parents, help="measure an object's material into a library")
     parser.add_argument("--scene", help="name of the scene (default: the active one)")
     parser.add_argument("--object", help="name of the object (default: the active one)")
     parser.add_argument("--material", help="name of its material (default: its active one)")

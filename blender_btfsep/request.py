@@ -67,7 +67,9 @@ def write_job(
     objects=(),
     depth=None,
     material=None,
+    masks=None,
     occluders=None,
+    mapping=None,
     exposure_ev=None,
     curve=None,
     warn=None,
@@ -75,7 +77,7 @@ def write_job(
     """Exports the job that the panel describes; gives its folder.
 
     What else is given stands in the place of the panel's: as of `export.export_job`, but ``occluders`` is "OTHERS" or
-    "NONE", and ``material`` is that of all objects.
+    "NONE", and ``material`` and ``masks`` have what is given of each object by its name.
 
     Raises
     ------
@@ -94,7 +96,7 @@ def write_job(
     else:
         objects = objects or [entry.object for entry in entries.values()]
     names = list(entries) if depth else [thing.name for thing in objects]
-    given = {name: entries[name] for name in names if name in entries and not material}
+    given = {name: entries[name] for name in names if name in entries and not (material or {}).get(name)}
     path = export.export_job(
         context_or_scene,
         folder or job_folder(scene),
@@ -102,12 +104,12 @@ def write_job(
         camera=camera or settings.camera,
         objects=objects,
         occluders=[] if (occluders or settings.occluders) == "NONE" else None,
-        materials={name: material or own_surface.material_of(given.get(name)) for name in names},
+        materials={name: (material or {}).get(name) or own_surface.material_of(given.get(name)) for name in names},
         surfaces={name: own_surface.chosen(entry) for name, entry in given.items()},
-        masks={name: entry.mask for name, entry in entries.items()},
+        masks={name: entry.mask for name, entry in entries.items()} | (masks or {}),
         depth=depth,
         exposure_ev=settings.exposure_ev if exposure_ev is None else exposure_ev,
-        mapping=settings.mapping,
+        mapping=mapping or settings.mapping,
         curve=curve or settings.curve,
         warn=warn or runs.warn,
     )

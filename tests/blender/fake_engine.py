@@ -44,6 +44,7 @@ def main():
         out = Path(arguments[arguments.index("--out") + 1])
         out.mkdir(parents=True, exist_ok=True)
         (out / "lighting.json").write_text(json.dumps(behaviour["lighting"]))
+        (out / "result.json").write_text("{}")
         result = behaviour.get("result", {}) | {"out": str(out), "lighting": str(out / "lighting.json")}
         say(type="done", result=result)
     if "aligned" in behaviour and arguments[0] == "align":
