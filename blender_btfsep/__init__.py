@@ -7,6 +7,7 @@ import bpy
 
 from . import (
     alignment,
+    checkup,
     command,
     icons,
     importer,
@@ -32,6 +33,7 @@ MODULES = (
     icons,
     properties,
     preferences,
+    checkup,
     library,
     library_assets,
     operators,

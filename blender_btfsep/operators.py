@@ -5,11 +5,10 @@ import contextlib
 
 import bpy
 
-from . import engine_process, library, request, runs
+from . import checkup, engine_process, library, request, runs
 from .answer import FOUND, take_estimate, take_light, take_materials
 from .errors import InputError
 
-TOLD = ("test render", "library", "processors", "CUDA driver", "cache")  # of what Test Engine finds out
 
 
 class NeedsScene(runs.Greyed):
@@ -81,9 +80,31 @@ class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):
         return ["doctor"]
 
     def finish(self, context, result):
-        facts = result.get("facts") or {}
-        told = [f"{name}: {facts[name]}" for name in TOLD if facts.get(name)]
-        return "\n".join(["The engine works", *told])
+        checkup.take(result)
+        return "The engine works"
+
+    def _fail(self, message):
+        checkup.take_failure(message)
+        super()._fail(message)
+
+
+class BTFSEP_OT_clear_cache(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
+    """Take away what the engine keeps of earlier runs: charts of meshes, recognisers. It is made again where needed"""
+
+    bl_idname = "btfsep.clear_cache"
+    bl_label = "Clear Cache"
+    task = "Clearing the cache"
+
+    @staticmethod
+    def reason(context) -> str:
+        return runs.RUNNING if runs.is_running() else ""
+
+    def begin(self, context):
+        return ["cache", "--clear"]
+
+    def finish(self, context, result):
+        checkup.measure()
+        return f"{result['freed'] / 1e6:.0f} MB are free now"
 
 
 class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
@@ -124,6 +145,7 @@ CLASSES = (
     BTFSEP_OT_recognise,
     BTFSEP_OT_estimate,
     BTFSEP_OT_doctor,
+    BTFSEP_OT_clear_cache,
     BTFSEP_OT_read_library,
     BTFSEP_OT_cancel,
 )

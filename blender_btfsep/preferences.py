@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Preferences: where the engine and the library are, whether jobs are kept."""
+"""Preferences: where the engine and the library are, whether jobs are kept, whether the engine works, its cache."""
 
 from types import SimpleNamespace
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
+
+from . import checkup
 
 
 class BTFSEP_AP_preferences(bpy.types.AddonPreferences):
@@ -32,14 +34,7 @@ class BTFSEP_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "engine")
         layout.prop(self, "library")
         layout.prop(self, "keep_jobs")
-        layout.operator("btfsep.doctor", icon="CHECKMARK")
-        run = context.window_manager.btfsep
-        if run.task == "Testing":
-            column = layout.box().column(align=True)
-            said = ["Testing …"] if run.running else (run.error or run.summary).splitlines()
-            for number, line in enumerate(said):
-                first = "TIME" if run.running else "ERROR" if run.error else "CHECKMARK"
-                column.label(text=line, icon="BLANK1" if number else first)
+        checkup.draw(layout)
 
 
 def get(context=None):

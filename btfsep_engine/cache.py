@@ -124,6 +124,26 @@ def most_bytes() -> float:
         return MOST_BYTES
 
 
+def entries() -> list[Path]:
+    """All that is kept: entries, and what killed processes have left of some. Nothing else that lies in the folder."""
+    folder = cache_folder()
+    return [path for name in ("*.entry", ".writing-*") for path in folder.rglob(name) if path.is_file()]
+
+
+def clear() -> int:
+    """Takes all of it away, and folders that are empty then; gives the bytes that are free now."""
+    freed = 0
+    for path in entries():
+        with suppress(OSError):  # in use, on Windows
+            size = path.stat().st_size
+            path.unlink()
+            freed += size
+    for folder in sorted((p for p in cache_folder().rglob("*") if p.is_dir()), key=lambda p: -len(p.parts)):
+        with suppress(OSError):  # it holds something
+            folder.rmdir()
+    return freed
+
+
 def _digest(path: Path, file) -> bytes:
     """Of the entry's place in the cache and of the rest of ``file``."""
     return hashlib.file_digest(file, partial(hashlib.sha256, os.fsencode("/".join(path.parts[-2:])))).digest()

@@ -58,6 +58,20 @@ def doctor(*, library_folder, reporter):
     return result, words.doctor(result)
 
 
+@cli.command(name="cache")
+@click.option("--clear", is_flag=True, help="Take all of it away; it is made again where it is needed.")
+@command
+def cache_command(*, clear, reporter):
+    """What is kept of earlier runs: where, and how much."""
+    from btfsep_engine import cache
+
+    freed = cache.clear() if clear else 0
+    held = sum(path.stat().st_size for path in cache.entries())
+    result = {"folder": str(cache.cache_folder()), "bytes": held, "freed": freed}
+    more = f", {freed / 1e6:.0f} MB are free now" if clear else ""
+    return result, f"{held / 1e6:.0f} MB in {result['folder']}{more}"
+
+
 @cli.command()
 @JOB
 @MATERIAL

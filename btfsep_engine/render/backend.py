@@ -37,6 +37,12 @@ LIBRARY_PATTERNS = (
     "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
     "C:/Program Files/LLVM/bin/LLVM-C.dll",
 )
+INSTALL = {
+    "win32": "winget install LLVM.LLVM",
+    "darwin": "brew install llvm",
+    "linux": "Debian, Ubuntu: sudo apt-get install libllvm19, or libllvm15; Fedora: sudo dnf install llvm-libs",
+}
+"""Platform -> how a libLLVM is had there, in one command."""
 # Renders a lit sphere: what Dr.Jit compiles, Embree traces and libLLVM must survive.
 TRIAL = """
 import json, sys
@@ -206,8 +212,8 @@ def _try_all() -> Backend:
     raise InputError(
         "the renderer cannot start",
         "no libLLVM was found on this machine" if not failures else "tried " + ", ".join(failures),
-        f"{alone}install one that works (Debian, Ubuntu: apt-get install libllvm19 or libllvm15; macOS: brew install "
-        "llvm; Windows: the LLVM installer) or set DRJIT_LIBLLVM_PATH to its file",
+        f"{alone}install one that works ({INSTALL.get(sys.platform, INSTALL['linux'])}) "
+        "or set DRJIT_LIBLLVM_PATH to its file",
     )
 
 

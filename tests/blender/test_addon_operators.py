@@ -171,15 +171,6 @@ def test_a_wrong_engine_in_the_preferences_is_named(photographed):
         bpy.ops.btfsep.estimate()
 
 
-def test_the_engines_facts_are_told_where_it_is_tested(addon, fake_engine):
-    facts = {"processors": "2", "cache": "/c", "test render": "right, with llvm_ad_rgb", "numpy": "1.26.4"}
-    fake_engine(lines=[{"type": "done", "result": {"ok": True, "facts": facts}}])
-    assert bpy.ops.btfsep.doctor() == {"FINISHED"}
-    run = bpy.context.window_manager.btfsep
-    assert run.summary == "The engine works\ntest render: right, with llvm_ad_rgb\nprocessors: 2\ncache: /c"
-    assert run.task == "Testing" and not run.running  # which is what the preferences show
-
-
 def test_library_names(addon, fake_engine):
     fake_engine(lines=[{"type": "done", "result": {"materials": [{"name": "wood/oak", "class": "wood"}]}}])
     bpy.ops.btfsep.read_library()

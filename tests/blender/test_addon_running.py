@@ -22,6 +22,43 @@ def during_the_run(monkeypatch, change):
     monkeypatch.setattr(runs.EngineOperator, "_heard", hearing)
 
 
+def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographed, fake_engine, tmp_path):
+    from blender_btfsep import checkup
+
+    checkup._file().unlink(missing_ok=True)
+    checkup._found = None
+    assert checkup.found() == {}
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    (cache / "a.entry").write_bytes(bytes(3_000_000))
+    facts = {"variant": "llvm_ad_rgb", "cache": str(cache)}
+    fake_engine(lines=[{"type": "done", "result": {"ok": True, "facts": facts}}])
+    assert bpy.ops.btfsep.doctor() == {"FINISHED"}
+    checkup._found = None  # of the next session: read from its file
+    assert checkup.found() == {"ok": True, "facts": facts, "message": "", "bytes": 3_000_000}
+    (cache / "a.entry").unlink()
+    fake_engine(lines=[{"type": "done", "result": {"folder": str(cache), "bytes": 0, "freed": 3_000_000}}])
+    assert bpy.ops.btfsep.clear_cache() == {"FINISHED"} and checkup.found()["bytes"] == 0
+    assert bpy.context.window_manager.btfsep.summary == "3 MB are free now"
+    sentence = "this machine; no libLLVM was found; install one (brew install llvm)"
+    fake_engine(lines=[{"type": "failed", "message": sentence, "exit_code": 2}], exit=2)
+    with pytest.raises(RuntimeError, match="brew install llvm"):
+        bpy.ops.btfsep.doctor()
+    assert not checkup.found()["ok"] and checkup.found()["message"] == sentence
+
+    # what is asked once by itself, some seconds after switching on
+    fake_engine(lines=[{"type": "done", "result": {"ok": True, "facts": facts}}])
+    while checkup._first_time() is not None:
+        pass
+    assert checkup.found()["ok"]
+    for text in ("", "[]", '{"facts": 3}'):
+        checkup._file().write_text(text)
+        checkup._found = None
+        assert checkup.found() == {}
+    checkup._file().unlink()
+    checkup._found = None
+
+
 LINE = {"type": "progress", "stage": "fit", "fraction": 0.5, "message": ""}
 
 

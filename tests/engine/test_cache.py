@@ -157,3 +157,17 @@ def test_a_full_folder_gives_up_what_was_unused_for_longest(tmp_path, monkeypatc
 def test_a_user_can_say_how_large_a_folder_may_be(monkeypatch, text, bytes_):
     monkeypatch.setenv("BTFSEP_CACHE_MB", text)
     assert cache.most_bytes() == bytes_
+
+
+def test_all_that_is_kept_is_taken_away_and_nothing_else(tmp_path, monkeypatch):
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "mine"))
+    assert cache.entries() == [] and cache.clear() == 0
+    for name in ("kind/a.entry", "kind/b.entry", "runs/key/0.entry"):
+        cache.write(tmp_path / "mine" / name, ARRAYS)
+    (tmp_path / "mine" / "kind" / ".writing-half").write_bytes(b"half")
+    (tmp_path / "mine" / "kind" / "letter.txt").write_text("the user's own")
+    (tmp_path / "other.entry").write_text("beside it")
+    held = sum(path.stat().st_size for path in cache.entries())
+    assert held > 4 and cache.clear() == held
+    assert sorted(p.name for p in (tmp_path / "mine").rglob("*")) == ["kind", "letter.txt"]
+    assert (tmp_path / "other.entry").is_file()

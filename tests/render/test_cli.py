@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from btfsep_engine import images, report, sh
+from btfsep_engine import cache, images, report, sh
 from btfsep_engine.cli import main
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import exactly, read_lighting, write_lighting, write_lighting_exr
@@ -35,6 +35,15 @@ def test_doctor_finds_this_machine_well(capsys):
     assert main(["doctor"]) == 0
     said = capsys.readouterr().out
     assert "test render" in said and "right, with" in said
+
+
+def test_the_cache_is_shown_and_cleared(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path))
+    cache.write(tmp_path / "kind" / "a.entry", {"x": np.zeros(250_000)})
+    assert main(["cache"]) == 0 and capsys.readouterr().out == f"2 MB in {tmp_path}\n"
+    assert main(["cache", "--clear", "--json"]) == 0
+    (done,) = json_lines(capsys.readouterr().out)
+    assert done["result"]["bytes"] == 0 and done["result"]["freed"] > 2e6 and not list(tmp_path.iterdir())
 
 
 def test_estimate_gives_back_the_light_of_a_white_sphere(sphere_job_folder, capsys):
