@@ -12,6 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from . import colour
 from .errors import InputError
 from .scratch import save_exr, scratch
 
@@ -94,7 +95,7 @@ def write_maps(maps: BakedMaps, folder, *, millimetres: float, height_mm: float 
     height_mm : if not 0, the height is stretched to so much from its lowest to its highest place
     """
     folder = Path(folder)
-    written = {"basecolor": maps.base_colour, "roughness": maps.roughness}
+    written = {"basecolor": colour.to_rec709(maps.base_colour), "roughness": maps.roughness}
     if maps.metallic is not None:
         written["metallic"] = maps.metallic
     options = ["--f0", maps.f0]

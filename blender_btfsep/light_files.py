@@ -47,6 +47,7 @@ def _read_map(path: Path) -> np.ndarray:
     except RuntimeError as error:
         raise InputError(path.name, str(error).strip(), "choose an EXR or HDR that can be read") from None
     try:
+        image.colorspace_settings.name = "Linear Rec.709"  # which files do not say, and other working spaces are not
         width, height = image.size
         if not width or width != 2 * height:
             got = f"it is {width} x {height}" if width else "it has no pixels"

@@ -5,6 +5,7 @@ import re
 
 from . import library_assets, photo, surroundings
 from .bake import source_of
+from .colour import to_rec709
 from .errors import InputError
 
 BLENDER = "BLENDER"
@@ -20,8 +21,8 @@ def material_of(entry) -> str | None:
 def chosen(entry):
     """What `of` takes for an entry of the object list: a "surface" of the job, BLENDER, or None."""
     if entry.source == "COLOUR":
-        colour = [round(value, 6) for value in entry.colour]
-        return {"base_color": colour, "roughness": round(entry.roughness, 6), "metallic": round(entry.metallic, 6)}
+        base = [round(float(value), 6) for value in to_rec709(entry.colour).clip(0, 1)]
+        return {"base_color": base, "roughness": round(entry.roughness, 6), "metallic": round(entry.metallic, 6)}
     stands_for = library_assets.material_named_by(entry.object)
     return BLENDER if entry.source == BLENDER and not stands_for else None
 

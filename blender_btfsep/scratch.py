@@ -26,11 +26,14 @@ def scratch():
 
 
 def save_exr(image, path, *, raw: bool = False) -> None:
-    """Saves what Blender shows of ``image``, scene-linear, 32 bit, through a scene of its own; ``raw``: as it is."""
+    """Saves what Blender shows of ``image``, linear Rec.709, 32 bit, through a scene of its own; ``raw``: as it is."""
     with scratch() as own:
         scene = own(bpy.data.scenes.new("BTFsep picture"))
         settings = scene.render.image_settings
         settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
         if raw:
             scene.view_settings.view_transform = "Raw"
+        else:  # the working space may be another
+            settings.color_management = "OVERRIDE"
+            settings.linear_colorspace_settings.name = "Linear Rec.709"
         image.save_render(str(path), scene=scene)

@@ -6,6 +6,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from .bake import source_of
+from .colour import to_rec709
 
 DEFAULT = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0, "metallic": 0.0, "specular": 0.0}  # Cycles', of no material
 BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
@@ -120,7 +121,7 @@ def _colour(socket):
     """(3,) linear, the mean of an image; None where neither a number nor an image says it."""
     source = source_of(socket)
     if source is None:
-        return np.array(socket.default_value[:3])
+        return to_rec709(socket.default_value[:3])
     image = source.node.image if source.node.type == "TEX_IMAGE" and source.name == "Color" else None
     return None if image is None else mean_of_image(image)
 
@@ -137,7 +138,8 @@ def mean_of_image(image):
     colours = colours[:, :3] if image.channels > 2 else np.repeat(colours[:, :1], 3, 1)
     if coded:
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-    return colours.mean(0, dtype=np.float64)
+    mean = colours.mean(0, dtype=np.float64)
+    return to_rec709(mean) if image.is_float and not image.colorspace_settings.is_data else mean
 
 
 def encloses(positions, *places) -> bool:
