@@ -59,7 +59,7 @@ def test_a_colour_is_a_surface(photographed, cube, tmp_path):
     job = job_of(photographed, tmp_path)
     assert job["material"] is None
     assert job["surface"] == {"base_color": [0.1, 0.5, 0.4], "roughness": 0.25, "metallic": 1}
-    folder = request.write_job(photographed, folder=tmp_path / "other", material="wood/oak")
+    folder = request.write_job(photographed, folder=tmp_path / "other", material={"Cube": "wood/oak"})
     job = json.loads((folder / "job.json").read_text())["objects"][0]  # --material has the last word
     assert (job["material"], job["surface"]) == ("wood/oak", None)
 
