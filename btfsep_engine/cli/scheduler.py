@@ -6,6 +6,7 @@ worker has a supervised process of ours, so that a job that aborts or never ends
 Jobs, results and library have to be seen by all machines under the same paths.
 """
 
+import os
 import threading
 from collections.abc import Iterable, Iterator
 
@@ -77,5 +78,7 @@ def _end_of(future) -> Outcome:
 def done_here(work, task, time_limit: float | None, retries: int) -> Outcome:
     """On a worker: the task in this thread's own process, which has one core, as the thread has."""
     if getattr(own, "worker", None) is None:
+        # Dask has malloc give memory back all the time, for the worker's own sake; an estimate takes half as long again
+        os.environ.pop("MALLOC_TRIM_THRESHOLD_", None)
         own.worker = Worker(threads=1, most_tasks=MOST_TASKS, most_mb=MOST_MB)
     return tried(own.worker, work, task, time_limit, retries)
