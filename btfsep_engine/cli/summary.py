@@ -98,7 +98,8 @@ def write_summary(path: Path, entries: Iterable[dict], **facts) -> None:
         text.write(head[:-1] + ', "jobs": [')
         for i, entry in enumerate(entries):
             text.write((",\n " if i else "\n ") + json.dumps(plain(entry), allow_nan=False))
-            materials, warnings = (entry.get(name) or [] for name in ("materials", "warnings"))
+            lists = (entry.get(name) for name in ("materials", "warnings"))
+            materials, warnings = (each if isinstance(each, list) else [] for each in lists)  # of any program's summary
             table.writerow({**entry, "materials": " ".join(map(str, materials)), "warnings": len(warnings)})
         text.write("\n]}\n")
 
