@@ -332,5 +332,5 @@ def test_a_batch_in_its_own_process_stops_when_its_reporter_says_so(shots):
     task = EstimateTask(shots / "a", shots / "out", choose("draft", order=2), material=OPTIONS[1], with_report=False)
     ends = run_here(estimate_job, [task] * 9, Stopping())
     with pytest.raises(KeyboardInterrupt):
-        list(ends)
+        next(ends)
     assert not (shots / "out" / "result.json").exists()
