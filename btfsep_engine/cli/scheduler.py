@@ -6,9 +6,11 @@ worker has a supervised process of ours, so that a job that aborts or never ends
 Jobs, results and library have to be seen by all machines under the same paths.
 """
 
+import logging
 import os
 import threading
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 from btfsep_engine.cli.command import BUG
 from btfsep_engine.cli.lanes import MOST_MB, MOST_TASKS, tried
@@ -28,12 +30,13 @@ def run_scheduled(
     Raises
     ------
     InputError
-        Dask is not installed, or there is no scheduler at ``address``.
+        Dask is not installed, there is no scheduler at ``address``, or it is lost.
     """
     try:
         from distributed import Client, as_completed
     except ImportError as error:
         raise InputError("--scheduler", f"Dask is not there ({error})", 'pip install "btfsep[farm]"') from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is said here, in one line
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -60,17 +63,23 @@ def run_scheduled(
                 if not numbers:
                     return
                 future = next(ends)
+                if future.status in ("cancelled", "lost"):
+                    raise OSError("the scheduler was lost, or forgot its tasks")
                 number = numbers.pop(future)
                 yield number, _end_of(future)
+        except OSError as error:
+            do = "start it, and run this again: what is done stays"
+            raise InputError(f"--scheduler {address}", str(error), do) from error
         finally:
-            client.cancel(list(numbers), force=True)
+            with suppress(Exception):  # of a scheduler that is gone
+                client.cancel(list(numbers), force=True)
 
 
 def _end_of(future) -> Outcome:
     """What became of a task; of one whose workers were lost again and again, that."""
     if future.status == "finished":
         return future.result()
-    error = future.exception() if future.status == "error" else "it was cancelled"
+    error = future.exception()
     died = type(error).__name__ == "KilledWorker"
     return Outcome(BUG, f"{type(error).__name__}: {error}" if not died else "its workers were lost", died=died)
 

@@ -5,6 +5,8 @@ import json
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -88,3 +90,21 @@ def test_a_scheduler_that_is_not_there_is_said(monkeypatch):
     for address in ("tcp://127.0.0.1:1", "nonsense://", "tcp://127.0.0.1:none"):
         with pytest.raises(InputError, match="--scheduler"):
             next(run_scheduled(address, tasks.count, [1]))
+
+
+def test_a_scheduler_that_is_lost_is_said_and_what_is_done_stays(tmp_path, monkeypatch):
+    """Without workers, so that its tasks are with it when it ends."""
+    said = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    scheduler = subprocess.Popen([*command, "--scheduler-file", said], stderr=subprocess.DEVNULL)
+    try:
+        while not said.exists() or not said.read_text():
+            time.sleep(0.05)
+        address = json.loads(said.read_text())["address"]
+        asked = threading.Timer(2.0, scheduler.kill)
+        asked.start()
+        with pytest.raises(InputError, match=r"lost.*what is done stays"):
+            next(run_scheduled(address, tasks.count, range(3)))
+    finally:
+        scheduler.kill()
+        scheduler.wait()
