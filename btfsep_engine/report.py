@@ -70,8 +70,8 @@ def render_objects(
         points = scene.points(index, region=region, textured=textured and material.has_texture)
         points = points.take(spread(points, IMAGE_PIXELS))
         values = scene.radiance(points, material, lightings, directions=directions, indirect=indirect)
-        for sun in suns:
-            values = values + scene.sun_radiance(points, material, sun)[:, None]
+        if suns:
+            values = values + scene.sun_radiance(points, material, *suns)[:, None]
         if len(points) < region.sum():
             values = values[cKDTree(points.pixels).query(np.argwhere(region))[1]]
         out[:, region] = values.transpose(1, 0, 2)
@@ -209,7 +209,7 @@ def rough_rendering(estimate, scene, part: Part, lights) -> np.ndarray:
     region, stride = part.thinned(PIXELS)
     points = scene.points(part.index, region=region, textured=material.has_texture)
     seen = scene.transport(points, directions=DIRECTIONS).radiance(material, lights).reshape(len(points), 6)
-    suns = sum((scene.sun_radiance(points, material, sun) for sun in estimate.light.suns), np.zeros((len(points), 3)))
+    suns = scene.sun_radiance(points, material, *estimate.light.suns)
     out = part.filled(points, np.concatenate([seen, suns], 1), stride)
     between = scene.indirect(model.problems[0].materials, lights, model.modelled, bounces=model.bounces)
     if between is not None:

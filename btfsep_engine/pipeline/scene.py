@@ -197,19 +197,21 @@ class PreparedScene:
             return out
         return out + indirect.reflected(self.transport(points, directions=INDIRECT_DIRECTIONS), material)
 
-    def sun_radiance(self, points: SurfacePoints, material, sun: Sun) -> np.ndarray:
-        """Radiance (p, 3) float32 of points under a sun alone, with its own shadows, without interreflections."""
+    def sun_radiance(self, points: SurfacePoints, material, *suns: Sun) -> np.ndarray:
+        """Radiance (p, 3) float32 of points under suns alone, with their own shadows, without interreflections."""
         if material.mirror_reflectance is not None:
-            light = SHLighting(sun.coefficients(MIRRORED))
+            light = SHLighting(sum((sun.coefficients(MIRRORED) for sun in suns), np.zeros(((MIRRORED + 1) ** 2, 3))))
             return self.radiance(points, material, light, directions=INDIRECT_DIRECTIONS)[:, 0]
+        beams = [sun.directions(SUN_DIRECTIONS) for sun in suns]
+        strength = [np.tile(sun.irradiance / len(each), (len(each), 1)) for sun, each in zip(suns, beams, strict=True)]
         per_beam = beam_radiance(
             self.tracer,
             points,
             material,
-            sun.directions(SUN_DIRECTIONS),
+            np.concatenate([*beams, np.zeros((0, 3))]),
             millimetres_per_unit=self.millimetres_per_unit,
         )
-        return per_beam.mean(1) * sun.irradiance.astype(np.float32)
+        return np.einsum("pnc,nc->pc", per_beam, np.concatenate([*strength, np.zeros((0, 3))]).astype(np.float32))
 
     def photo_at(self, points: SurfacePoints) -> np.ndarray:
         """The photograph's radiance (p, 3) float32 at the points' pixels."""

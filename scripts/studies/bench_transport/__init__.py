@@ -3,7 +3,8 @@
 
 scripts/study bench-transport                         everything, a few minutes on a quiet machine
 scripts/study bench-transport --write                 and puts the tables into docs/results/speed.md, with charts
-scripts/study bench-transport --only reference rays   some of: reference, rays, warm, between, cold, lookups, growth
+scripts/study bench-transport --only reference rays   some of: reference, rays, warm, between, cold, traced, lookups,
+                                                       growth
 scripts/study bench-transport --quick                 each part in small, within a minute: only to see that it runs
 
 The object is a sphere with dents that shade one another. Seconds are by the clock, and of all processors together:
@@ -28,10 +29,19 @@ QUICK = {
 
 
 def main(arguments) -> None:
-    from scripts.studies.bench_transport import cold, equal_error, growth, rates
+    from scripts.studies.bench_transport import cold, equal_error, growth, rates, traced
     from scripts.studies.stage import MATERIALS
 
-    each = (equal_error.reference, rates.rays, rates.warm, rates.between, cold.cold, rates.lookups, growth.growth)
+    each = (
+        equal_error.reference,
+        rates.rays,
+        rates.warm,
+        rates.between,
+        cold.cold,
+        traced.traced,
+        rates.lookups,
+        growth.growth,
+    )
     parts = {f.__name__: f for f in each}
     options = parser("bench-transport", __doc__)
     options.add_argument("--only", nargs="*", choices=parts, default=list(parts))
