@@ -10,7 +10,6 @@ from .answer import FOUND, take_estimate, take_light, take_materials
 from .errors import InputError
 
 
-
 class NeedsScene(runs.Greyed):
     """Greyed out until there are a photo, a camera and objects."""
 
