@@ -84,7 +84,7 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
             box.operator("btfsep.use_photo", text="Set Resolution")
         if not use_photo.is_behind(scene) and not wrong:
             found = use_photo.background(camera) if image is None else None
-            words = f"Use '{found.name}' of the Camera" if found else "Put Behind the Camera" if image else "Use Photo"
+            words = f"Use '{found.name}' of the Camera" if found else "Use Photo"
             layout.operator("btfsep.use_photo", text=words, icon="CAMERA_DATA")
         if request.listed(settings):
             column = layout.column(align=True)

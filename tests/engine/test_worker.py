@@ -142,7 +142,7 @@ def test_no_process_outlives_its_parent(tmp_path, work, how):
     children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
     assert len(children) == 1 and alive(int(children[0]))
     run.send_signal(how)
-    run.wait()
+    run.wait(timeout=20)
     wait_for(lambda: not alive(int(children[0])), seconds=1.0)
 
 
