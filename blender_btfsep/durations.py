@@ -8,6 +8,7 @@ is when it said so. No run of its kind yet: the engine's guide as it is, and no 
 import itertools
 import json
 import time
+from functools import lru_cache
 from pathlib import Path
 
 import bpy
@@ -30,7 +31,17 @@ def _file() -> Path:
 
 def _all() -> dict:
     try:
-        found = json.loads(_file().read_text(encoding="utf-8"))
+        about = _file().stat()
+    except OSError:
+        return {}
+    return _read(_file(), about.st_mtime_ns, about.st_size)
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path, *_as_it_is) -> dict:
+    """What is in the file; it is read once, though a panel asks with every drawing."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return found if isinstance(found, dict) else {}

@@ -113,8 +113,8 @@ def find_engine(preference: str = "") -> Engine:
     raise InputError(
         "the engine of BTFsep",
         "it was not found",
-        "install it (pip install btfsep) and give its Python under Preferences > Add-ons > BTFsep, "
-        "or install the extension that contains it",
+        "install the extension that contains it (its name ends in a platform and a Python), or give the .venv of the "
+        "source tree under Preferences > Add-ons > BTFsep",
     )
 
 
@@ -277,7 +277,7 @@ class EngineProcess:
         if "No module named btfsep_engine" in said:
             return Failed(
                 "the engine's Python; the engine is not installed there; "
-                "install it (pip install btfsep) or choose another Python in the preferences of BTFsep",
+                "choose the .venv of the source tree in the preferences of BTFsep, or another Python that has it",
                 INPUT_FAULT,
             )
         if code == 0:

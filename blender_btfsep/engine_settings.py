@@ -116,9 +116,10 @@ def measuring_words(size_mm: float, texels: int, samples: int, cores: int) -> st
 
 
 def add_options(parser: argparse.ArgumentParser, settings, default: str) -> None:
-    """Options of the command line; ``default`` says in words what holds where one is not given."""
+    """Options of the command line; ``default`` says in words what holds where one is not given; "": the row's own."""
     for s in settings:
-        about = {"dest": s.name, "help": s.description if s.required else f"{s.description} (default: {default})"}
+        held = default or ("the engine's" if s.default is None else s.default)
+        about = {"dest": s.name, "help": s.description if s.required else f"{s.description} (default: {held})"}
         if s.kind is bool:
             parser.add_argument(s.flag, action="store_true", default=None, **about)
             continue

@@ -183,7 +183,7 @@ def add_command(commands, parents=()) -> None:
     parser.add_argument("--object", help="name of the object (default: the active one)")
     parser.add_argument("--material", help="name of its material (default: its active one)")
     parser.add_argument("--name", help="in the library (default: the material's)")
-    engine_settings.add_options(parser, engine_settings.MEASURE, "as the engine has it")
+    engine_settings.add_options(parser, engine_settings.MEASURE, "")
     parser.add_argument(
         "--height-mm", type=float, default=0.0, help="lowest to highest (default: as the material says)"
     )

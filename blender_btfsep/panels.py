@@ -6,6 +6,7 @@ import bpy
 
 from . import (
     answer,
+    durations,
     engine_settings,
     icons,
     kept_light,
@@ -210,6 +211,8 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             lacking = request.missing(context)
             if lacking:
                 _wrapped(context, layout, lacking, icon="INFO")
+            elif seconds := durations.in_words(f"BTFSEP_OT_estimate {settings.preset}"):
+                layout.label(text=seconds, icon="TIME")
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
         if light is not None:

@@ -65,7 +65,8 @@ def apply_lighting(
     world, node = _own_node(scene)
     _forget_keys(world.node_tree, node)
     if mode == "NODES":
-        _put_group(node, sh_nodes.build_group(order))
+        if node.node_tree[sh_nodes.GROUP_TAG] != order:  # else it is there already: most of the time is its building
+            _put_group(node, sh_nodes.build_group(order))
         _write_coefficients(node, colour.to_working(coefficients), order, clamp)
     else:
         given = lighting.get("map")
@@ -134,7 +135,7 @@ def _own_node(scene):
     tree.nodes.clear()
     node, background, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("Group", "Background", "OutputWorld"))
     node.width, node.location, output.location = 240, (-320, 0), (240, 0)
-    node.node_tree = sh_nodes.build_group(0)  # for its output; the light comes in its place
+    _put_group(node, sh_nodes.build_group(0))  # for its output; the light comes in its place
     tree.links.new(node.outputs[0], background.inputs["Color"])
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
     return world, node

@@ -221,6 +221,18 @@ def test_another_light_keeps_what_the_user_has_set_and_built(scene, tmp_path):
     assert len(bpy.data.node_groups) == 1 and not bpy.data.images
 
 
+def test_a_light_of_the_same_order_keeps_the_group(scene):
+    world.apply_lighting(scene, lighting(random_coefficients(2)), clamp=False)
+    group = ours(scene).node_tree
+    c = random_coefficients(2, seed=7)
+    world.apply_lighting(scene, lighting(c), clamp=False)
+    assert ours(scene).node_tree == group and ours(scene).inputs["Clamp Negative"].default_value == 0
+    places = [(l, m) for l in range(3) for m in range(-l, l + 1)]
+    assert np.allclose([ours(scene).inputs[sh_nodes.coefficient_name(*p)].default_value for p in places], c)
+    world.apply_lighting(scene, lighting(random_coefficients(3)))
+    assert [g.name for g in bpy.data.node_groups] == ["BTFsep SH Lighting"] and len(ours(scene).inputs) == 6 + 16
+
+
 def test_a_world_without_our_node_is_the_users(scene):
     made = world.apply_lighting(scene, lighting(random_coefficients(1)))
     made.node_tree.nodes.remove(ours(scene))
