@@ -140,6 +140,17 @@ def test_a_digest_without_loading_is_that_of_loading(shots):
         job_digest(job)
 
 
+def test_a_photo_that_changes_while_it_is_read_does_not_count_as_read(shots, monkeypatch):
+    before, read = job_digest(shots / "a"), images.read_linear
+
+    def late(path, **how):
+        images.write_exr(path, 2 * read(path, **how).pixels)
+        return read(path, **how)
+
+    monkeypatch.setattr(images, "read_linear", late)
+    assert load_job(shots / "a").digest == before != job_digest(shots / "a")
+
+
 def test_whatever_is_wrong_with_one_place_costs_one_line(shots, tmp_path, capsys):
     """Folders that are missing, names that no file can have; a byte order mark in a job.json is no fault."""
     (shots / "empty").mkdir()
