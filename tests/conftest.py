@@ -3,5 +3,5 @@
 
 import signal
 
-# A shell starts what is to run in the background with Ctrl-C ignored; children inherit that, and some are to be stopped.
+# A shell starts what runs in the background with Ctrl-C ignored, and children inherit that: some are to be stopped.
 signal.signal(signal.SIGINT, signal.default_int_handler)
