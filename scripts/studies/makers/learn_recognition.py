@@ -145,7 +145,7 @@ def main(arguments) -> int:
     if given.take:
         photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES)
     found = [cues.seen_in(given.folder, wanted)]
-    found += [photos.found(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
+    found += [photos.photographs_in(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
     seen = []
     for some in found:  # of one size each: an object's training is used for all of its photographs
         some.sort(key=lambda p: p.object)
