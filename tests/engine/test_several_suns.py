@@ -186,8 +186,8 @@ def test_a_sky_that_is_known_better_than_its_series_is_drawn_as_it_is(tmp_path, 
     """Half of the sky lit, an edge that no series of order 4 has; the discs are on it."""
 
     def radiance(directions):
-        assert directions.ndim == 2 and np.allclose(np.linalg.norm(directions, axis=1), 1)
-        return np.where(directions[:, :1] > 0.1, [1.0, 2.0, 3.0], 0.25)
+        assert directions.shape[-1] == 3 and np.allclose(np.linalg.norm(directions, axis=-1), 1)
+        return np.where(directions[..., :1] > 0.1, [1.0, 2.0, 3.0], 0.25)
 
     write_lighting_exr(tmp_path / "l.exr", light, radiance=radiance, height=64, width=128)
     image = read_linear(tmp_path / "l.exr").pixels
