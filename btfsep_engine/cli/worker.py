@@ -191,7 +191,8 @@ class Worker:
             used_up = self.most_tasks and child.tasks >= self.most_tasks
             if not child.dead and (used_up or 0 < self.most_mb < child.megabytes):
                 child.end(FAREWELL)
-            if child.dead:
+                child = None  # whether its listener has seen that already or not
+            elif child.dead:
                 child = None
         if child is None:
             child = self._child = _Child(self.threads)
