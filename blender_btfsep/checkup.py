@@ -15,7 +15,15 @@ from .errors import InputError
 
 FILE = "checkup.json"
 SOON, LOOK = 3.0, 0.5  # seconds after switching on; between looks
-SHOWN = ("variant", "test render", "libLLVM", "CUDA driver", "processors", "library", "cache")
+SHOWN = {
+    "variant": "Renderer",
+    "libLLVM": "libLLVM",
+    "CUDA driver": "CUDA driver",
+    "test render": "Test render",
+    "processors": "Processors",
+    "library": "Library",
+    "cache": "Cache",
+}  # fact -> words for people
 
 _found = None
 """{"ok", "facts", "message", "bytes"} of the last time; {} where it was never asked."""
@@ -79,17 +87,17 @@ def draw(layout) -> None:
     else:
         row.label(text="The engine cannot work", icon="ERROR")
     row.operator("btfsep.doctor")
-    for part in state.get("message", "").split("; ") if state else ():
+    for part in filter(None, state.get("message", "").split("; ")):
         line = box.row()
         line.alert = True
         line.label(text=part)
     column = box.column(align=True)
     column.use_property_split = False
-    for name in SHOWN:
+    for name, label in SHOWN.items():
         value = (state.get("facts") or {}).get(name)
         if value:
             line = column.split(factor=0.25)
-            line.label(text=name[:1].upper() + name[1:])
+            line.label(text=label)
             line.label(text=value)
     row = box.row()
     row.label(text=f"Kept of earlier runs: {state.get('bytes', 0) / 1e6:.0f} MB")
