@@ -171,11 +171,13 @@ class EngineOperator:
 
     def cancel(self, context):
         """Blender gives the operator up: another file is opened, or it quits."""
+        global current
         self._no_timer(context)
         if self.outlives and not isinstance(current, Preparation):
             leave(current, self.task, self._scene_name)
-        else:
-            stop_now()
+        elif current is not None:
+            current.kill()  # the engine that stays does so
+            current = None
         run_state().running = False
 
     def _no_timer(self, context) -> None:
