@@ -82,8 +82,13 @@ def test_an_operator_waits_for_it(large, fake_engine, tmp_path):
     assert bpy.ops.btfsep.recognise() == {"FINISHED"}
     folder = json.loads((tmp_path / "log").read_text())[1]
     assert "Cube" in [o["name"] for o in json.loads(open(f"{folder}/job.json").read())["objects"]]
-    large.camera.data.type = "PANO"
-    with pytest.raises(RuntimeError, match="choose a perspective or orthographic camera"):
+    glass = bpy.data.materials.new("Glass")
+    glass.use_nodes = True
+    shader = next(node for node in glass.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Transmission Weight"].default_value = 1
+    large.btfsep.objects[0].object.data.materials.append(glass)
+    large.btfsep.objects[0].source = "BLENDER"  # which only the export finds out
+    with pytest.raises(RuntimeError, match="light goes through material 'Glass'"):
         bpy.ops.btfsep.recognise()
     assert not bpy.context.window_manager.btfsep.running
 
