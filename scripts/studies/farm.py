@@ -82,6 +82,14 @@ def memory(pid: int) -> tuple[float, float, int]:
         return 0.0, 0.0, 0
 
 
+def lives(process: psutil.Process) -> bool:
+    """Whether it does anything: one that has ended stays in the system's list until somebody looks."""
+    try:
+        return process.status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
 def watched(command, jobs: int) -> dict:
     """Runs a command that reports a batch by ``--json``: its seconds, end, and the memory at `MARKS`."""
     before, began = os.times(), time.perf_counter()
@@ -150,7 +158,8 @@ def killed(jobs: list, out: Path) -> dict:
     first.send_signal(signal.SIGKILL)
     first.wait()
     began = time.perf_counter()
-    _, left = psutil.wait_procs(below, timeout=5)
+    while (left := [each for each in below if lives(each)]) and time.perf_counter() - began < 5:
+        time.sleep(0.005)
     ended = time.perf_counter() - began
     again, victim = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True), None
     last, over = {}, 0
