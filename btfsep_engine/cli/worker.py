@@ -139,6 +139,9 @@ class Worker:
             if self._closed:
                 return Outcome(STOPPED, "stopped")
             child = self._ready()
+            if self._closed:  # while this waited for the task before
+                child.end(FAREWELL)
+                return Outcome(STOPPED, "stopped")
             self._number += 1
             self._running = number = self._number
             end = None if time_limit is None else time.monotonic() + time_limit

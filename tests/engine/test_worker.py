@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from btfsep_engine.cli.lanes import lanes_for, run_all
-from btfsep_engine.cli.worker import DIED, STOPPED, TOO_LONG, Outcome, Worker
+from btfsep_engine.cli.worker import DIED, STOPPED, TOO_LONG, Outcome, Worker, _Child
 from tests.engine import worker_tasks as tasks
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -105,6 +105,20 @@ def test_a_task_that_does_not_listen_is_killed_after_the_grace(warm, tmp_path):
     assert alive(deaf) or time.monotonic() - began > 0.5  # the answer did not wait for the process
     assert warm.run(tasks.count, 0).result["pid"] != deaf
     assert not alive(deaf)
+
+
+@posix
+def test_who_waits_for_a_worker_that_is_closed_begins_no_other(tmp_path, monkeypatch):
+    worker, ends, begun = Worker(grace=60), [], []
+    monkeypatch.setattr("btfsep_engine.cli.worker._Child", lambda threads: begun.append(_Child(threads)) or begun[-1])
+    assert worker.run(tasks.deaf, str(tmp_path / "begun"), time_limit=2.0).exit_code == TOO_LONG
+    waiting = threading.Thread(target=lambda: ends.append(worker.run(tasks.count, 0)))
+    waiting.start()
+    wait_for(worker._one_at_a_time.locked)
+    worker.close()
+    waiting.join()
+    assert ends == [Outcome(STOPPED, "stopped")]
+    wait_for(lambda: not any(alive(child.process.pid) for child in begun))
 
 
 def test_a_time_limit_ends_a_task(warm, tmp_path):
