@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import threading
+import time
 from collections import deque
 
 import click
@@ -22,6 +23,7 @@ from btfsep_engine.errors import InputError
 
 NOT_HERE = {"serve"}
 LONGEST = 1 << 20  # bytes of a request
+AGAIN = 0.01  # seconds between two looks whether a cancelled command is over
 AT_ONCE = 0.04  # seconds in which most commands stop: it is said when they have
 GRACE = 2.0  # seconds; then the process ends, and what it keeps is lost
 FORM = 'send one JSON object a line: {"id": 1, "command": "estimate", "arguments": ["JOB"]}'
@@ -111,17 +113,25 @@ class Server:
             waiting = [each for each in self._asked if each[0] == number]
             for each in waiting:
                 self._asked.remove(each)
-            if number == self._running and self._worker is not None:
-                self._worker.cancel()
+            if number == self._running:
+                threading.Thread(target=self._insist, args=[number], daemon=True).start()
         for _ in waiting:
             self._say(id=number, type="cancelled")
+
+    def _insist(self, number) -> None:
+        """Cancels what runs until it does not: it may have been asked for, and not have begun."""
+        while True:
+            with self._changed:
+                if number != self._running or self._worker is None:
+                    return
+                self._worker.cancel()
+            time.sleep(AGAIN)
 
     def work(self) -> None:
         """Answers requests until :meth:`close`."""
         self._ready().run(load, None)
         while True:
             with self._changed:
-                self._running = None
                 if not self._changed.wait_for(lambda: self._asked or self._over, timeout=self._idle):
                     self._retire()
                     self._changed.wait_for(lambda: self._asked or self._over)
@@ -135,6 +145,9 @@ class Server:
         ended = worker.run(run_command, arguments, lambda fields: self._say(id=number, **fields))
         if ended.exit_code == STOPPED:
             worker.settled(AT_ONCE)
+        with self._changed:
+            self._running = None  # from its last line on, its id is free
+        if ended.exit_code == STOPPED:
             self._say(id=number, type="cancelled")
         elif ended.exit_code:
             found = {"result": ended.result} if ended.result else {}

@@ -146,6 +146,20 @@ def test_a_cancelled_command_stops_and_what_is_kept_stays(resident, sphere_job_f
     assert resident.children() == working and len(working) == 1
 
 
+def test_a_cancel_is_heard_whenever_it_comes(resident):
+    """Before its request has begun, just after, and when it is over, which frees its id."""
+    resident.answer(resident.ask("library", "list"))
+    for number in range(40):
+        text = json.dumps({"id": "same", "command": "doctor"}) + "\n" + json.dumps({"cancel": "same"})
+        resident.send(text)
+        assert resident.answer("same")[-1]["type"] in {"cancelled", "done"}, number
+    for _ in range(40):
+        resident.send(id="same", command="library", arguments=["show", "wood/none"])
+        assert resident.answer("same")[-1]["type"] == "failed"
+    resident.send(cancel="same")
+    assert resident.answer(resident.ask("library", "list"))[-1]["type"] == "done"
+
+
 def test_it_outlives_the_process_that_works(resident, sphere_job_folder):
     folder, _ = sphere_job_folder
     resident.answer(resident.ask("library", "list"))
