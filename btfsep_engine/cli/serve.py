@@ -131,6 +131,9 @@ class Server:
         """Answers requests until :meth:`close`."""
         self._ready().run(load, None)
         while True:
+            # a request waits where it can be taken back until one that was cancelled has stopped
+            while not (self._over or self._worker is None or self._worker.settled(AGAIN)):
+                pass
             with self._changed:
                 if not self._changed.wait_for(lambda: self._asked or self._over, timeout=self._idle):
                     self._retire()

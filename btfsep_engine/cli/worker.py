@@ -34,6 +34,7 @@ TOO_LONG = 124  # as of coreutils' timeout
 STOPPED = 130  # as of a command that Ctrl-C has ended
 GRACE = 5.0  # seconds that a task has to stop of itself, before its process is killed
 AGAIN = 0.01  # seconds between two requests to stop: in some places a task is not to be ended
+UNHEARD = 0.2  # seconds after which one that was heard in vain is repeated: Python ignores errors in a callback
 UNTOUCHED = "<frozen importlib", "threadpoolctl.py"  # such: a module half imported, threads not given back
 FAREWELL = 0.5  # and when the process is no longer wanted
 
@@ -52,14 +53,11 @@ class Outcome:
 
 
 class ChildReporter(JsonReporter):
-    """Says everything to the parent, and raises KeyboardInterrupt at the next word after the parent has cancelled.
-
-    ``at_work`` : while it is set, the main thread may be interrupted anywhere else, too.
-    """
+    """Says everything to the parent, and raises KeyboardInterrupt at the next word after the parent has cancelled."""
 
     def __init__(self, say: Callable[[dict], None], **fields):
         super().__init__(**fields)
-        self._say, self._cancelled, self.at_work = say, threading.Event(), False
+        self._say, self._cancelled, self._interrupted = say, threading.Event(), -UNHEARD
 
     def cancel(self) -> None:
         """The task is no longer wanted; of any thread."""
@@ -70,13 +68,15 @@ class ChildReporter(JsonReporter):
 
         Nothing else: Ctrl-C reaches the parent as well, which decides.
         """
-        while self.at_work and self._cancelled.is_set():
-            if frame is None:
-                self.at_work = False  # once: what comes after it is the task's end
-                raise KeyboardInterrupt
+        if not self._cancelled.is_set() or time.monotonic() - self._interrupted < UNHEARD:
+            return  # what the task does at its end is not interrupted
+        while frame is not None and frame.f_code is not _do.__code__:
             if any(name in frame.f_code.co_filename for name in UNTOUCHED):
                 return
             frame = frame.f_back
+        if frame is not None:
+            self._interrupted = time.monotonic()
+            raise KeyboardInterrupt
 
     def check(self) -> None:
         """Raises KeyboardInterrupt where the task is no longer wanted; for loops that have nothing to say."""
@@ -365,11 +365,7 @@ def work_for_parent(lifeline: int | None, threads: int) -> None:
 
 def _do(payload: bytes, reporter) -> dict:
     work, task = pickle.loads(payload)
-    try:
-        reporter.at_work = True
-        return work(task, reporter)
-    finally:
-        reporter.at_work = False
+    return work(task, reporter)
 
 
 def _end_with_parent(lifeline: int | None) -> None:

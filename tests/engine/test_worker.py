@@ -74,7 +74,7 @@ def test_a_process_that_dies_costs_its_task_only(warm, how, words):
     assert warm.run(tasks.count, 1).exit_code == 0
 
 
-@pytest.mark.parametrize("work", [tasks.endless, tasks.busy])
+@pytest.mark.parametrize("work", [tasks.endless, tasks.busy, tasks.stubborn])
 def test_a_cancelled_task_stops_and_its_process_stays(warm, tmp_path, work):
     pid, ends = warm.run(tasks.count, 0).result["pid"], []
     thread = threading.Thread(target=lambda: ends.append(warm.run(work, str(tmp_path / "begun"))))

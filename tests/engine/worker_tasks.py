@@ -100,3 +100,13 @@ def busy(task, reporter) -> dict:
     except KeyboardInterrupt:
         Path(task).write_text("stopped")
         raise
+
+
+def stubborn(task, reporter) -> dict:
+    """As :func:`busy`, but what it is first told goes unheard, as in a callback."""
+    try:
+        Path(task).touch()
+        while True:
+            sum(range(100))
+    except KeyboardInterrupt:
+        return busy(task, reporter)
