@@ -190,7 +190,7 @@ def write_light(out: Path, found: Estimate, *, earlier) -> list[Path]:
     with found.scene.reporter.stage("writing"):
         remove(*earlier)
         write_lighting(paths[0], found.lighting)
-        write_exr(paths[1], found.map)
+        write_exr(paths[1], found.map, compressed=False)  # a tenth larger, and written in a tenth of the time
     return paths
 
 
