@@ -21,7 +21,7 @@ ROUGHNESSES = (0.2, 0.3)  # sigma of Oren and Nayar's slopes, radians
 GLOSS = 0.7  # roughness of the gloss that is added, and its alpha's root
 F0 = 0.04
 DULLER = 0.4  # of the material, replaced by a diffuse one
-EACH = -8.0  # logarithm of the prior probability of one departure, against none: light imitates a few of them
+EACH = -3.0  # logarithm of the prior probability of one departure, against none
 LEAST_COSINE = 1e-3
 
 

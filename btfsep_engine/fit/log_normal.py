@@ -84,13 +84,14 @@ class LightSolver:
         self.basis, self.order, self.seed = Basis(basis, normals), order, seed
         self.coarsening = coarsening
 
-    def solve(self, radiance, *, weights=None, start: Fit | None = None) -> Fit:
+    def solve(self, radiance, *, weights=None, start: Fit | None = None, beside: Fit | None = None) -> Fit:
         """The light of the photograph ``radiance : (p, 3)``, linear.
 
         Parameters
         ----------
         weights : (p, 3) in [0, 1], 1 over the variance of a channel of a pixel; None: all 1
         start : of an earlier photograph of much the same light: its model, from its light on, and no other is tried
+        beside : of the same photograph by another basis, whose evidence is to be compared with this one's
 
         Raises
         ------
@@ -98,16 +99,19 @@ class LightSolver:
             Without light in the photo.
         """
         with one_thread():
-            photo = Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening)
+            photo = self._photograph(radiance, weights, beside)
             if start is not None:
                 return self._fit(photo, *follow(photo, start.election.solution, start.election.rival))
             return self._fit(photo, *elect(photo))
 
-    def field_evidence(self, radiance, *, weights=None) -> float:
+    def field_evidence(self, radiance, *, weights=None, beside: Fit | None = None) -> float:
         """`Fit.evidence` of ``radiance`` under a field alone: quickly, what one basis explains more than another."""
         with one_thread():
-            photo = Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening)
-            return natural_light(photo).evidence
+            return natural_light(self._photograph(radiance, weights, beside)).evidence
+
+    def _photograph(self, radiance, weights, beside: Fit | None) -> Photograph:
+        effective = None if beside is None else beside.election.photo.effective
+        return Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening, effective=effective)
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
         tint = colour.split(best.x[:, 0] * photo.level)

@@ -170,6 +170,7 @@ class Photograph:
     radiance : (p, 3) float, b, linear
     weights : (p, 3) float in [0, 1], 1 over the variance of each channel of each pixel; None: all 1
     coarsening : how many times less a pixel counts than it would
+    effective : how many independent channels the misfit is taken to have; None: learned from a first fit
 
     Raises
     ------
@@ -177,7 +178,7 @@ class Photograph:
         When the photo is black there.
     """
 
-    def __init__(self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0):
+    def __init__(self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0, effective=None):
         self.basis, self._stiff = basis, coarsening
         b = np.asarray(radiance, np.float64) / basis.response
         weight = np.ones_like(b) if weights is None else np.asarray(weights, np.float64)
@@ -194,7 +195,7 @@ class Photograph:
         self.energies = (weight * self.b**2).sum(0)
         # at least 1 where the unit is the channel's mean; a channel that is black has no less noise for that
         self.mean_square = np.maximum(self.energies / np.maximum(self.count, 1e-300), 1.0)
-        self.effective = 1.0
+        self._effective, self.effective = effective, 1.0 if effective is None else effective
 
     @property
     def coarsening(self) -> float:
@@ -204,12 +205,14 @@ class Photograph:
     def learn_from(self, x) -> None:
         """Sets, from a first fit's coefficients x (3, terms), what the discrepancy is a part of, and the channels.
 
-        `effective`, how many independent channels the misfit has: 1, all alike, to 3.
+        `effective`, how many independent channels the misfit has: 1, all alike, to 3. Evidences can be compared where
+        it is the same: it says how much of a photo's evidence counts, and a few per cent of that decide anything.
         """
         predicted = np.stack([self.basis.rows(c) @ x[c] for c in range(3)], 1)
         left = (self.b - predicted) * np.sqrt(self._weight)
         together = left.T @ left
-        self.effective = float(np.trace(together) ** 2 / max((together**2).sum(), 1e-300))
+        if self._effective is None:
+            self.effective = float(np.trace(together) ** 2 / max((together**2).sum(), 1e-300))
         self._first, self._smooth = predicted, []
         for c in range(3):
             f = self.basis.smooth * predicted[:, c, None]

@@ -82,14 +82,20 @@ def stacked(problems: list[Problem]):
     return np.concatenate([p.all_basis for p in problems]), blocks
 
 
-def fit_together(problems: list[Problem], settings: FitSettings) -> SolvedLight:
-    """The light of all photographs; ``settings`` : with a number as ``order``."""
+def fit_together(problems: list[Problem], settings: FitSettings, *, beside: Fit | None = None) -> SolvedLight:
+    """The light of all photographs; ``settings`` : with a number as ``order``.
+
+    ``beside`` : a fit of the same photographs, whose evidence is to be compared with this one's
+    """
     solver = light_solver(problems, settings) if settings.estimator == "map" else None
     basis, blocks = (None, None) if solver else stacked([p.up_to(settings.order) for p in problems])
     light, weights = SolvedLight(None, solver, [1.0] * len(problems)), all_weights(problems)
     for _ in range(TURNS if len(problems) > 1 else 1):
         b, before = light.radiance(problems), light
-        fit = solver.solve(b, weights=weights, start=before.fit) if solver else solve(basis, b, blocks=blocks)
+        if solver:
+            fit = solver.solve(b, weights=weights, start=before.fit, beside=beside)
+        else:
+            fit = solve(basis, b, blocks=blocks)
         factors = [exposure_of(p, fit) for p in problems]
         light = SolvedLight(fit, solver, [e / factors[0] for e in factors])  # what all photos miss alike is no exposure
         if max(abs(a / e - 1) for a, e in zip(before.exposures, light.exposures, strict=True)) < SETTLED:

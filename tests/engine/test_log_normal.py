@@ -146,6 +146,17 @@ def test_the_order_that_is_reported_changes_no_number(rng):
     np.testing.assert_array_equal(low.stddev, high.stddev[:4])
 
 
+def test_evidences_of_one_photo_by_two_bases_can_be_compared(rng):
+    """A photo without noise, whose misfit is rounding: what its channels have in common is chance."""
+    basis, normals, _ = half_sphere(rng, pixels=800, gloss=0)
+    b = shown(basis, side_light(), rng, 0.0)
+    fit = LightSolver(basis, normals=normals, order=4).solve(b)
+    nearly = LightSolver(basis * (1 + 1e-3 * rng.standard_normal(basis.shape)), normals=normals, order=4)
+    beside, alone = nearly.solve(b, beside=fit), nearly.solve(b)
+    assert beside.evidence == pytest.approx(fit.evidence, abs=2) != alone.evidence
+    assert beside.election.photo.coarsening == fit.election.photo.coarsening != alone.election.photo.coarsening
+
+
 @pytest.mark.parametrize("light", [side_light(), even((0.2,) * 3) + lamp(SUN, [3.0] * 3)], ids=["rich", "lamp"])
 def test_from_its_own_light_on_a_photo_has_the_same_light(rng, light):
     fit, solver, b = solved(rng, light)

@@ -46,7 +46,8 @@ def by_grey(model, light, of_grey):
 
     def look_at(grey):
         trial = replace(of_grey(grey), appearance=model.appearance)
-        trials[grey] = trial, fit_together(trial.problems, replace(model.settings, order=light.order))
+        settings = replace(model.settings, order=light.order)
+        trials[grey] = trial, fit_together(trial.problems, settings, beside=light.fit)
 
     for grey in (DARKEST, BRIGHTEST):
         look_at(grey)
