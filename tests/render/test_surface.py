@@ -7,6 +7,7 @@ import trimesh
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import JobObject, TriangleMesh
+from btfsep_engine.kept import STORE
 from btfsep_engine.render import parametrise
 from btfsep_engine.render.sampling import spread
 from btfsep_engine.render.surface import camera_view, object_region, surface_points, with_texture
@@ -140,6 +141,7 @@ def test_frames_on_a_surface_are_orthonormal(sphere):
 
 def test_large_meshes_are_projected_and_say_so(sphere, monkeypatch):
     monkeypatch.setattr(parametrise, "XATLAS_FACES", 100)
+    STORE.forget()  # constants of the code are not among what things are called by
     from btfsep_engine.progress import Reporter
 
     reporter = Reporter()
