@@ -67,7 +67,7 @@ def expected(kind: str) -> float | None:
 def in_words(kind: str) -> str:
     """ "About 24 s here, as the last one", or nothing."""
     seconds = expected(kind)
-    return "" if seconds is None else f"About {rounded(seconds)} on this machine, as the last one"
+    return "" if seconds is None else f"About {rounded(seconds)}, as the last one"
 
 
 def rounded(seconds: float) -> str:
