@@ -65,7 +65,7 @@ def expected(kind: str) -> float | None:
 
 
 def in_words(kind: str) -> str:
-    """ "About 24 s here, as the last one", or nothing."""
+    """ "About 24 s, as the last one", or nothing."""
     seconds = expected(kind)
     return "" if seconds is None else f"About {rounded(seconds)}, as the last one"
 

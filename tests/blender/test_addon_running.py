@@ -141,7 +141,7 @@ def test_the_bar_and_the_tooltip_go_by_the_last_run(photographed, fake_engine):
         assert clock.fraction() == whole  # nothing better is known
     now[0] = 40.0
     clock.keep()
-    assert durations.in_words("x") == "About 40 s on this machine, as the last one"
+    assert durations.in_words("x") == "About 40 s, as the last one"
 
     now[0] = 100.0
     again = durations.Clock("x", lambda: now[0])
