@@ -60,6 +60,9 @@ def test_one_free_scale_for_all_channels():
 def test_the_light_is_drawn_as_the_map_has_it(sphere_job_folder, monkeypatch):
     """Of order 0 a series is one colour; the fit knows more, and lighting.exr shows it."""
     folder, _ = sphere_job_folder
+    photo = images.read_linear(folder / "photo.exr").pixels
+    from_the_right = np.linspace(0.05, 1.95, photo.shape[1])[None, :, None]
+    images.write_exr(folder / "photo.exr", (photo * from_the_right).astype(np.float32))
     rows = watched(monkeypatch)
     command = ["estimate", str(folder), "--material", "reference/white-diffuse", "--order", "0", "--preset", "draft"]
     assert main([*command, "--json"]) == 0
