@@ -2,7 +2,7 @@
 """Builds the extension zip for Blender: the add-on, the engine as a wheel and, if asked, all that the engine needs.
 
     scripts/build_extension                                    the add-on and the engine's code (small)
-    scripts/build_extension --with-dependencies linux-x64      everything: works offline, about 170 MB
+    scripts/build_extension --with-dependencies linux-x64      everything: works offline, 191 MB
 
 The zip that holds everything is for one Python (--python) and has its number in its name. It runs itself in the .venv
 of scripts/setup_environment, for pip, packaging and, unless --blender names a Blender, the bpy wheel.
