@@ -32,6 +32,7 @@ from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.fit.three_spheres import ROWS, three_spheres
 from btfsep_engine.job.load import load_job
+from btfsep_engine.kept import STORE
 from btfsep_engine.light.files import Lighting, lighting_map
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline import doubts
@@ -166,7 +167,7 @@ def cost(shown: list, library, repeats: int) -> dict:
 
     calls = {
         "floor": lambda: a.T @ a,
-        "preparing": lambda: light_solver([view.right], view.settings),
+        "preparing": lambda: STORE.forget() or light_solver([view.right], view.settings),
         "photo": lambda: solver.solve(images[next(turn) % len(images)]).state(),
         "further": further,
     }
