@@ -81,8 +81,9 @@ class LightSolver:
     """
 
     def __init__(self, basis, *, normals, order: int, seed: int = 0, coarsening: float = 1.0):
-        self.basis, self.order, self.seed = Basis(basis, normals), order, seed
-        self.coarsening = coarsening
+        with one_thread():  # so that the number of threads changes no digit of what is found
+            self.basis = Basis(basis, normals)
+        self.order, self.seed, self.coarsening = order, seed, coarsening
 
     def solve(self, radiance, *, weights=None, start: Fit | None = None, beside: Fit | None = None) -> Fit:
         """The light of the photograph ``radiance : (p, 3)``, linear.

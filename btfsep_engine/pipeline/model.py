@@ -7,6 +7,7 @@ import numpy as np
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.pipeline.points import chosen_points, names_of, photographed_regions
 from btfsep_engine.pipeline.problem import Problem, make_problem
 from btfsep_engine.pipeline.real_photo import as_real_photo, left_out_words, scale_words
@@ -121,8 +122,10 @@ def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> M
     return replace(model, looks=looks)
 
 
-def solve_model(model: Model):
+def solve_model(model: Model, *, beside: Fit | None = None):
     """The light of a model, of the appearance and the order that are asked for, or with "auto" of those that suit.
+
+    ``beside`` : as of `fit_together`
 
     Returns
     -------
@@ -140,4 +143,4 @@ def solve_model(model: Model):
                 b = np.concatenate([p.radiance() for p in problems])
                 order, choice["order"] = cross_validated_order(basis, b, blocks, LARGEST_ORDER, seed=settings.seed)
                 settings = replace(settings, order=order)
-        return refined(model, fit_together(problems, settings), choice, (textures, reported_order))
+        return refined(model, fit_together(problems, settings, beside=beside), choice, (textures, reported_order))

@@ -30,7 +30,7 @@ from scripts.studies.stage import looking_down, positive_light, write_job
 from scripts.studies.tables import fill, table
 
 PAGE = ROOT / "docs" / "results" / "farm.md"
-TEMPLATE = ROOT / "btfsep_engine" / "data" / "farm" / "btfsep.openjd.yaml"
+TEMPLATE = ROOT / "btfsep_engine" / "data" / "templates" / "btfsep.openjd.yaml"
 MATERIAL = "reference/white-diffuse"
 SMALL, USUAL = ["--preset", "draft", "--no-report"], ["--preset", "balanced"]
 POISONED = 20  # one of so many

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from py_mini_racer import MiniRacer
 
-FARM = Path(__file__).resolve().parents[2] / "btfsep_engine" / "data" / "farm"
+FARM = Path(__file__).resolve().parents[2] / "btfsep_engine" / "data" / "templates"
 TEMPLATE = FARM / "btfsep.openjd.yaml"
 BIN = Path(sys.executable).parent
 ENVIRONMENT = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}

@@ -80,7 +80,7 @@ def light_between_surfaces(model, light):
         if not own.modelled:
             return model, light, {"interreflections": own.why}
         bounced = with_reflections(model)
-    bounced, brighter, choice = solve_model(bounced)
+    bounced, brighter, choice = solve_model(bounced, beside=light.fit)
     with model.reporter.stage("transport"):
         bounced, brighter = by_grey(
             bounced,

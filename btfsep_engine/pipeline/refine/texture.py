@@ -20,7 +20,7 @@ def textures(model, light):
     if model.untried is not None:
         return model, light, {}
     with_texture = replace(model, appearance="textured")
-    other = fit_together(with_texture.problems, replace(model.settings, order=light.order))
+    other = fit_together(with_texture.problems, replace(model.settings, order=light.order), beside=light.fit)
     left = light.left_over(model.problems), other.left_over(with_texture.problems)
     name, why = appearance_choice(*left, stacked(model.problems)[1])
     return (with_texture, other, {"appearance": why}) if name == "textured" else (model, light, {"appearance": why})
