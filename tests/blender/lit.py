@@ -7,6 +7,15 @@ import numpy as np
 from blender_btfsep import harmonics
 from btfsep_engine import sh
 
+LIGHTING = {
+    "format": "btfsep-lighting",
+    "version": 1,
+    "basis": "real-sh",
+    "order": 1,
+    "coefficients": [[1, 2, 3], [0.5, -0.5, 0], [0.25, 0, 1], [0, 0, -1]],
+}
+"""What `lighting.json` holds, of few numbers."""
+
 
 def lighting(coefficients):
     coefficients = np.asarray(coefficients, float)

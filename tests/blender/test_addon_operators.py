@@ -7,13 +7,9 @@ import bpy
 import pytest
 
 from blender_btfsep import kept_light
+from tests.blender import lit
 
-LIGHTING = {
-    "format": "btfsep-lighting",
-    "version": 1,
-    "basis": "real-sh",
-    "order": 1,
-    "coefficients": [[1, 2, 3], [0.5, -0.5, 0], [0.25, 0, 1], [0, 0, -1]],
+LIGHTING = lit.LIGHTING | {
     "stddev": [[0.1] * 3] * 4,
     "determined": [True, True, True, False],
     "frame": "blender-z-up",

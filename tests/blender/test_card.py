@@ -9,14 +9,8 @@ import pytest
 
 from blender_btfsep import advice, answer, card, kept_light, light_picture, light_words, lighting_file
 from btfsep_engine import sh
+from tests.blender.lit import LIGHTING
 
-LIGHTING = {
-    "format": "btfsep-lighting",
-    "version": 1,
-    "basis": "real-sh",
-    "order": 1,
-    "coefficients": [[1, 2, 3], [0.5, -0.5, 0], [0.25, 0, 1], [0, 0, -1]],
-}
 SAID = {
     "objects": [{"name": "Cube", "material": "wood/oak", "unknown": False, "candidates": []}],
     "determined": "the photo determines 3 of 4 coefficients",

@@ -22,14 +22,7 @@ from blender_btfsep import (
     sequence_run,
     use_photo,
 )
-
-LIGHTING = {
-    "format": "btfsep-lighting",
-    "version": 1,
-    "basis": "real-sh",
-    "order": 1,
-    "coefficients": [[1, 2, 3], [0.5, -0.5, 0], [0.25, 0, 1], [0, 0, -1]],
-}
+from tests.blender.lit import LIGHTING
 
 
 def photo(path, width, height, *, space=None):
