@@ -16,9 +16,10 @@ from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph, one_thread
+from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.fit.stated import DETERMINED, REFLECTANCE, decided_unknowns, expected_error
 from btfsep_engine.light.log_field import natural_field
+from btfsep_engine.threads import one_thread
 
 LIGHTS = 24  # drawn from the prior, for the expected error
 DRAWS = 60  # truths for each of them

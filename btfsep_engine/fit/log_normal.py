@@ -24,10 +24,11 @@ from scipy.linalg import solve_triangular
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
 from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
-from btfsep_engine.fit.products import SINGLE, Basis, Photograph, one_thread
+from btfsep_engine.fit.products import SINGLE, Basis, Photograph
 from btfsep_engine.fit.search import EXACT, EXACT_COST, ROUNDS, Solution, solve
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import even_field, natural_field
+from btfsep_engine.threads import one_thread
 
 MOST_LAMPS = 3
 SEEN = (

@@ -25,11 +25,9 @@ there are): n pixels in channels whose misfits go together as `effective` indepe
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
-from threadpoolctl import ThreadpoolController
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
@@ -41,14 +39,6 @@ NEARLY_RIGHT = 0.08  # D, root mean square over the normals, of a material that 
 NEGLIGIBLE = 1e-2  # an eigenvalue of A^T N^-1 A, where the prior of the light has variances of some 1
 CHUNK = 1 << 13  # pixels: the basis images of a large photo are never copied whole
 SINGLE = np.sqrt(4 * np.pi)  # the first coefficient of light of radiance 1
-
-_controller = lru_cache(maxsize=1)(ThreadpoolController)
-
-
-def one_thread():
-    """A context in which a product takes one thread: those of 300 rows gain nothing from several, and lose much where
-    others run."""
-    return _controller().limit(limits=1, user_api="blas")
 
 
 class Basis:

@@ -33,6 +33,7 @@ from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import SolvedLight
 from btfsep_engine.pipeline.tone import read_otherwise, refuse_unknown
+from btfsep_engine.threads import one_thread
 
 UNSEEN = (
     "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
@@ -147,6 +148,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
     return found
 
 
+@one_thread()
 def found_light(scene: PreparedScene, library, settings: Settings, *, material=None, others=()) -> Estimate:
     """`estimate` without what speaks against it, which changes nothing of the light."""
     scenes, reporter = [scene, *others], scene.reporter

@@ -22,6 +22,7 @@ from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.refine.texture import texture_contrast
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.threads import one_thread
 
 SHAPE_NOISE = 0.05  # misfit of an object without texture, over its photo: shape, noise, what the basis leaves out
 TEXTURE_SHARE = 0.6  # of a texture's contrast: so much stays a pixel's own misfit (white, leather, wood, denim alike)
@@ -30,6 +31,7 @@ LINE = 22  # pixels of a line of text
 POOR_ERROR = 0.25  # expected error of order 2: from here on advice is given
 
 
+@one_thread()
 def run_plan(folder, library, settings: Settings, *, material=None, noise=None, out=None, reporter) -> dict:
     """The whole command; writes plan.json and plan.png.
 

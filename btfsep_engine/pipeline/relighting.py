@@ -18,6 +18,7 @@ from btfsep_engine.pipeline.record import run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.report import exposure, render_objects
+from btfsep_engine.threads import one_thread
 
 
 def lighting_of(path):
@@ -46,6 +47,7 @@ def earlier_materials(job, result) -> list:
     return [None if name == GIVEN else name for name in known]  # what an earlier job said by numbers, this one may not
 
 
+@one_thread()
 def run_relight(folder, library, settings: Settings, *, lighting, out, material=None, reporter) -> dict:
     """Renders the job's objects under ``lighting`` (a file) into the image ``out``; the background is black.
 

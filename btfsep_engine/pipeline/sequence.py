@@ -25,6 +25,7 @@ from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import light_solver
+from btfsep_engine.threads import one_thread
 
 _DIGITS = re.compile(r"([0-9]+)")
 
@@ -78,6 +79,7 @@ class FrameSolver:
         return fit, int((~usable).sum())
 
 
+@one_thread()
 def run_sequence(
     folder, library, settings: Settings, *, frames, material=None, out=None, with_exr=False, reporter
 ) -> dict:

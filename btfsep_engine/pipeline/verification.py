@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine.fit.log_normal import natural_light
-from btfsep_engine.fit.products import Basis, Photograph, one_thread
+from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.recognise.contrast import Contrast, contrast, unlike
 from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.render.sampling import choose_pixels
+from btfsep_engine.threads import one_thread
 
 CANDIDATES = 8  # the first of the classifier's: others keep what the worst of these has
 PIXELS = 1500  # of the fit of the light

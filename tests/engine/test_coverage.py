@@ -7,9 +7,10 @@ import pytest
 from btfsep_engine.fit.colour import DYE
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.log_normal import SAMPLES, WIDER, LightSolver, posterior_samples
-from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph, one_thread
+from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.fit.search import solve
 from btfsep_engine.light.log_field import CHROMA, LogField, natural_field
+from btfsep_engine.threads import one_thread
 from tests.engine.half_sphere import half_sphere, project, shown, side_light
 
 TRUTHS = 40

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_limits
 
+from btfsep_engine import kept
 from btfsep_engine.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,18 +21,18 @@ LAST = {"done", "failed", "cancelled"}
 WHITE = ("--material", "reference/white-diffuse", "--preset", "draft", "--no-report")
 
 
-# The last digits of a matrix product hang on how many threads shared it.
+# Where the command has several threads for its matrices: their number changes no digit.
 ALONE = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 class Resident:
     """A process of ``btfsep serve`` and the lines that it said."""
 
-    def __init__(self, *options):
+    def __init__(self, *options, **environment):
         command = [sys.executable, "-P", "-m", "btfsep_engine", "serve", *options]
         pipe = subprocess.PIPE
         self.process = subprocess.Popen(
-            command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, env=ALONE
+            command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True, env=ALONE | environment
         )
         self.lines, self.number = queue.SimpleQueue(), 0
         threading.Thread(target=self._read, daemon=True).start()
@@ -79,8 +80,8 @@ class Resident:
 
 
 @pytest.fixture(scope="module")
-def resident():
-    one = Resident()
+def resident(tmp_path_factory):
+    one = Resident(BTFSEP_CACHE=str(tmp_path_factory.mktemp("cache")))  # in which no training lies ready
     yield one
     one.process.stdin.close()
     assert one.process.wait(30) == 0
@@ -93,7 +94,8 @@ def lines_of(capsys, *command) -> list:
 
 def test_its_answers_are_those_of_the_command(resident, sphere_job_folder, tmp_path, capsys):
     folder, _ = sphere_job_folder
-    with threadpool_limits(1, user_api="blas"):
+    kept.STORE.forget()
+    with threadpool_limits(2, user_api="blas"):
         alone = lines_of(capsys, "estimate", folder, *WHITE, "--out", tmp_path / "alone")
     for _ in range(2):  # the second stands on what the first has left
         here = resident.answer(resident.ask("estimate", folder, *WHITE, "--out", tmp_path / "here"))
