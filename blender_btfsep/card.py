@@ -99,8 +99,10 @@ def _key_and_fill(result: dict, lighting: dict, to_world) -> list:
     ratio = (fill + float(power @ LUMINANCE)) / max(fill, 1e-9)
     words = f"{ratio:.0f} : 1" if ratio >= 3 else f"{ratio:.1f} : 1"
     from_where = "even" if more < EVEN else "mostly from above" if side[2] > 0.8 else f"more from {where(side)}"
+    away = told[0]["near"]["distance"] if told and "near" in told[0] else None
+    near = f", {away:.2g} units away" if away else ""
     return [
-        ("Key light", where(direction) + others),
+        ("Key light", where(direction) + near + others),
         ("", f"{size_words(size)}, {colour_words(power)}, {100 * min(share, 1):.0f}% of the light"),
         ("Fill", f"{colour_words(sky[0])}, {from_where}; key to fill {words}"),
     ]

@@ -159,11 +159,12 @@ def _place(name: str) -> int:
 
 
 def _lamp(lamp) -> dict:
-    direction = np.array(lamp.matrix_world)[:3, 2]
+    direction, energy, width, near = sun_lamp.beam(lamp)
     return {
-        "direction": (direction / np.linalg.norm(direction)).tolist(),
-        "irradiance": np.maximum(colour.to_rec709(lamp.data.energy * np.array(lamp.data.color)), 0).tolist(),
-        "size_degrees": math.degrees(lamp.data.angle),
+        "direction": direction.tolist(),
+        "irradiance": np.maximum(colour.to_rec709(energy * np.array(lamp.data.color)), 0).tolist(),
+        "size_degrees": math.degrees(width),
+        **({"near": near} if near else {}),
     }
 
 

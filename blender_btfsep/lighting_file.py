@@ -24,7 +24,8 @@ def read(path) -> dict:
     dict with "order" (int), "coefficients" ((order + 1)^2 rows of 3 floats, linear Rec.709 radiance),
     "stddev" (same shape, or None), "determined" (list of bool, or None), "exposure_ev" (float),
     "suns" (None, or a dict of the key lights, "lamps", each a dict with "direction" (3 floats, unit), "irradiance"
-    (3 floats >= 0) and "size_degrees", and of "sky", the coefficients without them)
+    (3 floats >= 0) and "size_degrees", and "near" (its "distance" from "centre") of one nearby, and of "sky", the
+    coefficients without them)
 
     Raises
     ------
@@ -116,11 +117,23 @@ def _lamp(lamp, key: str, name: str) -> dict:
         raise InputError(name, f"'irradiance' of '{key}' is negative", _REMEDY)
     if not _is_number(size) or not 0 <= size <= 180:
         raise InputError(name, f"'size_degrees' of '{key}' is {size!r}, not a number from 0 to 180", _REMEDY)
+    near = _near(lamp["near"], key, name) if lamp.get("near") is not None else None
     return {
         "direction": [value / length for value in direction],
         "irradiance": [float(value) for value in irradiance],
         "size_degrees": float(size),
+        **({"near": near} if near else {}),
     }
+
+
+def _near(near, key: str, name: str) -> dict:
+    """How near a lamp stands: "distance" (> 0) from "centre" in its direction."""
+    if not isinstance(near, dict) or not _is_row(near.get("centre")):
+        raise InputError(name, f"'near' of '{key}' has no 'centre' of three finite numbers", _REMEDY)
+    distance = near.get("distance")
+    if not _is_number(distance) or not distance > 0:
+        raise InputError(name, f"'distance' of 'near' of '{key}' is {distance!r}, not a positive number", _REMEDY)
+    return {"centre": [float(value) for value in near["centre"]], "distance": float(distance)}
 
 
 def _is_number(value) -> bool:

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The key lights of a lighting as Sun lamps, beside a World of the rest.
+"""The key lights of a lighting as Sun lamps, or Point lamps where they stand near, beside a World of the rest.
 
 A lamp made here carries LAMP_TAG: the key light that it is, and what was written of it. What it is now beside what was
 written is the user's doing, and stays when another light is written: twice as strong stays twice as strong, a turn
 stays a turn. Only such lamps are ever changed or removed.
 
-The World's Rotation turns the lamps, by a driver of their delta rotation: their own rotation is free to be edited.
+The World's Rotation turns the lamps, by drivers of their delta rotation and, of Point lamps, which go round the middle
+of the objects, of their delta location: their own are free to be edited.
 
 Blender's Sun: the strength is the irradiance on a surface that faces it, so that a white matte surface shows the
-strength over pi (a test renders it); the angle is the disc's whole width.
+strength over pi (a test renders it); the angle is the disc's whole width. A Point lamp of power P has the irradiance
+P / (4 pi d^2) at the distance d (so has a test).
 """
 
 import math
@@ -73,6 +75,28 @@ def follow(world) -> None:
                 _write(lamp, _tag(lamp), world)
 
 
+def beam(lamp):
+    """What a lamp of ours is now: direction (3,), the whole irradiance, width in radians, and "near" or None."""
+    near = _tag(lamp).get("near")
+    if near is None:
+        direction = np.array(lamp.matrix_world)[:3, 2]
+        return direction / np.linalg.norm(direction), lamp.data.energy, lamp.data.angle, None
+    away = np.array(lamp.matrix_world.translation) - np.array(near["centre"])
+    distance = max(float(np.linalg.norm(away)), 1e-9)
+    near = {"centre": list(near["centre"]), "distance": distance}
+    return (
+        away / distance,
+        lamp.data.energy / power(1.0, near),
+        2 * math.atan(lamp.data.shadow_soft_size / distance),
+        near,
+    )
+
+
+def power(irradiance: float, near: dict) -> float:
+    """Of a Point lamp that has an irradiance where it is said of."""
+    return 4 * math.pi * near["distance"] ** 2 * irradiance
+
+
 def _tag(lamp) -> dict:
     tag = lamp[LAMP_TAG]
     return tag.to_dict() if hasattr(tag, "to_dict") else {}
@@ -84,7 +108,13 @@ def _write(lamp, sun: dict, world) -> None:
     irradiance = colour.to_working(_as_the_world(sun["irradiance"], world))
     energy = float(irradiance.max())
     tint = irradiance / energy if energy > 0 else np.ones(3)
-    turned, place = facing(sun["direction"]), DISTANCE * Vector(sun["direction"])
+    near, turned, place = sun.get("near"), facing(sun["direction"]), _place(sun)
+    kind = "POINT" if near else "SUN"
+    if data.type != kind:
+        data.type = kind
+        data = lamp.data  # Blender has another class for each
+    if near:
+        energy = power(energy, near)
     angle = math.radians(sun["size_degrees"])
     times, shades = before.get("times", 1.0), np.array(before.get("shades", (1.0, 1.0, 1.0)))
     user_turn, moved, resized = Quaternion(), False, False
@@ -94,22 +124,44 @@ def _write(lamp, sun: dict, world) -> None:
             times = _ratio(data.energy, written)
             shades = np.array([_ratio(now, then) for now, then in zip(data.color, before["color"], strict=True)])
         user_turn = _rotation_of(lamp) @ facing(was).inverted()
-        moved = (lamp.location - DISTANCE * was).length > SAME * DISTANCE
-        resized = abs(data.angle - math.radians(before["size_degrees"])) > SAME
+        stood = _place(before)
+        moved = (lamp.location - stood).length > SAME * max(stood.length, DISTANCE)
+        if ("near" in before) == bool(near):
+            resized = abs(_width(data, before) - math.radians(before["size_degrees"])) > SAME
     data.energy, data.color = energy * times, np.clip(tint * shades, 0, None)
-    if not resized:
+    if not resized and near:
+        data.shadow_soft_size = near["distance"] * math.tan(angle / 2)
+    elif not resized:
         data.angle = angle
     if not moved:
         lamp.location = place
     _rotate(lamp, user_turn @ turned)
+    _go_round_with(world, lamp, sun)
     lamp[LAMP_TAG] = {
         **{name: [float(v) for v in sun[name]] for name in ("direction", "irradiance")},
         "size_degrees": math.degrees(angle) if not resized else before["size_degrees"],
+        **(
+            {"near": {"centre": [float(v) for v in near["centre"]], "distance": float(near["distance"])}}
+            if near
+            else {}
+        ),
         "energy": energy,
         "color": [float(v) for v in tint],
         "times": float(times),
         "shades": [float(v) for v in shades],
     }
+
+
+def _place(sun: dict) -> Vector:
+    """Where a lamp is put: in its direction from the origin, or where it stands near."""
+    direction, near = Vector(sun["direction"]), sun.get("near")
+    return Vector(near["centre"]) + near["distance"] * direction if near else DISTANCE * direction
+
+
+def _width(data, sun: dict) -> float:
+    """The angle under which a lamp shines, radians."""
+    near = sun.get("near")
+    return 2 * math.atan(data.shadow_soft_size / near["distance"]) if near else data.angle
 
 
 def _as_the_world(irradiance, world) -> np.ndarray:
@@ -152,10 +204,33 @@ def _turn_with(world, lamp) -> None:
     """Has the World's Rotation turn the lamp about the vertical; no Python, so that it works wherever the file goes."""
     driver = lamp.driver_add("delta_rotation_euler", 2).driver
     driver.type = "SUM"
-    target = driver.variables.new().targets[0]
-    socket = sh_nodes.node_of(world.node_tree).inputs[sh_nodes.ROTATION]
+    _read_rotation(world, driver)
+
+
+def _read_rotation(world, driver):
+    """A new variable of a driver: the World's Rotation."""
+    variable = driver.variables.new()
+    target, socket = variable.targets[0], sh_nodes.node_of(world.node_tree).inputs[sh_nodes.ROTATION]
     target.id_type, target.id = "WORLD", world
     target.data_path = f"node_tree.{socket.path_from_id('default_value')}"
+    return variable
+
+
+def _go_round_with(world, lamp, sun: dict) -> None:
+    """Has the World's Rotation carry a lamp that stands near about the vertical through the middle of the objects.
+
+    The expressions are simple ones, which Blender reckons without Python.
+    """
+    for axis in (0, 1):
+        lamp.driver_remove("delta_location", axis)
+    lamp.delta_location = (0, 0, 0)
+    if not sun.get("near"):
+        return
+    x, y, _ = _place(sun) - Vector(sun["near"]["centre"])
+    for axis, (along, across) in enumerate(((x, -y), (y, x))):
+        driver = lamp.driver_add("delta_location", axis).driver
+        driver.type, driver.expression = "SCRIPTED", f"(cos(r) - 1) * {along:.9g} + sin(r) * {across:.9g}"
+        _read_rotation(world, driver).name = "r"
 
 
 def _remove(scene, lamp) -> None:

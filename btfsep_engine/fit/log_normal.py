@@ -133,6 +133,20 @@ class LightSolver:
             election=Election(best, rival, photo, unit),
         )
 
+    def with_lamp(self, fit: Fit) -> Fit:
+        """The light of the same photograph by the same model and one lamp more, whatever its evidence says."""
+        with one_thread():
+            best, photo = fit.election.solution, fit.election.photo
+            return self._fit(photo, one_lamp_more(photo, best, place=_next_lamp(best)), fit.election.rival)
+
+    def brightest_direction(self, fit: Fit) -> np.ndarray:
+        """The direction (3,) of a light's brightest lamp; of one without lamps, that in which one would be put."""
+        if fit.election.lamps:
+            return max(fit.election.lamps, key=lambda lamp: lamp[1].mean())[0]
+        with one_thread():
+            best = fit.election.solution
+            return _next_lamp(best)(best, fit.election.photo)
+
     def reported_up_to(self, fit: Fit, order: int) -> Fit:
         """The same fit with fewer orders reported."""
         return replace(fit, order=order, condition=self.basis.condition(order))
@@ -203,6 +217,19 @@ class Election:
     def sky(self) -> np.ndarray:
         """(terms, 3), coefficients of the field alone, without lamps."""
         return self.solution.model.sky(self.solution.white).T * self.unit
+
+    @property
+    def lamps(self) -> list:
+        """Direction (3,) and irradiance (3,) of each lamp of the model, in the colour that the object gives it."""
+        model = self.solution.model
+        found = [model.lamp(i, q) for i, q in enumerate(model.parts(self.solution.white)[1])]
+        return [(direction, irradiance * self.photo.level) for direction, irradiance in found]
+
+    @property
+    def evidence_of_photo(self) -> float:
+        """The evidence's logarithm, comparable between photographs that differ by something known."""
+        photo = self.photo
+        return self.solution.evidence - float((photo.count * np.log(photo.level)).sum()) / photo.coarsening
 
     def radiance(self, directions) -> np.ndarray:
         """The field's radiance in ``directions : (m, 3)``, without lamps: (m, 3), positive."""
@@ -309,16 +336,26 @@ def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple
 def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
     """The solution with as many more lamps as its evidence asks for; ``place`` says where the next one may be."""
     while len(best.model.lamps) < MOST_LAMPS:
-        model = replace(best.model, lamps=(*best.model.lamps, place(best, photo)))
-        white = np.zeros(model.unknowns)
-        known = best.model.parts(best.white)[1].ravel()
-        at = model.field.unknowns
-        white[at : at + len(known)] = known
-        trial = solve(photo, model, white=white, v=best.v, discrepancy=best.discrepancy)
+        trial = one_lamp_more(photo, best, place=place)
         if trial.evidence <= best.evidence:
             break
         best = trial
     return best
+
+
+def one_lamp_more(photo: Photograph, best: Solution, *, place) -> Solution:
+    """The solution with one more lamp."""
+    model = replace(best.model, lamps=(*best.model.lamps, place(best, photo)))
+    white = np.zeros(model.unknowns)
+    known = best.model.parts(best.white)[1].ravel()
+    at = model.field.unknowns
+    white[at : at + len(known)] = known
+    return solve(photo, model, white=white, v=best.v, discrepancy=best.discrepancy)
+
+
+def _next_lamp(best: Solution):
+    """What says where a model's next lamp may be."""
+    return most_explained if best.model.field.order == 0 else brightest
 
 
 def brightest(best: Solution, photo: Photograph) -> np.ndarray:

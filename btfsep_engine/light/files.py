@@ -16,7 +16,7 @@ from btfsep_engine.job.schema import Strict, parse
 from btfsep_engine.light.lightings import EnvironmentMaps, SHLighting
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.light.positivity import positive_radiance, positive_share
-from btfsep_engine.light.sun import Sun
+from btfsep_engine.light.sun import Near, Sun
 
 MAX_ORDER = 64
 MAP_SIZE = 256, 512  # of lighting.exr, height and width
@@ -101,10 +101,20 @@ class SunSchema(BeamSchema):
     sky: list[Rgb]
 
 
+Positive = Annotated[float, Field(gt=0)]
+
+
+class NearSchema(Strict):
+    centre: Annotated[list[float], Field(min_length=3, max_length=3)]
+    distance: Positive
+    distance_range: Annotated[list[Positive], Field(min_length=2, max_length=2)] | None = None
+
+
 class LampSchema(BeamSchema):
     direction_stddev_degrees: Degrees = 0.0
     share: NotNegative | None = None
     share_stddev: NotNegative = 0.0
+    near: NearSchema | None = None
 
 
 class SunsSchema(Strict):
@@ -186,13 +196,21 @@ def _checked(name: str, key: str, schema: LightingSchema, beams: dict[str, BeamS
     if len(sky) != len(schema.coefficients):
         got = f"it has {len(sky)} rows, and the coefficients have {len(schema.coefficients)}"
         raise InputError(f"{name}: {key}.sky", got, "write the coefficients without what stands beside it")
-    suns = tuple(Sun(**told.model_dump(exclude={"sky", "widest_degrees", "evidence"})) for told in beams.values())
+    suns = tuple(
+        Sun(**told.model_dump(exclude={"sky", "widest_degrees", "evidence", "near"}), near=_near(told))
+        for told in beams.values()
+    )
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers as large as they come; they do not add up then
         off = np.abs(np.array(sky) + sum(sun.coefficients(schema.order) for sun in suns) - schema.coefficients).max()
     if not off <= SKY_EXACT * np.abs(schema.coefficients).max():
         got = "sky and key lights do not add up to the coefficients"
         raise InputError(f"{name}: {key}", got, "change all of them together, or leave the key lights out")
     return suns
+
+
+def _near(told: BeamSchema) -> Near | None:
+    near = getattr(told, "near", None)
+    return near and Near(near.centre, near.distance, *(near.distance_range or [near.distance] * 2))
 
 
 def write_lighting(path, lighting: Lighting) -> None:
@@ -247,7 +265,11 @@ def beam_record(sun: Sun) -> dict:
 def sun_record(sun: Sun) -> dict:
     """All of a sun, for JSON."""
     more = ("direction_stddev_degrees", "share", "share_stddev")
-    return {**beam_record(sun), **{key: float(getattr(sun, key)) for key in more}}
+    out = {**beam_record(sun), **{key: float(getattr(sun, key)) for key in more}}
+    if sun.near is not None:
+        centre, between = sun.near.centre.tolist(), [float(sun.near.low), float(sun.near.high)]
+        out["near"] = {"centre": centre, "distance": float(sun.near.distance), "distance_range": between}
+    return out
 
 
 def lighting_map(lighting: Lighting, height: int, width: int, *, radiance=None) -> np.ndarray:

@@ -13,6 +13,26 @@ NARROWEST = 3.0  # pixels of a map: a sun is no narrower in it
 
 
 @dataclass(frozen=True)
+class Near:
+    """How near a lamp stands: its light is other at every point, and what is said of it is said of ``centre``.
+
+    Attributes
+    ----------
+    centre : (3,) float64, world: the middle of the objects
+    distance : from it, in the lamp's direction, world units
+    low, high : between which the distance lies with 95 %
+    """
+
+    centre: np.ndarray
+    distance: float
+    low: float
+    high: float
+
+    def __post_init__(self):
+        object.__setattr__(self, "centre", np.asarray(self.centre, np.float64).reshape(3))
+
+
+@dataclass(frozen=True)
 class Sun:
     """A key light.
 
@@ -25,6 +45,7 @@ class Sun:
     direction_stddev_degrees : of the direction
     share : of the light's mean radiance, its own; None: what the irradiance is of the light that it is put into
     share_stddev : of the share
+    near : where it is a lamp nearby; None: it is far away
     """
 
     direction: np.ndarray
@@ -34,6 +55,7 @@ class Sun:
     direction_stddev_degrees: float = 0.0
     share: float | None = None
     share_stddev: float = 0.0
+    near: Near | None = None
 
     def __post_init__(self):
         for name in ("direction", "irradiance", "stddev"):

@@ -26,6 +26,7 @@ from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.misplaced import misplaced
+from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.surroundings import surroundings
 from btfsep_engine.pipeline.resume import estimate_key
@@ -131,6 +132,7 @@ REFINEMENTS = (
     light_between_surfaces,
     left_as_it_is,
     nearer_materials,
+    near_lamps,
     key_lights,
     other_curves,
     surroundings,

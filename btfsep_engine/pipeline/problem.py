@@ -27,6 +27,7 @@ class Problem:
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
     weights : (p, 3) in [0, 1], 1 over the variance of each value; None: all 1
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
+    nearness : (p, 3), what near lamps make of the values, which is taken off them (`pipeline.refine.near`); or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
@@ -38,6 +39,7 @@ class Problem:
     measured: np.ndarray | None = None
     weights: np.ndarray | None = None
     scales: np.ndarray | None = None
+    nearness: np.ndarray | None = None
     left_out: int | None = None
 
     @property
@@ -73,9 +75,11 @@ class Problem:
     def radiance(self, photo=None) -> np.ndarray:
         """(p, 3) float64 to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
         if photo is None and self.measured is not None:
-            return self.measured
-        image = self.scene.job.photo.radiance if photo is None else photo
-        return self.values_of(image).astype(np.float64)  # floats overflow when squared
+            values = self.measured
+        else:
+            image = self.scene.job.photo.radiance if photo is None else photo
+            values = self.values_of(image).astype(np.float64)  # floats overflow when squared
+        return values if self.nearness is None else values - self.nearness
 
     def by_object(self, values) -> list:
         """Rows of all points, (p, …), cut by object; views into them."""
@@ -90,6 +94,7 @@ class Problem:
             basis=[a[u] for a, u in zip(self.basis, parts, strict=True)],
             measured=None if self.measured is None else self.measured[used],
             weights=None if self.weights is None else self.weights[used],
+            nearness=None if self.nearness is None else self.nearness[used],
         )
 
     def of_materials(self, materials, settings: Settings) -> "Problem":

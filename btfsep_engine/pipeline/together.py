@@ -31,12 +31,14 @@ class SolvedLight:
     fit : Fit
     solver : its LightSolver; None for least squares
     exposures : of each photograph over the first's
+    near : (direction, light.sun.Near) of each lamp that stands near
     suns : light.sun.Sun, the lamps that are told apart from the sky, the brightest first
     """
 
     fit: Fit
     solver: LightSolver | None
     exposures: list
+    near: tuple = ()
     suns: tuple = ()
 
     @property

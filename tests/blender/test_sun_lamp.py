@@ -15,7 +15,7 @@ from blender_btfsep import animation, lighting_file, sh_nodes, sun_lamp, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import sh
 from btfsep_engine.light.files import Lighting, write_lighting
-from btfsep_engine.light.sun import Sun
+from btfsep_engine.light.sun import Near, Sun
 from tests.blender.lit import white_ball
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -88,6 +88,48 @@ def test_lamp_and_world_light_a_sphere_as_theory_says_and_as_the_whole_does(scen
     whole = render(scene)
     assert np.abs(whole[inside].mean(0) / both[inside].mean(0) - 1).max() < 0.02
     assert np.linalg.norm((whole - both)[inside]) < 0.05 * np.linalg.norm(both[inside])
+
+
+def test_a_lamp_nearby_is_a_point_lamp_that_lights_what_is_said_as_much_and_turns_about_it(
+    scene, render, add_camera, tmp_path
+):
+    normals, inside = white_ball(scene, add_camera, size=48, samples=256)  # of radius 1, about the origin
+    centre, distance, strength = (0.3, -0.2, 0.1), 2.5, np.array([3.0, 2.0, 1.0])
+    sun = Sun(DIRECTION, strength, np.zeros(3), near=Near(centre, distance, 2.0, 3.0))
+    light = Lighting(2, sun.coefficients(2), np.zeros((9, 3)), np.ones(9, bool), 0.0, (sun,))
+    write_lighting(tmp_path / "near.json", light)
+    made = world.apply_lighting(scene, lighting_file.read(tmp_path / "near.json"))
+    place, group = np.array(centre) + distance * DIRECTION, made.node_tree.nodes["BTFsep SH Lighting"]
+    lamp = the_lamp(scene)
+    assert lamp.data.type == "POINT" and np.allclose(lamp.location, place, atol=1e-6)
+
+    def expected(place):
+        to_lamp = place - normals
+        far = np.linalg.norm(to_lamp, axis=-1)
+        cosine = (normals * to_lamp).sum(-1) / far
+        return np.maximum(cosine, 0)[..., None] * strength * (distance / far[..., None]) ** 2 / np.pi, cosine
+
+    group.inputs["Strength"].default_value = 0
+    for turned in (0.0, 0.5):  # the World's Rotation carries it about the vertical through the middle
+        group.inputs["Rotation"].default_value = turned
+        about = np.array(Matrix.Rotation(turned, 3, "Z")) @ (place - centre) + centre
+        truth, cosine = expected(about)
+        lit = inside & (cosine > 0.25)
+        assert np.abs(render(scene)[lit] / truth[lit] - 1).max() < 0.03
+    group.inputs["Rotation"].default_value = 0.0
+    # as strong as the user has made it, it becomes a Sun where the next light has it far away
+    lamp.data.energy *= 2
+    write_sunny(tmp_path / "far.json")
+    world.apply_lighting(scene, lighting_file.read(tmp_path / "far.json"))
+    assert the_lamp(scene) == lamp and lamp.data.type == "SUN" and lamp.data.energy == pytest.approx(6)
+    bpy.context.view_layer.update()
+    assert np.allclose(np.array(lamp.matrix_world)[:3, 2], DIRECTION, atol=1e-6)
+    for wrong in ({"centre": [0, 0], "distance": 1}, {"centre": [0, 0, 0], "distance": 0}, 3):
+        data = json.loads((tmp_path / "near.json").read_text())
+        data["suns"]["lamps"][0]["near"] = wrong
+        (tmp_path / "wrong.json").write_text(json.dumps(data))
+        with pytest.raises(InputError, match="near"):
+            lighting_file.read(tmp_path / "wrong.json")
 
 
 def test_the_lamp_can_be_edited_and_is_replaced(scene, sunny, tmp_path):

@@ -9,6 +9,7 @@ from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Sun
 
 LEAST = 0.2  # of the light's mean radiance: what is less stays in the sky
+SAME = 10.0  # degrees: a lamp whose distance was found, and one of the final light
 NARROW = 15.0  # degrees, of a lamp's direction: what is known worse is no lamp that anybody wants to see a shadow of
 
 
@@ -29,14 +30,22 @@ def key_lights(model, light):
             direction_stddev_degrees=lamp.degrees,
             share=lamp.share,
             share_stddev=lamp.share_stddev,
+            near=nearness_of(lamp, light.near),
         )
         for lamp in light.fit.lamps
         if lamp.share >= LEAST and lamp.degrees <= NARROW
     )
-    return model, replace(light, suns=suns), {"key_light": key_light_words(suns, light.fit)}
+    metres = model.problems[0].scene.job.metres_per_unit
+    return model, replace(light, suns=suns), {"key_light": key_light_words(suns, light.fit, metres)}
 
 
-def key_light_words(suns, fit: Fit) -> str:
+def nearness_of(lamp, near):
+    """The Near of a lamp, of those that were found (`refine.near`), or None."""
+    found = [how for direction, how in near if direction @ lamp.direction > np.cos(np.radians(SAME))]
+    return found[0] if found else None
+
+
+def key_light_words(suns, fit: Fit, metres_per_unit: float) -> str:
     """The lamps for people."""
     if not suns:
         if not fit.lamps:
@@ -50,9 +59,10 @@ def key_light_words(suns, fit: Fit) -> str:
     for sun in suns:
         height = np.degrees(np.arcsin(np.clip(sun.direction[2], -1, 1)))
         azimuth = np.degrees(np.arctan2(sun.direction[1], sun.direction[0]))
+        away = f", {metres_per_unit * sun.near.distance:.2g} m away" if sun.near else ""
         each.append(
             f"{100 * sun.share:.0f} % of the light, from {height:.0f} degrees above the horizon, azimuth "
-            f"{azimuth:.0f} degrees (from +X towards +Y), known to {sun.direction_stddev_degrees:.1f} degrees"
+            f"{azimuth:.0f} degrees (from +X towards +Y), known to {sun.direction_stddev_degrees:.1f} degrees{away}"
         )
     first = "a key light is" if len(suns) == 1 else f"{len(suns)} key lights are"
     return f"{first} told apart from the sky: {'; '.join(each)}"

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A lamp that stands near is found, with its distance, in photographs shaded in closed form; one far away is not."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine import sh
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.errors import InputError
+from btfsep_engine.fit.near_lamp import nearness
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
+from btfsep_engine.light.sun import Near, Sun
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.refine.near import moved
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from tests.render.scenes import as_mesh, job_of, looking_down
+
+ALBEDO, FIRST, SECOND = 0.8, np.array([-0.55, 0.1, 0.0]), np.array([0.5, -0.25, 0.15])
+RADIUS = 0.42  # of each ball; a single one would do: its normal says where a point is
+WHERE = np.array([-0.1, -0.8, 0.6])
+
+
+def balls():
+    two = [trimesh.creation.icosphere(4, RADIUS).apply_translation(at) for at in (FIRST, SECOND)]
+    return as_mesh(trimesh.util.concatenate(two))
+
+
+def photographed(distance: float, *, sky=0.25):
+    """Two white balls under an even sky and a lamp at a distance from their middle, without their own reflections."""
+    job = job_of([balls()], looking_down())
+    scene = PreparedScene(job, Reporter())
+    points = scene.points(0, textured=False)
+    low, high = job.objects[0].mesh.vertices.min(0), job.objects[0].mesh.vertices.max(0)
+    centre, size = (low + high) / 2, np.linalg.norm(high - low) / 2
+    direction = WHERE / np.linalg.norm(WHERE)
+    to_lamp = centre + distance * size * direction - points.position
+    away = np.linalg.norm(to_lamp, axis=1)
+    cosine = np.maximum((points.normal * to_lamp).sum(1) / away, 0)
+    seen = ALBEDO / np.pi * (np.pi * cosine * (distance * size / away) ** 2 + np.pi * sky)
+    image = np.zeros((96, 96, 3), np.float32)
+    image[tuple(points.pixels.T)] = seen[:, None] * np.random.default_rng(0).normal(1, 0.02, (len(seen), 1))
+    truth = sh.evaluate(4, direction)[:, None] * np.full(3, np.pi)
+    truth[0] += sky * np.sqrt(4 * np.pi)
+    job = replace(job, photo=Photo(image, np.ones((96, 96), bool), 0))
+    return PreparedScene(job, Reporter()), direction, centre, size, truth
+
+
+def off(found, truth) -> float:
+    x, t = found.fit.coefficients[:9], truth[:9]
+    return float(np.linalg.norm((x * t).sum() / (x * x).sum() * x - t) / np.linalg.norm(t))
+
+
+def estimated(scene):
+    settings = choose("draft", bounces=1, directions=1024)
+    return estimate(scene, open_library(None), settings, material="reference/white-diffuse")
+
+
+@pytest.mark.parametrize("distance", [2.5, 5.0])
+def test_a_lamp_nearby_is_found_with_its_distance(distance, monkeypatch):
+    scene, direction, centre, size, truth = photographed(distance)
+    found = estimated(scene)
+    (sun,) = found.lighting.suns
+    assert np.degrees(np.arccos(sun.direction @ direction)) < 5
+    assert sun.near.low < distance * size < sun.near.high < 1.8 * sun.near.low
+    np.testing.assert_allclose(sun.near.centre, centre)
+    assert f"{0.05 * sun.near.distance:.2g} m away" in found.choice["key_light"]
+    assert off(found, truth) < 0.08
+    assert not any("nearby" in text for text in scene.reporter.warnings)
+    # the photo is fitted less what the lamp's nearness makes of it, in its report's numbers, too
+    assert found.photos[0].residuals[0] < 0.06 and found.model.problems[0].nearness is not None
+    monkeypatch.setattr("btfsep_engine.pipeline.refine.near.SPEAKS", np.inf)
+    far = estimated(photographed(distance)[0])
+    assert all(s.near is None for s in far.lighting.suns) and off(far, truth) > 2 * off(found, truth)
+
+
+def test_a_lamp_far_away_stays_there():
+    scene, direction, _, _, truth = photographed(60.0)
+    found = estimated(scene)
+    (sun,) = found.lighting.suns
+    assert sun.near is None and found.model.problems[0].nearness is None and "far away" in found.choice["near"]
+    assert np.degrees(np.arccos(sun.direction @ direction)) < 3 and off(found, truth) < 0.08
+
+
+def test_what_nearness_adds_is_the_inverse_square_and_another_direction():
+    """Of a surface that answers cos(theta), whose basis images are known in closed form."""
+    random = np.random.default_rng(1)
+    position, normal = random.normal(size=(50, 3)), random.normal(size=(50, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    lobe = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])  # of a clamped cosine, up to order 2
+    basis = np.repeat((sh.evaluate(2, normal) * lobe)[:, :, None], 3, 2)
+    place, centre = np.array([4.0, -3.0, 5.0]), np.array([0.5, 0.0, -0.5])
+
+    def by_cosine(cosine):
+        return lobe @ [1, 0, 0, 0, 0, 0, 0, 0, 0] / (4 * np.pi) + cosine / 2 + 5 / 16 * (3 * cosine**2 - 1) / 2
+
+    away = place - position
+    far = np.linalg.norm(away, axis=1)
+    d = np.linalg.norm(place - centre)
+    near = by_cosine((away * normal).sum(1) / far) * (d / far) ** 2
+    expected = near - by_cosine(normal @ (place - centre) / d)
+    np.testing.assert_allclose(nearness(basis, position, place, centre), np.repeat(expected[:, None], 3, 1), atol=1e-12)
+    np.testing.assert_allclose(nearness(basis, position, 1e7 * place, centre), 0, atol=1e-5)
+
+
+def test_a_place_is_turned_and_moved():
+    away = np.array([0.0, 3.0, 4.0])
+    turned = moved(away, np.array([0.01, -0.02, 0.0]))
+    assert np.linalg.norm(turned) == pytest.approx(5)
+    assert np.arccos(turned @ away / 25) == pytest.approx(np.hypot(0.01, 0.02), rel=1e-3)
+    np.testing.assert_allclose(moved(away, np.array([0, 0, np.log(2)])), 2 * away)
+
+
+def test_how_near_a_lamp_stands_is_in_the_file(tmp_path):
+    sun = Sun([0, 0, 1], [1, 2, 3], np.zeros(3), near=Near([1, 2, 3], 4.0, 3.0, 5.0))
+    light = Lighting(2, sun.coefficients(2), np.zeros((9, 3)), np.ones(9, bool), 0.0, (sun,))
+    write_lighting(tmp_path / "a.json", light)
+    near = read_lighting(tmp_path / "a.json").suns[0].near
+    assert (near.distance, near.low, near.high) == (4, 3, 5) and near.centre.tolist() == [1, 2, 3]
+    data = json.loads((tmp_path / "a.json").read_text())
+    for wrong in ({"centre": [1, 2, 3]}, {"centre": [1, 2], "distance": 1}, {"centre": [1, 2, 3], "distance": -1}):
+        data["suns"]["lamps"][0]["near"] = wrong
+        (tmp_path / "b.json").write_text(json.dumps(data))
+        with pytest.raises(InputError, match="near"):
+            read_lighting(tmp_path / "b.json")
