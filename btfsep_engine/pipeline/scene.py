@@ -12,7 +12,7 @@ from btfsep_engine.job.model import Job
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.settings import TransportSettings
-from btfsep_engine.render.beams import beam_radiance
+from btfsep_engine.render.beams import beam_radiance, lamp_radiance
 from btfsep_engine.render.homogeneous import reflected_share
 from btfsep_engine.render.radiosity import MOST, Indirect, diffuse_albedo
 from btfsep_engine.render.sampling import REGION, thinned
@@ -202,6 +202,14 @@ class PreparedScene:
         if material.mirror_reflectance is not None:
             light = SHLighting(sum((sun.coefficients(MIRRORED) for sun in suns), np.zeros(((MIRRORED + 1) ** 2, 3))))
             return self.radiance(points, material, light, directions=INDIRECT_DIRECTIONS)[:, 0]
+        out = np.zeros((len(points), 3), np.float32)
+        for sun in (sun for sun in suns if sun.near):
+            place = sun.near.centre + sun.near.distance * sun.direction
+            falloff = np.square(sun.near.distance / np.linalg.norm(place - points.position, axis=1))
+            unit = self.millimetres_per_unit
+            seen = lamp_radiance(self.tracer, points, material, place, millimetres_per_unit=unit)
+            out += seen * (falloff[:, None] * sun.irradiance).astype(np.float32)
+        suns = [sun for sun in suns if not sun.near]
         beams = [sun.directions(SUN_DIRECTIONS) for sun in suns]
         strength = [np.tile(sun.irradiance / len(each), (len(each), 1)) for sun, each in zip(suns, beams, strict=True)]
         per_beam = beam_radiance(
@@ -211,7 +219,7 @@ class PreparedScene:
             np.concatenate([*beams, np.zeros((0, 3))]),
             millimetres_per_unit=self.millimetres_per_unit,
         )
-        return np.einsum("pnc,nc->pc", per_beam, np.concatenate([*strength, np.zeros((0, 3))]).astype(np.float32))
+        return out + np.einsum("pnc,nc->pc", per_beam, np.concatenate([*strength, np.zeros((0, 3))]).astype(np.float32))
 
     def photo_at(self, points: SurfacePoints) -> np.ndarray:
         """The photograph's radiance (p, 3) float32 at the points' pixels."""

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Radiance of surface points under beams of parallel light, many directions at once, each with its own shadows."""
+"""Radiance of surface points under beams of parallel light, many directions at once, and under a lamp that stands near,
+each with its own shadows."""
 
 import numpy as np
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.render.surface import SurfacePoints
-from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.render.tracer import OFFSET, Tracer
 from btfsep_engine.render.transport import LANES
 from btfsep_engine.render.weights import Weights
 
@@ -42,3 +43,22 @@ def beam_radiance(
         for c in range(3):
             np.multiply(channels[min(c, len(channels) - 1)], scale[c], out=out[c, start : start + len(part)])
     return out.transpose(1, 2, 0)
+
+
+def lamp_radiance(
+    tracer: Tracer, points: SurfacePoints, material: Material, place, *, millimetres_per_unit: float
+) -> np.ndarray:
+    """`beam_radiance` of a lamp that stands near, per unit irradiance at each point: (p, 3) float32.
+
+    ``place`` : (3,) float, world
+    """
+    to_lamp = np.asarray(place, np.float64) - points.position
+    away = np.linalg.norm(to_lamp, axis=1)
+    directions, every = to_lamp / away[:, None], np.arange(len(points))
+    starts = np.asarray(points.position, np.float64) + OFFSET * tracer.radius * np.asarray(points.flat_normal)
+    seen = (points.flat_normal * directions).sum(1) > 0
+    seen &= tracer.nearest(starts, directions).distance >= away  # what is beyond the lamp blocks nothing
+    weights = Weights(material, directions, millimetres_per_unit=millimetres_per_unit)
+    channels = weights.of_pairs(points, every, every)
+    scale = weights.colour * np.float32(len(points) / (4 * np.pi))  # Weights are of light from all over the sky
+    return np.stack([channels[min(c, len(channels) - 1)] * seen * scale[c] for c in range(3)], 1)

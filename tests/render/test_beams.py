@@ -11,7 +11,7 @@ import pytest
 
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.render.arrays import mi
-from btfsep_engine.render.beams import beam_radiance
+from btfsep_engine.render.beams import beam_radiance, lamp_radiance
 from btfsep_engine.render.reference import Reference
 from tests.render.btf_materials import glossy, matte, textured
 from tests.render.prepared import MILLIMETRES, Prepared, ball, plate, sheet
@@ -44,6 +44,33 @@ def same_to_rounding(scene, directions):
     # a ray beside a pixel's centre by a thousandth, and starts off the surface: some points change into the shade
     assert (error > 2e-3).mean() < 0.01, (error > 2e-3).mean()
     return expected
+
+
+class NearReference(Reference):
+    """The reference under lamps at ``places`` (M, 3); unit intensity, in the tracer's own unit of length."""
+
+    def _lit_scenes(self, lamps):
+        for number, place in enumerate(self.tracer.to_local(lamps.places)):
+            lamp = {"type": "point", "position": place.tolist(), "intensity": {"type": "rgb", "value": [1.0] * 3}}
+            yield number, 1, mi.load_dict({"type": "scene", "light": lamp, **self._shapes})
+
+
+@pytest.mark.parametrize("material", [glossy(), Lambertian("white", np.full(3, 0.8))])
+def test_a_lamp_nearby_lights_as_a_point_light_does(material):
+    scene = Prepared([ball(), plate()], material, count=1500, use_texture=False)
+    place = np.array([2.0, 0.3, 2.6])
+    shown = lamp_radiance(scene.tracer, scene.points, scene.material, place, millimetres_per_unit=MILLIMETRES)
+    distance = np.linalg.norm(place - scene.points.position, axis=1) / scene.tracer.radius
+    expected = shown / distance[:, None] ** 2
+    traced = NearReference(scene.job, scene.tracer, scene.materials, textured=scene.textured)
+    lamps = SimpleNamespace(places=place[None], count=1)
+    got = traced.radiance(scene.points.pixels, lamps, samples=2, jitter=False).radiance[:, 0]
+    error = np.abs(got - expected).max(1) / expected.max()
+    assert (error > 2e-3).mean() < 0.01 and 0.2 < (expected > 0).all(1).mean() < 1
+    # what stands beyond the lamp casts no shadow
+    behind = Prepared([ball(), plate(height=9.0, half=5.0)], material, count=1500, use_texture=False)
+    again = lamp_radiance(behind.tracer, scene.points, scene.material, place, millimetres_per_unit=MILLIMETRES)
+    assert (again >= shown - 1e-6).all()
 
 
 @pytest.mark.parametrize("back", [False, True])

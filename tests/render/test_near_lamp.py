@@ -20,6 +20,7 @@ from btfsep_engine.pipeline.refine.near import moved
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
+from btfsep_engine.report import pictures
 from tests.render.scenes import as_mesh, job_of, looking_down
 
 ALBEDO, FIRST, SECOND = 0.8, np.array([-0.55, 0.1, 0.0]), np.array([0.5, -0.25, 0.15])
@@ -75,6 +76,9 @@ def test_a_lamp_nearby_is_found_with_its_distance(distance, monkeypatch):
     assert not any("nearby" in text for text in scene.reporter.warnings)
     # the photo is fitted less what the lamp's nearness makes of it, in its report's numbers, too
     assert found.photos[0].residuals[0] < 0.06 and found.model.problems[0].nearness is not None
+    again, photo = pictures(found, found.scene)[0], scene.job.photo.radiance
+    shown = np.isfinite(again).all(-1) & (photo > 0).all(-1)
+    assert np.linalg.norm((again - photo)[shown]) < 0.1 * np.linalg.norm(photo[shown])
     monkeypatch.setattr("btfsep_engine.pipeline.refine.near.SPEAKS", np.inf)
     far = estimated(photographed(distance)[0])
     assert all(s.near is None for s in far.lighting.suns) and off(far, truth) > 2 * off(found, truth)
