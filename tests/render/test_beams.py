@@ -57,7 +57,7 @@ class NearReference(Reference):
 
 @pytest.mark.parametrize("material", [glossy(), Lambertian("white", np.full(3, 0.8))])
 def test_a_lamp_nearby_lights_as_a_point_light_does(material):
-    scene = Prepared([ball(), plate()], material, count=1500, use_texture=False)
+    scene = Prepared([ball()], material, count=1500, use_texture=False, occluders=[plate()])
     place = np.array([2.0, 0.3, 2.6])
     shown = lamp_radiance(scene.tracer, scene.points, scene.material, place, millimetres_per_unit=MILLIMETRES)
     distance = np.linalg.norm(place - scene.points.position, axis=1) / scene.tracer.radius
@@ -68,7 +68,7 @@ def test_a_lamp_nearby_lights_as_a_point_light_does(material):
     error = np.abs(got - expected).max(1) / expected.max()
     assert (error > 2e-3).mean() < 0.01 and 0.2 < (expected > 0).all(1).mean() < 1
     # what stands beyond the lamp casts no shadow
-    behind = Prepared([ball(), plate(height=9.0, half=5.0)], material, count=1500, use_texture=False)
+    behind = Prepared([ball()], material, count=1500, use_texture=False, occluders=[plate(9.0, 5.0)])
     again = lamp_radiance(behind.tracer, scene.points, scene.material, place, millimetres_per_unit=MILLIMETRES)
     assert (again >= shown - 1e-6).all()
 
