@@ -133,7 +133,8 @@ def measure(found, truth, pixels) -> dict:
     photograph rendered again), and, where a spread is stated, `measures.covered` and stated (the relative error up to
     order 2 that the method expects; of least squares its standard deviations over its size)
     """
-    x = np.asarray(found.coefficients)
+    lacking = max(0, TERMS - len(found.coefficients))  # of a light of order 1: they count as 0, and as surely so
+    x = np.pad(found.coefficients, ((0, lacking), (0, 0)))
     out = errors(x, truth)
     known = min(len(x), len(truth))
     pictures = [compare.spheres(c[:known], size=64) for c in (x, truth)]
@@ -146,7 +147,8 @@ def measure(found, truth, pixels) -> dict:
     again = np.einsum("pmc,mc->pc", basis[:, : len(x)], x[: basis.shape[1]])
     out["psnr"] = psnr(again[None], radiance[None])
     if found.stddev is not None:
-        spread, ends = found.stddev[:TERMS], None if found.interval is None else found.interval[:, :TERMS]
+        spread = np.pad(found.stddev, ((0, lacking), (0, 0)))[:TERMS]
+        ends = None if found.interval is None else found.interval[:, :TERMS]
         out |= covered(x[:TERMS], spread, truth[:TERMS], interval=ends)
         out["stated"] = found.expected or float(np.linalg.norm(spread) / max(np.linalg.norm(x[:TERMS]), 1e-300))
     return out
