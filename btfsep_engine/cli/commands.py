@@ -19,6 +19,7 @@ from btfsep_engine.cli.options import (
     PATH,
     RECOGNITION,
     REPORT,
+    SEQUENCE,
     out_option,
     takes_settings,
 )
@@ -172,11 +173,21 @@ def plan(*, job, library_folder, settings, reporter, **options):
 @MATERIAL
 @out_option("JOB/sequence")
 @click.option("--exr/--no-exr", "with_exr", default=False, help="Whether each light is written as a map, too.")
+@click.option(
+    "--poses", type=PATH, help="poses.json: where camera and objects are in each frame.  [default: as in JOB]"
+)
+@click.option(
+    "--smooth",
+    type=click.IntRange(0, 100),
+    default=0,
+    show_default=True,
+    help="Frames on each side over which lights are smoothed, but for jumps.",
+)
 @LIBRARY
 @command
-@takes_settings(*ONE_SOLVER, only_numbers=("order",), estimator="map")
+@takes_settings(*SEQUENCE, only_numbers=("order",), estimator="map")
 def sequence(*, job, library_folder, settings, reporter, **options):
-    """The light of every frame: JOB's camera, objects and materials stand still, only the light changes."""
+    """The light of every frame: JOB's camera and objects stand still, or move as --poses says; the light changes."""
     from btfsep_engine.pipeline.sequence import run_sequence
 
     result = run_sequence(job, opened_library(library_folder), settings, reporter=reporter, **options)

@@ -32,7 +32,8 @@ PRESET = click.option(
 RECOGNITION = ("classifier", "verify", "seed")
 ESTIMATE = ("order", "estimator", "colorspace", "robust", "key_light", "appearance", "pixels", "directions", "bounces")
 ESTIMATE += ("transport", "samples", "align", *RECOGNITION)
-ONE_SOLVER = ("order", "appearance", "pixels", "directions", "bounces", "seed")  # of `plan` and `sequence`
+ONE_SOLVER = ("order", "appearance", "pixels", "directions", "bounces", "seed")  # of `plan`
+SEQUENCE = tuple(name for name in ESTIMATE if name not in ("estimator", "transport", "samples"))
 
 
 def out_option(default: str):

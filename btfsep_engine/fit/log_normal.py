@@ -106,6 +106,12 @@ class LightSolver:
                 return self._fit(photo, *follow(photo, start.election.solution, start.election.rival))
             return self._fit(photo, *elect(photo))
 
+    def first_look(self, radiance, *, weights=None) -> Fit:
+        """The rough fit of a field with which `solve` begins: what a fit by another basis stands `beside`."""
+        with one_thread():
+            photo = self._photograph(radiance, weights, None)
+            return self._fit(photo, rough_light(photo), None)
+
     def field_evidence(self, radiance, *, weights=None, beside: Fit | None = None) -> float:
         """`Fit.evidence` of ``radiance`` under a field alone: quickly, what one basis explains more than another."""
         with one_thread():
@@ -292,10 +298,16 @@ def hidden_lamps(basis: Basis, count: int, random, *, known: int) -> np.ndarray:
     return out
 
 
-def natural_light(photo: Photograph, *, rounds: int = ROUNDS) -> Solution:
-    """The most probable field alone; the photo learns from a rough one what its misfit is a part of."""
+def rough_light(photo: Photograph) -> Solution:
+    """A field that is roughly probable; the photo learns from it what its misfit is a part of."""
     first = solve(photo, LightModel(natural_field()), rounds=2, steps=ROUGHLY)
     photo.learn_from(first.x)
+    return first
+
+
+def natural_light(photo: Photograph, *, rounds: int = ROUNDS) -> Solution:
+    """The most probable field alone."""
+    first = rough_light(photo)
     return solve(photo, first.model, white=first.white, v=first.v, rounds=rounds)
 
 

@@ -20,7 +20,7 @@ BASE_COLOUR_SIDE = 2048  # of an image of base colours: larger ones are averaged
 BASE_COLOUR_PIXELS = 2**26  # and these are too many: no camera says how many there are to be
 
 
-def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) -> Job:
+def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None, schema: JobSchema | None = None) -> Job:
     """Reads ``folder/job.json`` and all that it names.
 
     Parameters
@@ -28,6 +28,7 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
     folder : the job folder, or the path of the job.json in it
     with_photo : false: the image is not read and need not be there; the photo is black
     colorspace : instead of the job's ``image_colorspace``; None: as it says
+    schema : instead of what ``job.json`` says, with the files of the folder (`job.poses`)
 
     Returns
     -------
@@ -39,10 +40,10 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
         The first thing that is wrong, in one sentence.
     """
     reader = _Folder(job_folder(folder))
-    schema = parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
+    schema = schema or _schema(reader)
     if colorspace is not None:
         schema = schema.model_copy(update={"image_colorspace": colorspace})
-    camera = _camera(schema.camera)
+    camera = camera_of(schema.camera)
     notes: list[str] = []
     photo = _photo(reader, schema, camera, notes) if with_photo else _no_photo(camera)
     names = [o.name for o in schema.objects]
@@ -73,6 +74,11 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None) 
     )
 
 
+def job_schema(folder) -> JobSchema:
+    """What a job's ``job.json`` says; nothing that it names is looked at. Raises InputError."""
+    return _schema(_Folder(job_folder(folder)))
+
+
 def job_folder(place) -> Path:
     """The folder of a job, of which its job.json may be named, too. InputError where there is none."""
     place = Path(place)
@@ -90,7 +96,7 @@ def job_folder(place) -> Path:
 def job_digest(folder) -> str:
     """`Job.digest` of the job as it is now, of which nothing but ``job.json`` is understood. Raises InputError."""
     reader = _Folder(job_folder(folder))
-    schema = parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
+    schema = _schema(reader)
     named = [schema.image, schema.depth]
     for thing in (*schema.objects, *schema.occluders):
         named += [thing.mesh, getattr(thing, "mask", None), getattr(thing.surface, "base_color", None)]
@@ -144,12 +150,17 @@ class _Folder:
         return total.hexdigest()
 
 
-def _camera(schema: CameraSchema) -> Camera:
+def _schema(reader: _Folder) -> JobSchema:
+    return parse(JobSchema, "job.json", reader.read("job.json", "job.json"), kind="a BTFsep job")
+
+
+def camera_of(schema: CameraSchema, *, name: str = "job.json: camera") -> Camera:
+    """The camera that a file says, checked; ``name`` : what to call it in an error. Raises InputError."""
     if schema.width * schema.height > images.MAX_PIXELS:
         got = f"{schema.width} x {schema.height} pixels"
-        raise InputError("job.json: camera", got, f"at most {images.MAX_PIXELS // 10**6} million are taken")
+        raise InputError(name, got, f"at most {images.MAX_PIXELS // 10**6} million are taken")
     to_world = np.array(schema.to_world, np.float64)
-    what = "job.json: camera.to_world"
+    what = f"{name}.to_world"
     if not np.array_equal(to_world[3], [0, 0, 0, 1]):
         raise InputError(what, "its last row is not 0 0 0 1", "write it row by row, camera to world")
     axes = to_world[:3, :3]
@@ -169,10 +180,10 @@ def _camera(schema: CameraSchema) -> Camera:
     camera = Camera(*size, to_world, lens, orthographic)
     if orthographic and any(lens):
         got = "it is orthographic and has a lens distortion"
-        raise InputError("job.json: camera", got, "leave k1, k2, p1 and p2 out, or undistort the photo")
+        raise InputError(name, got, "leave k1, k2, p1 and p2 out, or undistort the photo")
     if camera.folded:
         got = "its distortion folds the picture over before its edge"
-        raise InputError("job.json: camera", got, "check k1, k2, p1 and p2: they belong to coordinates over fx and fy")
+        raise InputError(name, got, "check k1, k2, p1 and p2: they belong to coordinates over fx and fy")
     return camera
 
 
@@ -181,15 +192,15 @@ def _no_photo(camera: Camera) -> Photo:
     return Photo(np.zeros((*shape, 3), np.float32), np.ones(shape, bool), 0)
 
 
-def read_photo(path, camera: Camera, *, colorspace: str = "auto") -> Photo:
-    """A photograph that ``camera`` took, which no job names.
+def read_photo(path, camera: Camera, *, colorspace: str = "auto", notes: list | None = None) -> Photo:
+    """A photograph that ``camera`` took, which no job names; ``notes`` : takes, in words, what of it is left out.
 
     Raises
     ------
     InputError
         When it cannot be read, or is not of the camera's size.
     """
-    return _read(path, Path(path).name, colorspace, camera, [])
+    return _read(path, Path(path).name, colorspace, camera, [] if notes is None else notes)
 
 
 def _photo(reader: _Folder, schema: JobSchema, camera: Camera, notes: list) -> Photo:
@@ -225,7 +236,8 @@ def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Phot
     return Photo(image.pixels, image.usable, saturated, image.clipped if saturated else None, image.bits)
 
 
-def _to_world(matrix, what: str):
+def placed(matrix, what: str):
+    """An object's ``to_world`` (4, 4) float64, checked, or None. Raises InputError."""
     if matrix is None:
         return None
     matrix = np.array(matrix, np.float64)
@@ -239,7 +251,7 @@ def _to_world(matrix, what: str):
 
 def _mesh(reader: _Folder, schema, what: str, notes: list) -> TriangleMesh:
     path = reader.path(schema.mesh, f"{what}: mesh")
-    mesh, dropped = load_mesh(path, to_world=_to_world(schema.to_world, what), name=schema.mesh)
+    mesh, dropped = load_mesh(path, to_world=placed(schema.to_world, what), name=schema.mesh)
     if dropped:
         notes.append(f"{schema.mesh}: {dropped} of {dropped + len(mesh.faces)} triangles have no area and are left out")
     return mesh

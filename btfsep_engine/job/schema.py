@@ -100,6 +100,40 @@ class JobSchema(Strict):
     metres_per_unit: Length = 1.0
 
 
+class CameraChangeSchema(Strict):
+    """What of a `CameraSchema` is another in a frame."""
+
+    width: Pixels | None = None
+    height: Pixels | None = None
+    fx: Focal | None = None
+    fy: Focal | None = None
+    cx: Position | None = None
+    cy: Position | None = None
+    to_world: Matrix | None = None
+    projection: Literal["perspective", "orthographic"] | None = None
+    k1: Bend | None = None
+    k2: Bend | None = None
+    p1: Bend | None = None
+    p2: Bend | None = None
+
+
+class PlaceSchema(Strict):
+    to_world: Matrix
+
+
+class PoseSchema(Strict):
+    camera: CameraChangeSchema | None = None
+    objects: dict[Name, PlaceSchema] = {}
+
+
+class PosesSchema(Strict):
+    """Of each frame, by its file's name without suffix, what is elsewhere than the job says."""
+
+    format: Literal["btfsep-poses"]
+    version: Literal[1]
+    frames: dict[Name, PoseSchema]
+
+
 Model = TypeVar("Model", bound=BaseModel)
 
 
@@ -174,14 +208,14 @@ def _annotation_at(model, location):
     annotation = model
     for part in location:
         annotation = _bare(annotation)
-        is_list = get_origin(annotation) is list
-        annotation = get_args(annotation)[0] if is_list else annotation.model_fields[part].annotation
+        holds_many = get_origin(annotation) in (list, dict)
+        annotation = get_args(annotation)[-1] if holds_many else annotation.model_fields[part].annotation
     return _bare(annotation)
 
 
 def _bare(annotation):
-    """An annotation without its optional and annotated wrappers: a schema, a list, a literal or a plain type."""
-    while get_origin(annotation) not in (None, list, Literal):
+    """An annotation without its optional and annotated wrappers: a schema, a list, a dict, a literal, a plain type."""
+    while get_origin(annotation) not in (None, list, dict, Literal):
         annotation = get_args(annotation)[0]
     return annotation
 

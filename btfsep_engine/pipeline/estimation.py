@@ -167,9 +167,15 @@ def found_light(scene: PreparedScene, library, settings: Settings, *, material=N
         if changes:
             with reporter.stage("transport"):
                 model = first_model(scenes, anew, settings)
+    return light_of(model, library)
+
+
+@one_thread()
+def light_of(model: Model, library) -> Estimate:
+    """The light of a model in its simplest form, and what refines both; nothing is recognised."""
     model, light, choice = refined(*solve_model(model), REFINEMENTS)
     choice |= {"light": light_words(light.fit), "colour": colour_words(light.fit)}
-    with reporter.stage("alternatives"):
+    with model.reporter.stage("alternatives"):
         others = tuple(alternatives(model, light, library))
     if others:
         choice["materials"] = mixture_words(others)

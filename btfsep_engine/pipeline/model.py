@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands for the scene in the fit: photographs, points, materials, appearance, reflections; and its light."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ class Model:
     bounces : reflections in the basis images
     materials : for each photograph the ObjectMaterial of each object
     untried : why textures are not tried beside the mean ABRDFs, in words; None where they are
+    departed : number of an object -> the Material near its own that stands for it (`refine.reflectance`)
     """
 
     settings: Settings
@@ -42,6 +43,7 @@ class Model:
     bounces: int = 1
     materials: tuple = ()
     untried: str | None = "as asked for"
+    departed: dict = field(default_factory=dict)
 
     @property
     def problems(self) -> list[Problem]:

@@ -1,31 +1,37 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light of every picture of a sequence: camera, objects and materials stand still, only the light changes.
+"""The light of every picture of a sequence: what is seen stands still, or moves as poses say; the light changes.
 
-Basis images are made and factorised once; a further frame is read, multiplied and solved. A frame of which pixels are
-saturated has fewer equations: it costs a factorisation of its own.
+The first frame goes the way of an estimate; a further one is solved under the model that was chosen there
+(`pipeline.following`), on what the process keeps. What is known of each stands beside it, and lights may be smoothed
+over time (`fit.over_time`).
 """
 
 import re
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from btfsep_engine.atomic import write_json
+from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.stated import Fit, expected_error
+from btfsep_engine.fit.over_time import Frame, smoothed, windows
+from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.images import SUFFIXES
 from btfsep_engine.job.load import load_job, read_photo
-from btfsep_engine.light.files import Lighting, write_lighting, write_lighting_exr
-from btfsep_engine.pipeline.materials import object_materials
-from btfsep_engine.pipeline.model import view_problem
-from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.job.model import Job, Photo
+from btfsep_engine.job.poses import posed_jobs
+from btfsep_engine.light.files import MAP_SIZE, write_lighting, write_lighting_exr
+from btfsep_engine.pipeline.checks import all_doubts
+from btfsep_engine.pipeline.estimation import Estimate, found_light
+from btfsep_engine.pipeline.following import Follower
+from btfsep_engine.pipeline.light_account import lamp_record
+from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.pipeline.together import light_solver
-from btfsep_engine.threads import one_thread
+from btfsep_engine.progress import Reporter
 
 _DIGITS = re.compile(r"([0-9]+)")
 
@@ -51,37 +57,97 @@ def frame_files(pattern) -> list[Path]:
     return found
 
 
-WORSE = 1.2  # of the last frame's residual: from there on a frame's model is looked for anew
+@dataclass
+class FrameReporter(Reporter):
+    """What is said of one frame: warnings are its own, times are the run's, and the first one's stages are progress."""
+
+    run: Reporter = field(default_factory=Reporter)
+    is_first: bool = False
+
+    def progress(self, stage: str, fraction: float, message: str = "") -> None:
+        if self.is_first:
+            self.run.progress(stage, fraction, message)
 
 
-class FrameSolver:
-    """Frames of one view, solved with what stands still: a Problem without a photo of its own."""
+class Frames:
+    """The photos of a sequence, solved in their order.
 
-    def __init__(self, problem: Problem, settings: Settings):
-        self.problem, self.settings = problem, settings
-        self.solver = light_solver([problem], settings)
-        self.before: Fit | None = None
+    Parameters
+    ----------
+    job : without a photo; library, settings, reporter : of the run
+    material : a name for all objects; else the job's, else as recognised in the first frame
+    posed : stem of a file -> JobSchema, of those in which something is elsewhere than the job says
+    """
 
-    def solve(self, photo):
-        """The Fit of a `job.model.Photo`, and how many of the pixels were saturated.
+    def __init__(self, job: Job, library, settings: Settings, *, material, posed, reporter):
+        self._still, self._library, self._settings, self._material = job, library, settings, material
+        self._posed, self._reporter = posed, reporter
+        self._pose, self._job = None, job  # of the last frame
+        self._scene, self._follower = None, None
+        self.first = None  # its Estimate
 
-        A frame keeps the last one's model, from its light on, unless that explains it much worse (`WORSE`).
-        """
-        usable, problem, solver = self.problem.values_of(photo.usable), self.problem, self.solver
-        if not usable.all():
-            problem = problem.subset(usable)
-            solver = light_solver([problem], self.settings)
-        b, before = problem.values_of(photo.radiance), self.before
-        fit = solver.solve(b, start=before)
-        if before is not None and fit.residual > WORSE * before.residual:
-            fit = solver.solve(b)
-        self.before = fit
-        return fit, int((~usable).sum())
+    def found(self, file: Path) -> tuple[Estimate, dict]:
+        """The light of a frame; and its line of ``sequence.json``, without the light's place."""
+        reporter = FrameReporter(seconds=self._reporter.seconds, run=self._reporter, is_first=self.first is None)
+        with reporter.timed("reading"):
+            self._move_to(self._posed.get(file.stem))
+            photo = read_photo(file, self._job.camera, colorspace=self._job.image_colorspace, notes=reporter.warnings)
+        begun = time.perf_counter()
+        try:
+            estimate, anew = self._light(photo, reporter)
+            residual, lighting = estimate.fit.residual, estimate.lighting
+            with reporter.timed("checks"):
+                for doubt in all_doubts(estimate):
+                    reporter.warn(doubt)
+        except InputError as error:
+            raise InputError(f"{file.name}: {error.what}", error.got, error.do) from error
+        seconds = time.perf_counter() - begun
+        fit = estimate.fit
+        return estimate, {
+            "image": file.name,
+            "residual": residual,
+            "determined": determined_words(lighting.determined, fit.all_determined),
+            "expected_error": expected_error(fit.coefficients, fit.samples),
+            "lamps": [lamp_record(lamp) for lamp in fit.lamps],
+            "saturated_pixels": photo.saturated,
+            "choice": estimate.choice if anew else None,
+            "warnings": list(reporter.warnings),
+            "milliseconds": round(1000 * seconds, 2),
+        }
+
+    def _move_to(self, pose) -> None:
+        """Puts camera and objects where a JobSchema says; None: where the job does."""
+        if pose == self._pose:
+            return
+        self._pose, self._scene, self._job = pose, None, self._still
+        if pose is not None:
+            folder, curve = self._still.folder, self._settings.colorspace
+            self._job = load_job(folder, with_photo=False, schema=pose, colorspace=curve)
+
+    def _light(self, photo: Photo, reporter: Reporter) -> tuple[Estimate, bool]:
+        """The Estimate of a photo, and whether its model was chosen by it."""
+        if self._scene is None:
+            self._scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
+        if self._follower is None:
+            self.first = found_light(self._scene, self._library, self._settings, material=self._material)
+            self._follower = Follower(self.first, self._library)
+            return self.first, True
+        found = self._follower.found(self._follower.scene_of(self._scene, photo, reporter))
+        return found.estimate, found.anew
 
 
-@one_thread()
 def run_sequence(
-    folder, library, settings: Settings, *, frames, material=None, out=None, with_exr=False, reporter
+    folder,
+    library,
+    settings: Settings,
+    *,
+    frames,
+    material=None,
+    poses=None,
+    smooth: int = 0,
+    out=None,
+    with_exr=False,
+    reporter,
 ) -> dict:
     """The whole command: writes FRAME.json for each frame (and FRAME.exr), and sequence.json.
 
@@ -90,6 +156,8 @@ def run_sequence(
     folder : job folder; its own image need not be there
     frames : pattern of the pictures, taken by the job's camera and coded as its `image_colorspace` says
     material : a name for all objects; else the job's, else as recognised in the first frame
+    poses : file that says where camera and objects are in each frame (`job.poses`); None: as in the job
+    smooth : over how many frames on each side lights are smoothed
     out : folder for the results, default ``folder/sequence``
     with_exr : whether the lights are written as maps, too
 
@@ -104,49 +172,48 @@ def run_sequence(
         raise InputError("a sequence", "--order auto", "give one order for all frames")
     with reporter.stage("reading"):
         files = frame_files(frames)
-        job = load_job(folder, with_photo=False)
-        job = replace(job, photo=read_photo(files[0], job.camera, colorspace=job.image_colorspace))
-        if job.image_colorspace == "unknown":
-            raise InputError("a sequence", "image_colorspace 'unknown'", "say srgb or linear in the job")
+        posed = {} if poses is None else posed_jobs(poses, folder)
+        job = load_job(folder, with_photo=False, colorspace=settings.colorspace)
+        for note in job.warnings:
+            reporter.warn(note)
+        for stem in posed.keys() - {file.stem for file in files}:
+            reporter.warn(f"{Path(poses).name}: it says a pose of '{stem}', and no frame is called so")
     out = Path(out) if out is not None else job.folder / "sequence"
-    scene = PreparedScene(job, reporter)
-    materials = object_materials(scene, library, settings, names=[material or o.material for o in job.objects])
-    with reporter.stage("transport"):
-        problem = view_problem(scene, [m.material for m in materials], settings)
-    with reporter.stage("factorising"):
-        solver = FrameSolver(problem, settings)
-    lights, solving = [], []
-    for i, file in enumerate(files):
-        with reporter.timed("reading"):
-            photo = read_photo(file, job.camera, colorspace=job.image_colorspace) if i else job.photo
-        begun = time.perf_counter()
-        with reporter.timed("fit"):
-            fit, lost = solver.solve(photo)
-        solving.append(time.perf_counter() - begun)
-        lighting = Lighting(settings.order, fit.coefficients, fit.stddev, fit.determined, job.exposure_ev)
+    solver = Frames(job, library, settings, material=material, posed=posed, reporter=reporter)
+    said, lines = set(), []
+
+    def solved():
+        """(line, Frame) of each file."""
+        for file in files:
+            estimate, line = solver.found(file)
+            for warning in line["warnings"]:
+                kind = _DIGITS.sub("", warning)  # of a hundred frames each says the same, in other numbers
+                if kind not in said:
+                    said.add(kind)
+                    reporter.warn(f"{file.name}: {warning}")
+            sky = np.float32(estimate.radiance(pixel_directions(*MAP_SIZE))) if with_exr else None
+            yield line, Frame(estimate.lighting, sky)
+
+    for held, at in windows(solved(), smooth):
+        line, _ = held[at]
+        frame, count = smoothed([each for _, each in held], at, smooth)
+        name = f"{Path(line['image']).stem}.json"
         with reporter.timed("writing"):
-            write_lighting(out / f"{file.stem}.json", lighting)
+            write_lighting(out / name, frame.lighting)
             if with_exr:
-                write_lighting_exr(out / f"{file.stem}.exr", lighting)
-        lights.append(
-            {
-                "image": file.name,
-                "lighting": f"{file.stem}.json",
-                "residual": fit.residual,
-                "determined": determined_words(fit.determined, fit.all_determined),
-                "expected_error": expected_error(fit.coefficients, fit.samples),
-                "saturated_pixels": lost,
-                "milliseconds": round(1000 * solving[-1], 2),
-            }
-        )
-        reporter.progress("photos", (i + 1) / len(files), file.name)
+                sky = frame.sky
+                write_lighting_exr((out / name).with_suffix(".exr"), frame.lighting, radiance=lambda _, sky=sky: sky)
+        lines.append({**line, "lighting": name, "smoothed_over": count})
+        reporter.progress("photos", len(lines) / len(files), line["image"])
+    took = [line["milliseconds"] for line in lines]
     result = {
         "format": "btfsep-sequence",
         "version": 1,
-        "objects": [{"name": o.name, **m.record} for o, m in zip(job.objects, materials, strict=True)],
+        "objects": [{"name": o.name, **m.record} for o, m in zip(job.objects, solver.first.materials, strict=True)],
         "order": settings.order,
-        "frames": lights,
-        "median_milliseconds_per_further_frame": round(1000 * float(np.median(solving[1:] or solving)), 2),
+        "smooth": smooth,
+        "frames": lines,
+        "median_milliseconds_per_further_frame": round(float(np.median(took[1:] or took)), 2),
         **run_record(settings, reporter),
     }
     result["seconds"]["total"] = round(time.perf_counter() - started, 4)

@@ -85,7 +85,7 @@ def with_curves(problems, settings: FitSettings) -> list:
     order = np.argsort(-np.array(logs))
     ranked, shares = tuple(curves[i] for i in order), probabilities(np.array(logs)[order])
     return [
-        p if c is None else replace(p, scene=_read(p.scene, Curves(c, ranked, shares)))
+        p if c is None else replace(p, scene=read_by(p.scene, Curves(c, ranked, shares)))
         for p, c in zip(problems, codes, strict=True)
     ]
 
@@ -101,7 +101,7 @@ def read_otherwise(scene) -> bool:
     return scene.curves is not None and scene.curves.curves[0] != SRGB
 
 
-def _read(scene, curves: Curves):
+def read_by(scene, curves: Curves):
     """The scene with its photo read by the most probable curve."""
     out = copy.copy(scene)
     radiance = curves.curves[0].decode(curves.codes).astype(np.float32)

@@ -86,7 +86,7 @@ def _nearer(model, light):
     doubted = [chi2 > SPEAKS or m.matte_albedo is not None for m in problems[0].materials]
     if not any(doubted):
         return model, light, {"reflectance": "as in the library: what is left over does not look like shading"}
-    sizes, departed = np.sum([[len(p) for p in problem.points] for problem in problems], 0), []
+    sizes, departed = np.sum([[len(p) for p in problem.points] for problem in problems], 0), {}
     for i in (i for i in np.argsort(-sizes) if doubted[i]):
         few = fewer(problems, FEW, settings.seed)
         some = None if few is problems else quick_evidence(few, light, settings)
@@ -102,10 +102,12 @@ def _nearer(model, light):
             if evidence > largest and is_simpler(answer.fit, light.fit):
                 largest, better = evidence, (near, trial, answer)
         if better is not None:
-            near, problems, light = better
-            departed.append(f"'{problems[0].scene.job.objects[i].name}' with {near.description}")
+            departed[i], problems, light = better
     if not departed:
         why = "as in the library: none of the materials near it explains the photo better"
         return model, light, {"reflectance": why}
-    why = f"nearly the library's: {', '.join(departed)} (by evidence)"
-    return replace(model, looks={model.appearance: problems}), light, {"reflectance": why}
+    objects = problems[0].scene.job.objects
+    each = [f"'{objects[i].name}' with {near.description}" for i, near in departed.items()]
+    why = f"nearly the library's: {', '.join(each)} (by evidence)"
+    near = {int(i): d.material for i, d in departed.items()}
+    return replace(model, looks={model.appearance: problems}, departed=near), light, {"reflectance": why}
