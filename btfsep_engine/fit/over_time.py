@@ -42,6 +42,9 @@ def windows(items, reach: int):
     while at < len(held):
         yield list(held), at
         at += 1
+        if at > reach:
+            held.pop(0)
+            at -= 1
 
 
 def differ(a: Lighting, b: Lighting) -> bool:

@@ -4,8 +4,8 @@
 What an estimate finds out about things rather than light, it need not find out again: materials and how they depart
 from the library's, appearance, light between surfaces, the camera and its tone curve. All else is done as for a photo
 alone: the light is elected anew, so that where a photo alone would have chosen the same model, its light is the same in
-every digit. Where the model explains a photo much worse than the one that it was chosen by, or hangs on that photo's
-light (`hangs_on_light`), it is chosen anew.
+every digit. Where a photo may tell more of the model than the one that it was chosen by (`tells_more`), or the model
+hangs on that one's light (`hangs_on_light`), it is chosen anew.
 """
 
 import copy
@@ -58,7 +58,7 @@ class Follower:
             simplest = first_model([scene], self.chosen.model.materials[:1], self.chosen.model.settings)
         if not hangs_on_light(self.chosen.model):
             found = self._followed(simplest)
-            if found.light.fit.residual <= WORSE * self.chosen.light.fit.residual:
+            if not tells_more(found, self.chosen):
                 return Found(found, False)
         self.chosen = light_of(simplest, self.library)
         return Found(self.chosen, True)
@@ -78,6 +78,15 @@ class Follower:
         with model.reporter.stage("alternatives"):
             others = tuple(alternatives(model, light, self.library))
         return Estimate(model, light, choice, others)
+
+
+def tells_more(found: Estimate, chosen: Estimate) -> bool:
+    """Whether a photo may ask for another model than the one that was chosen.
+
+    It explains it much worse; or there are lamps and were none: only under these a departure is believed.
+    """
+    worse = found.light.fit.residual > WORSE * chosen.light.fit.residual
+    return worse or bool(found.fit.lamps and not chosen.fit.lamps)
 
 
 def hangs_on_light(model: Model) -> bool:
