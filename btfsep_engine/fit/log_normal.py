@@ -106,6 +106,17 @@ class LightSolver:
                 return self._fit(photo, *follow(photo, start.election.solution, start.election.rival))
             return self._fit(photo, *elect(photo))
 
+    def follow(self, radiance, before: Fit, *, weights=None, beside: Fit | None = None) -> Fit:
+        """As `solve`, of much the same light as ``before``: its model, from its light on, where `solve` would elect it.
+
+        What the photo misses it learns from itself, as an election does: the answers differ by some hundredths of what
+        is stated, as far as a search goes on.
+        """
+        with one_thread():
+            photo = self._photograph(radiance, weights, beside)
+            rough_light(photo)
+            return self._fit(photo, *onward(photo, before.election.solution, before.election.rival))
+
     def first_look(self, radiance, *, weights=None) -> Fit:
         """The rough fit of a field with which `solve` begins: what a fit by another basis stands `beside`."""
         with one_thread():
@@ -339,6 +350,11 @@ def exact_if_so(photo: Photograph, best: Solution, *, place) -> Solution:
 def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
     """The light of the models of an earlier election, from its lights on: what `elect` gives."""
     photo.learn_from(before.x)
+    return onward(photo, before, rival)
+
+
+def onward(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
+    """The light of the models of earlier solutions, from their lights on."""
     best, rival = (
         s and solve(photo, s.model, white=s.white, v=s.v, discrepancy=s.discrepancy) for s in (before, rival)
     )

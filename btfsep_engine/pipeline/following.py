@@ -3,14 +3,18 @@
 
 What an estimate finds out about things rather than light, it need not find out again: materials and how they depart
 from the library's, appearance, light between surfaces, the camera and its tone curve. All else is done as for a photo
-alone: the light is elected anew, so that where a photo alone would have chosen the same model, its light is the same in
-every digit. Where a photo may tell more of the model than the one that it was chosen by (`tells_more`), or the model
-hangs on that one's light (`hangs_on_light`), it is chosen anew.
+alone. A light that stands still (`stands_still`) is found from the last one on, in a part of the time; any other is
+elected anew: where a photo alone would have chosen the same model, its light is the same in every digit. Where a photo
+may tell more of the model than the one that it was chosen by (`tells_more`), or the model hangs on that one's light
+(`hangs_on_light`), it is chosen anew.
 """
 
 import copy
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.model import Photo
 from btfsep_engine.pipeline.alternatives import alternatives
 from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of
@@ -19,27 +23,31 @@ from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.together import all_weights, fit_together, light_solver
+from btfsep_engine.pipeline.together import SolvedLight, fit_together, light_solver
 from btfsep_engine.pipeline.tone import Curves, codes_of, read_by
 from btfsep_engine.threads import one_thread
 
 WORSE = 1.2  # of the residual of the photo that the model was chosen by
+STILL = 0.1  # of what is stated of a light (root mean square): one that moves by less stands still
+AS_WELL = 0.03  # of the residual: by as much that of a light that stands still may change
 OF_LIGHT = tuple(r for r in REFINEMENTS if r not in (light_between_surfaces, nearer_materials))
+CHOSEN, ELECTED, FOLLOWED = "model chosen", "light elected", "light followed"
 
 
 @dataclass(frozen=True)
 class Found:
-    """An Estimate, and whether its model was chosen by its own photo."""
+    """An Estimate, and what of it was found for its own photo: `CHOSEN`, `ELECTED` or `FOLLOWED`."""
 
     estimate: Estimate
-    anew: bool
+    how: str
 
 
 class Follower:
     """Estimates of further photographs; ``first`` : the Estimate that chose the model; ``library`` : of materials."""
 
     def __init__(self, first: Estimate, library):
-        self.chosen, self.library = first, library
+        self.chosen = self._elected = self._last = first
+        self.library = library
         self._curves = first.scene.curves
 
     def scene_of(self, scene: PreparedScene, photo: Photo, reporter) -> PreparedScene:
@@ -51,33 +59,63 @@ class Follower:
             return out
         return read_by(out, Curves(codes_of(out.job), known.curves, known.shares))
 
-    @one_thread()
     def found(self, scene: PreparedScene) -> Found:
         """The light of a scene with objects like those of the first, named and numbered as these."""
+        found = self._found(scene)
+        self._last = found.estimate
+        if found.how != FOLLOWED:
+            self._elected = found.estimate
+        if found.how == CHOSEN:
+            self.chosen = found.estimate
+        return found
+
+    @one_thread()
+    def _found(self, scene: PreparedScene) -> Found:
         with scene.reporter.stage("transport"):
             simplest = first_model([scene], self.chosen.model.materials[:1], self.chosen.model.settings)
         if not hangs_on_light(self.chosen.model):
-            found = self._followed(simplest)
-            if not tells_more(found, self.chosen):
-                return Found(found, False)
-        self.chosen = light_of(simplest, self.library)
-        return Found(self.chosen, True)
-
-    def _followed(self, simplest: Model) -> Estimate:
-        chosen = self.chosen.model
-        with simplest.reporter.stage("transport"):
-            model = replace(as_chosen(simplest, chosen), appearance=chosen.appearance)
-        with simplest.reporter.stage("fit"):
+            with scene.reporter.stage("transport"):
+                model = as_chosen(simplest, self.chosen.model)
             beside = None
             if model.looks is not simplest.looks or model.appearance != simplest.appearance:
-                problems = simplest.problems
-                solver = light_solver(problems, model.settings)
-                beside = solver.first_look(problems[0].radiance(), weights=all_weights(problems))
-            light = fit_together(model.problems, model.settings, beside=beside)
+                solver, (problem,) = light_solver(simplest.problems, model.settings), simplest.problems
+                beside = solver.first_look(problem.radiance(), weights=problem.weights)
+            light = self._followed(model, beside)
+            if light is not None:
+                return Found(self._completed(model, light), FOLLOWED)
+            with scene.reporter.stage("fit"):
+                light = fit_together(model.problems, model.settings, beside=beside)
+            found = self._completed(model, light)
+            if not tells_more(found, self.chosen):
+                return Found(found, ELECTED)
+        return Found(light_of(simplest, self.library), CHOSEN)
+
+    def _followed(self, model: Model, beside: Fit | None) -> SolvedLight | None:
+        """The light of a model from the last one on; None where the view is another, or the light does not stand still.
+
+        ``beside`` : as of `fit_together`
+        """
+        (problem,), solver = model.problems, light_solver(model.problems, model.settings)
+        if problem.scene.seen != self._last.scene.seen:
+            return None
+        with model.reporter.stage("fit"):
+            before = self._last.light.fit
+            fit = solver.follow(problem.radiance(), before, weights=problem.weights, beside=beside)
+        return SolvedLight(fit, solver, [1.0]) if stands_still(fit, self._elected.light.fit) else None
+
+    def _completed(self, model: Model, light: SolvedLight) -> Estimate:
+        """The Estimate of a model that is as it was chosen, and of its light."""
         model, light, choice = refined(model, light, {}, OF_LIGHT)
         with model.reporter.stage("alternatives"):
             others = tuple(alternatives(model, light, self.library))
         return Estimate(model, light, choice, others)
+
+
+def stands_still(fit: Fit, elected: Fit) -> bool:
+    """Whether a light that was followed is the last that was elected, which explains its photo as well."""
+    change = fit.residual / max(elected.residual, 1e-300) - 1
+    moved = (fit.coefficients - elected.coefficients) / np.maximum(elected.stddev, 1e-300)
+    return abs(change) < AS_WELL and np.sqrt(np.square(moved).mean()) < STILL
 
 
 def tells_more(found: Estimate, chosen: Estimate) -> bool:
@@ -96,9 +134,9 @@ def hangs_on_light(model: Model) -> bool:
 
 def as_chosen(simplest: Model, chosen: Model) -> Model:
     """The simplest model of a photo with the light between surfaces and the departures that were chosen of another."""
-    model = simplest
+    model = replace(simplest, appearance=chosen.appearance)
     if chosen.bounces != model.bounces:
-        model = with_reflections(model)
+        model = replace(with_reflections(model), appearance=chosen.appearance)
     if chosen.departed:
 
         def near(problem):

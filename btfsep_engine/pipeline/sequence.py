@@ -25,7 +25,7 @@ from btfsep_engine.job.poses import posed_jobs
 from btfsep_engine.light.files import MAP_SIZE, write_lighting, write_lighting_exr
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.estimation import Estimate, found_light
-from btfsep_engine.pipeline.following import Follower
+from btfsep_engine.pipeline.following import CHOSEN, Follower, Found
 from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.record import determined_words, run_record
@@ -94,7 +94,8 @@ class Frames:
             photo = read_photo(file, self._job.camera, colorspace=self._job.image_colorspace, notes=reporter.warnings)
         begun = time.perf_counter()
         try:
-            estimate, anew = self._light(photo, reporter)
+            found = self._light(photo, reporter)
+            estimate = found.estimate
             residual, lighting = estimate.fit.residual, estimate.lighting
             with reporter.timed("checks"):
                 for doubt in all_doubts(estimate):
@@ -110,7 +111,8 @@ class Frames:
             "expected_error": expected_error(fit.coefficients, fit.samples),
             "lamps": [lamp_record(lamp) for lamp in fit.lamps],
             "saturated_pixels": photo.saturated,
-            "choice": estimate.choice if anew else None,
+            "by": found.how,
+            "choice": estimate.choice if found.how == CHOSEN else None,
             "warnings": list(reporter.warnings),
             "milliseconds": round(1000 * seconds, 2),
         }
@@ -124,16 +126,15 @@ class Frames:
             folder, curve = self._still.folder, self._settings.colorspace
             self._job = load_job(folder, with_photo=False, schema=pose, colorspace=curve)
 
-    def _light(self, photo: Photo, reporter: Reporter) -> tuple[Estimate, bool]:
-        """The Estimate of a photo, and whether its model was chosen by it."""
+    def _light(self, photo: Photo, reporter: Reporter) -> Found:
+        """The Estimate of a photo, and what of it was found for it alone (`following.Found`)."""
         if self._scene is None:
             self._scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
         if self._follower is None:
             self.first = found_light(self._scene, self._library, self._settings, material=self._material)
             self._follower = Follower(self.first, self._library)
-            return self.first, True
-        found = self._follower.found(self._follower.scene_of(self._scene, photo, reporter))
-        return found.estimate, found.anew
+            return Found(self.first, CHOSEN)
+        return self._follower.found(self._follower.scene_of(self._scene, photo, reporter))
 
 
 def run_sequence(

@@ -115,7 +115,8 @@ def test_a_frame_has_the_light_of_an_estimate_in_every_digit(bowl_frames, capsys
     frames = answer(capsys, "sequence", folder, "--images", folder / "frames" / "*")["frames"]
     assert [f["image"] for f in frames] == ["1.exr", "2.exr", "3.exr", "4.png"]
     assert "are modelled" in frames[0]["choice"]["interreflections"]  # which a further frame is not asked
-    assert [f["choice"] is None for f in frames] == [False, False, True, True]  # the second's lamp is new
+    found = ["model chosen", "model chosen", "light elected", "light elected"]  # the second's lamp is new
+    assert [f["by"] for f in frames] == found and [f["choice"] is None for f in frames] == [False, False, True, True]
     assert frames[1]["lamps"] and read_lighting(folder / "sequence" / "2.json").suns
     assert any("saturated" in w for w in frames[3]["warnings"])
     assert_as_alone(folder, frames, capsys)
@@ -152,6 +153,13 @@ def test_the_main_direction_is_still_on_a_still_scene(sphere_job_folder, capsys)
     assert 0 < np.sqrt(np.mean(off**2)) <= 0.5
     suns = np.array([light.suns[0].direction for light in lights])  # told apart in each
     assert np.degrees(np.arccos(np.clip(suns @ LAMP, -1, 1))).max() < 2
+    followed = [i for i, frame in enumerate(result["frames"]) if frame["by"] == "light followed"]
+    assert len(followed) > 6
+    (folder / "photo.exr").write_bytes((folder / "frames" / f"{followed[-1]}.exr").read_bytes())
+    alone = read_lighting(answer(capsys, "estimate", folder, "--no-report")["lighting"])
+    off = (lights[followed[-1]].coefficients - alone.coefficients) / alone.stddev
+    assert 0 < np.abs(off).max() < 0.03
+    assert np.allclose(lights[followed[-1]].stddev, alone.stddev, rtol=0.08)
 
 
 def test_lights_are_smoothed_but_not_across_a_jump(sphere_job_folder, capsys):
