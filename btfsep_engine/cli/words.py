@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Results in words, for people."""
 
+from collections import Counter
+
 
 def estimate(result: dict) -> str:
     """What an estimate found."""
@@ -144,8 +146,10 @@ def sequence(result: dict) -> str:
     """What a sequence gave."""
     lines = [f"{o['name']}: {o['material']}" for o in result["objects"]]
     lines += [f"{f['image']}: residual {f['residual']:.3f}, {f['determined']}" for f in result["frames"]]
+    found = Counter(f["by"] for f in result["frames"])
     lines.append(
-        f"{len(result['frames'])} lights of order {result['order']}, "
+        f"{len(result['frames'])} lights of order {result['order']} "
+        f"({', '.join(f'{how} {count} times' for how, count in found.items())}), "
         f"{result['median_milliseconds_per_further_frame']:.1f} ms for a further one, "
         f"{result['seconds']['total']:.1f} s in all"
     )

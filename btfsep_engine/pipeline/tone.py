@@ -56,9 +56,9 @@ def is_coded(job) -> bool:
     return by_default or job.image_colorspace == "srgb"
 
 
-def codes_of(job) -> np.ndarray:
-    """(h, w, 3) float32, a photo's codes, 1: the largest."""
-    radiance = job.photo.radiance
+def codes_of(job, radiance=None) -> np.ndarray:
+    """float32, a job's photo's codes, 1: the largest; ``radiance`` : of some of its pixels; None: of all, (h, w, 3)."""
+    radiance = job.photo.radiance if radiance is None else radiance
     return linear_to_srgb(radiance).astype(np.float32) if is_coded(job) else radiance
 
 

@@ -106,6 +106,18 @@ def test_its_answers_are_those_of_the_command(resident, sphere_job_folder, tmp_p
     assert here[-1]["result"]["choice"] == alone[-1]["result"]["choice"]
 
 
+def test_a_sequence_goes_through_it_and_stands_on_what_is_kept(resident, sphere_job_folder, tmp_path, capsys):
+    folder, _ = sphere_job_folder
+    kept.STORE.forget()
+    asked = ("sequence", folder, "--images", folder / "*.exr", *WHITE[:4])
+    with threadpool_limits(2, user_api="blas"):
+        alone = lines_of(capsys, *asked, "--out", tmp_path / "alone")[-1]["result"]
+    for _ in range(2):
+        here = resident.answer(resident.ask(*asked, "--out", tmp_path / "here"))[-1]["result"]
+        assert (tmp_path / "alone" / "photo.json").read_bytes() == (tmp_path / "here" / "photo.json").read_bytes()
+        assert here["frames"][0]["choice"] == alone["frames"][0]["choice"]
+
+
 def test_what_is_wrong_is_said_as_by_the_command(resident, tmp_path, capsys):
     for command in (["estimate", tmp_path / "none"], ["library", "show", "wood/none"]):
         alone = lines_of(capsys, *command)

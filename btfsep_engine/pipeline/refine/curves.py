@@ -15,8 +15,8 @@ FAR = 15.0  # of the logarithm of the probability: how much more another curve h
 
 
 def _read_by(curve: ToneCurve, problem, codes):
-    """The problem with its photo's ``codes`` (h, w, 3) read by a curve."""
-    values = curve.decode(problem.values_of(codes))
+    """The problem with its photo's ``codes`` (p, 3) read by a curve."""
+    values = curve.decode(codes)
     if problem.scales is not None:
         values = np.concatenate([b / s for b, s in zip(problem.by_object(values), problem.scales, strict=True)])
     # every curve has 1 for the largest code
@@ -35,7 +35,9 @@ def other_curves(model, light):
     for curve, count in zip(known.curves[1:], counts[1:], strict=True):
         if not count:
             continue
-        read = [p if p.scene.curves is None else _read_by(curve, p, p.scene.curves.codes) for p in problems]
+        read = [
+            p if p.scene.curves is None else _read_by(curve, p, p.values_of(p.scene.curves.codes)) for p in problems
+        ]
         other = light.solver.solve(light.radiance(read), weights=all_weights(problems))
         y = other.all_coefficients
         samples.append(float((y * x).sum() / max(np.square(y).sum(), 1e-300)) * other.samples[:count])
@@ -73,14 +75,15 @@ def curve_doubts(problems, light) -> list[str]:
         return []
     if len({is_coded(j) for j in jobs}) > 1:
         return []
-    coded, images = is_coded(jobs[0]), [codes_of(j) for j in jobs]
-    codes = np.concatenate([p.values_of(image) for p, image in zip(problems, images, strict=True)])
+    coded = is_coded(jobs[0])
+    each = [codes_of(p.scene.job, p.values_of(p.scene.job.photo.radiance)) for p in problems]  # not of all of a picture
+    codes = np.concatenate(each)
     unit = np.concatenate([np.full((len(p.pixels), 1), e) for p, e in zip(problems, light.exposures, strict=True)])
     own = all_weights(problems)
     weights = importance(codes, np.zeros(codes.shape, bool) if own is None else own < 1)
     logs = []
     for curve in (LINEAR, SRGB):
-        read = [_read_by(curve, p, image) for p, image in zip(problems, images, strict=True)]
+        read = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
         answer = light.solver.solve(light.radiance(read), weights=weights, start=light.fit)
         logs.append(log_probability(answer, curve.log_slope(codes) - np.log(unit), weights))
     if logs[1 - coded] - logs[coded] < FAR:
