@@ -131,6 +131,17 @@ def test_what_a_thing_departs_from_its_material_by_stays(sphere_job_folder, caps
     assert_as_alone(folder, frames, capsys)
 
 
+def test_beside_things_of_an_unknown_grey_each_frame_chooses_it(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    trimesh.creation.box([6, 6, 0.1]).apply_translation([0, 0, -1.1]).export(folder / "floor.ply")
+    job = json.loads((folder / "job.json").read_text())
+    (folder / "job.json").write_text(json.dumps({**job, "occluders": [{"mesh": "floor.ply"}]}))
+    photographed(folder, {"1.exr": lamp_light(), "2.exr": lamp_light(OTHER)})
+    frames = answer(capsys, "sequence", folder, "--images", folder / "frames" / "*")["frames"]
+    assert all("by evidence a grey of" in f["choice"]["surroundings"] for f in frames)
+    assert_as_alone(folder, frames, capsys)
+
+
 def test_a_frame_that_the_model_explains_much_worse_chooses_its_own(bowl_frames, capsys, monkeypatch):
     monkeypatch.setattr(following, "WORSE", 0.0)
     frames = answer(capsys, "sequence", bowl_frames, "--images", bowl_frames / "frames" / "[23].exr")["frames"]
