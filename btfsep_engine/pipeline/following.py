@@ -99,8 +99,11 @@ class Follower:
         if problem.scene.seen != self._last.scene.seen or self._last.light.near:
             return None
         with model.reporter.stage("fit"):
-            before = self._last.light.fit
-            fit = solver.follow(problem.radiance(), before, weights=problem.weights, beside=beside)
+            before, b = self._last.light.fit, problem.radiance()
+            left = np.linalg.norm(b - problem.predicted(before.shown)) / max(np.linalg.norm(b), 1e-300)
+            if left > (1 + 2 * AS_WELL) * self._elected.light.fit.residual:  # why search
+                return None
+            fit = solver.follow(b, before, weights=problem.weights, beside=beside)
         return SolvedLight(fit, solver, [1.0]) if stands_still(fit, self._elected.light.fit) else None
 
     def _completed(self, model: Model, light: SolvedLight) -> Estimate:
