@@ -60,6 +60,8 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
         layout = self.layout
         scene, settings = context.scene, context.scene.btfsep
         layout.enabled = not runs.is_running()
+        if settings.image is None:
+            layout.operator("btfsep.open_example", icon="SCENE_DATA")
         layout.template_ID(settings, "image", open="image.open")
         camera, image = settings.camera or scene.camera, settings.image
         column = layout.column()

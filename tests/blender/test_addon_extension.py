@@ -61,7 +61,7 @@ def test_the_zip_holds_the_addon_and_the_engine(extension):
                 assert "btfsep_engine/cli/commands.py" in wheel.namelist()
                 assert any(n.startswith("btfsep_engine/data/lights/") for n in wheel.namelist())
     modules = {path.name for path in (ROOT / "blender_btfsep").glob("*.py")}
-    assert modules <= set(names)
+    assert modules | {"example.blend"} <= set(names)
     assert not [name for name in names if "__pycache__" in name or name.endswith((".pyc", "ruff.toml"))]
 
 

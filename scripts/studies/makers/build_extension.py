@@ -103,8 +103,9 @@ def download(into: Path, python: str, platform: str) -> None:
 
 def stage(folder: Path, platform: str | None, pythons: list[str]) -> None:
     """Puts the extension together in ``folder``."""
-    for source in sorted((ROOT / "blender_btfsep").rglob("*.py")):
-        target = folder / source.relative_to(ROOT / "blender_btfsep")
+    addon = ROOT / "blender_btfsep"
+    for source in [*sorted(addon.rglob("*.py")), addon / "example.blend"]:
+        target = folder / source.relative_to(addon)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(source, target)
     if (ROOT / "LICENSE").is_file():
