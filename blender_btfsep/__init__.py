@@ -16,6 +16,7 @@ from . import (
     library_assets,
     light_controls,
     light_operators,
+    live,
     looking,
     measure,
     mending,
@@ -50,6 +51,7 @@ MODULES = (
     light_controls,
     measure,
     sequence_run,
+    live,
     panels,
     command,
 )

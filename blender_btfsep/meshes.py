@@ -175,12 +175,21 @@ def not_as_rendered(things) -> list:
     ]
 
 
+_changing = 0
+
+
+def is_as_rendered() -> bool:
+    """Whether `as_rendered` lasts: what Blender then says has changed is not the user's doing."""
+    return _changing > 0
+
+
 @contextmanager
 def as_rendered(view_layer, objects, *, chosen=()):
     """While it lasts, the viewport shows what a render would: what is hidden, and the modifiers of ``objects``.
 
     ``chosen`` are shown in any case: what the photo shows may be hidden in the render, as a stand-in is.
     """
+    global _changing
     changed = []
 
     def put(owner, name, value):
@@ -199,6 +208,7 @@ def as_rendered(view_layer, objects, *, chosen=()):
         return holds
 
     hidden = [thing for thing in view_layer.objects if thing.hide_get(view_layer=view_layer)]
+    _changing += 1
     try:
         for thing in bpy.data.objects:
             for driver in thing.animation_data.drivers if thing.animation_data else ():
@@ -232,7 +242,12 @@ def as_rendered(view_layer, objects, *, chosen=()):
             put(render, "simplify_child_particles", render.simplify_child_particles_render)
         yield
     finally:
-        for owner, name, old in reversed(changed):
-            setattr(owner, name, old)
-        for thing in hidden:
-            thing.hide_set(True, view_layer=view_layer)
+        try:
+            for owner, name, old in reversed(changed):
+                setattr(owner, name, old)
+            for thing in hidden:
+                thing.hide_set(True, view_layer=view_layer)
+            if changed or hidden:
+                view_layer.update()
+        finally:
+            _changing -= 1

@@ -208,6 +208,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             row.scale_y = 1.4
             row.operator("btfsep.recognise", icon="VIEWZOOM")
             row.operator("btfsep.estimate", icon="LIGHT_SUN")
+            row.prop(settings, "live", toggle=True, icon="FILE_REFRESH" if run.following else "PLAY")
             if sequence_run.is_sequence(settings.image):
                 layout.operator("btfsep.estimate_sequence", icon="SEQUENCE")
             lacking = request.missing(context)
@@ -253,7 +254,8 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         column = box.column(align=True)
         for label, words in card.get("lines") or ():
             if label == "Trust":
-                words = "Being checked …" if runs.is_running() and card["trust"] == "NONE" else words
+                checked = (runs.is_running() or run.following) and card["trust"] == "NONE"
+                words = "Being checked …" if checked else words
                 _wrapped(context, column, words, icon_value=icons.light(card["trust"]))
                 continue
             row = column.split(factor=0.3)

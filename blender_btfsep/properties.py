@@ -13,7 +13,7 @@ from bpy.props import (
     StringProperty,
 )
 
-from . import engine_settings, library
+from . import engine_settings, library, live
 from .animation import INTERPOLATIONS
 from .meshes import has_surface
 
@@ -163,6 +163,12 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
     )
     surface: PointerProperty(type=BTFSEP_PG_object)
     light: PointerProperty(type=BTFSEP_PG_kept)
+    live: BoolProperty(
+        name="Live",
+        description="After an estimate the light follows photo, mask, camera, objects and what they are made of: "
+        "a draft at once, the preset when nothing changes for a second",
+        update=lambda self, context: live.switched(self),
+    )
     interpolation: EnumProperty(
         name="Between Photos", description="What a sequence's light does between two photos", items=INTERPOLATIONS
     )
@@ -202,6 +208,7 @@ class BTFSEP_PG_run(bpy.types.PropertyGroup):
     stage: StringProperty()
     fraction: FloatProperty(min=0, max=1)
     message: StringProperty()
+    following: StringProperty()  # what `live` asks now
     error: StringProperty()
     summary: StringProperty()
     show_details: BoolProperty(name="Details", description="What else was chosen, and why")

@@ -20,6 +20,9 @@ DRAWN = 0.25  # seconds between drawings of the panel, at least
 STATUS = 1.0  # seconds between changes of the status bar, which is not ours alone
 RUNNING = "The engine is running: wait or cancel"
 
+give_way = None
+"""What a run that begins ends first, where something asks the engine by itself (`live`)."""
+
 current = None
 """The Preparation or the EngineProcess that runs now, if any: one at a time."""
 
@@ -205,6 +208,8 @@ class EngineOperator:
         if is_running():
             self.report({"ERROR"}, "the engine is running already; wait for it or cancel it")
             return False
+        if give_way is not None:
+            give_way()
         self._scene, self._scene_name = (
             context.scene.session_uid,
             context.scene.name,

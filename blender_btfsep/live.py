@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Live: after an estimate the light follows what is changed, by a draft at once and the preset when all is quiet.
+
+Photo, mask, camera, what has a surface, and what it is made of: Blender tells of changes (`_heard`), a timer asks the
+engine (`_step`). The World is changed in place, without a step of undo: what it follows has one.
+"""
+
+import argparse
+import atexit
+import json
+import time
+
+import bpy
+from bpy.app.handlers import persistent
+
+from . import answer, atomic, engine_process, engine_settings, kept_light, meshes, reasons, request, runs
+from .errors import InputError
+
+INTERVAL = 0.02  # seconds between looks
+QUIET = 0.1  # seconds without a change, before a draft
+SETTLED = 1.0  # and before the preset
+DRAFT, WHOLE = "draft", "whole"
+
+
+class Place:
+    """A scene as a context has it; it is looked up each time, since undo moves all data."""
+
+    def __init__(self, scene):
+        self._uid = scene.session_uid
+
+    @property
+    def scene(self):
+        """None where it is gone."""
+        return next((scene for scene in bpy.data.scenes if scene.session_uid == self._uid), None)
+
+    @property
+    def view_layer(self):
+        """That of the first window which shows the scene."""
+        shown = (w.view_layer for w in bpy.context.window_manager.windows if w.scene == self.scene)
+        return next(shown, None) or self.scene.view_layers[0]
+
+    def evaluated_depsgraph_get(self):
+        """As of a context."""
+        return self.view_layer.depsgraph
+
+
+class Follower:
+    """What follows the changes of one scene.
+
+    Attributes
+    ----------
+    due : what is to be asked next: DRAFT, WHOLE, or "" for nothing
+    run : Preparation or process of what is asked now (`asked`), or None
+    """
+
+    def __init__(self):
+        self.place, self.due, self.run, self.asked, self._at, self._cancelled = None, "", None, "", 0.0, False
+
+    def changed(self, scene) -> None:
+        """Something is not as it was: what is asked now is asked in vain."""
+        self.place, self._at = Place(scene), time.monotonic()
+        self.due = WHOLE if scene.btfsep.preset == DRAFT else DRAFT
+        if self.run is not None and not self._cancelled:
+            self.run.cancel()
+            self._cancelled = True
+        if not bpy.app.timers.is_registered(_step):
+            bpy.app.timers.register(_step, first_interval=INTERVAL)
+
+    def give_way(self) -> None:
+        """Nothing is due any more, and nothing is asked: another run begins, or the file is left."""
+        self.due = ""
+        self.kill()
+        self._over()
+
+    def kill(self) -> None:
+        """The end of what is asked now; nothing here needs a Blender that is still there."""
+        if self.run is not None:
+            self.run.kill()
+
+    def step(self) -> bool:
+        """Does what is to be done now; gives whether there may be more."""
+        scene = self.place and self.place.scene
+        if scene is None or not scene.btfsep.live:
+            self.give_way()
+            return False
+        try:
+            if self.run is not None:
+                self._go_on(scene)
+            elif self.due and not runs.is_running():
+                # a preset that is a draft itself need not wait for more quiet
+                after = QUIET if self.due == DRAFT or scene.btfsep.preset == DRAFT else SETTLED
+                if time.monotonic() - self._at >= after:
+                    self._begin(scene)
+        except InputError as error:
+            self.give_way()
+            runs.run_state().error = str(error)
+            runs.redraw(at_once=True)
+        return bool(self.due) or self.run is not None
+
+    def _begin(self, scene) -> None:
+        settings, state = scene.btfsep, runs.run_state()
+        asked, self.due = self.due, ""
+        if reasons.of(scene, self.place.view_layer, settings, request.fitted(settings)):
+            return  # the panel says it
+        state.error = state.summary = ""
+        state.warnings.clear()
+        self.asked, self._ids, self._cancelled = asked, request.ids_of(settings), False
+        self.run = runs.Preparation(self._slices(asked))
+        self._go_on(scene)
+
+    def _slices(self, asked: str):
+        """The engine's arguments, as a generator."""
+        folder = yield from request.job_slices(self.place)
+        scene = self.place.scene
+        if asked == WHOLE:
+            return request.engine_arguments("estimate", folder, scene, "--out", folder / "result")
+        _recognised(scene, folder)
+        given = ("--out", folder / "draft", "--no-report")
+        return request.engine_arguments("estimate", folder, scene, *given, options=argparse.Namespace(preset=DRAFT))
+
+    def _go_on(self, scene) -> None:
+        if isinstance(self.run, runs.Preparation):
+            if self._cancelled:
+                self.run.kill()
+                self._over()
+            elif self.run.step():
+                self.run = runs.start_engine(self.run.arguments)
+                _tell(self.asked)
+            return
+        for message in self.run.poll():
+            if isinstance(message, engine_process.Light) and not self._cancelled:
+                answer.take_light(scene, message.lighting)
+                if self.asked == DRAFT:
+                    self.due, self._cancelled = WHOLE, True
+                    self.run.cancel()  # what else it would say is not asked
+                runs.redraw(at_once=True)
+            elif isinstance(message, engine_process.Failed):
+                raise InputError(message.message, "", "")
+            elif isinstance(message, engine_process.Done) and not self._cancelled:
+                own = [warning.name for warning in runs.run_state().warnings]
+                answer.take_estimate(scene, message.result, self._ids, own=own)
+        if self.run.over:
+            self._over()
+
+    def _over(self) -> None:
+        self.run, self.asked = None, ""
+        _tell("")
+
+
+_follower = Follower()
+atexit.register(_follower.kill)
+_known: dict = {}  # session id of a scene -> what of its settings was seen last
+
+
+def _recognised(scene, folder) -> None:
+    """Has the draft of the job in ``folder`` take what was recognised before for known."""
+    job = json.loads((folder / "job.json").read_text())
+    entries = request.fitted(scene.btfsep)
+    for thing in job["objects"]:
+        entry = entries.get(thing["name"])
+        if entry and entry.source == "RECOGNISE" and not entry.recognised.startswith("surface/"):
+            thing["material"] = entry.recognised or None
+    atomic.write_bytes(folder / "job.json", json.dumps(job, indent=1).encode())
+
+
+def _tell(asked: str) -> None:
+    """What the panel's button says."""
+    runs.run_state().following = asked
+    runs.redraw(at_once=True)
+
+
+def _step():
+    return INTERVAL if _follower.step() else None
+
+
+def _told(scene) -> tuple:
+    """What of a scene's own settings an estimate depends on."""
+    s, r = scene.btfsep, scene.render
+    pictures = [
+        image and (image.session_uid, image.filepath_raw, image.colorspace_settings.name)
+        for image in (s.image, s.depth, *(entry.mask for entry in request.fitted(s).values()))
+    ]
+    made = [
+        (thing and thing.session_uid, e.source, e.material, tuple(e.colour), e.roughness, e.metallic)
+        for e in request.fitted(s).values()
+        for thing in [e.object]
+    ]
+    camera = s.camera or scene.camera
+    shape = [getattr(r, name) for name in SHAPE]
+    own = (s.occluders, s.mapping, s.exposure_ev, s.curve, camera and camera.session_uid)
+    return (*own, pictures, made, shape, engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s))
+
+
+SHAPE = (
+    *("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border"),
+    *("use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y"),
+)
+
+
+def _matters(update, scene) -> bool:
+    """Whether a change that Blender tells of may change the light."""
+    thing, settings = update.id.original, scene.btfsep
+    camera = settings.camera or scene.camera
+    moved = update.is_updated_transform or update.is_updated_geometry
+    match thing:
+        case bpy.types.Object():
+            return moved and (thing == camera or meshes.has_surface(thing))
+        case bpy.types.Image():
+            return thing in (settings.image, settings.depth, *(e.mask for e in request.fitted(settings).values()))
+        case bpy.types.Material():
+            return True
+        case bpy.types.Scene():
+            before, now = _known.get(thing.session_uid), _told(scene)
+            _known[thing.session_uid] = now
+            return before is not None and before != now
+    return False
+
+
+@persistent
+def _heard(scene, depsgraph):
+    """Blender has changed something."""
+    if not scene.btfsep.live or meshes.is_as_rendered() or depsgraph.mode != "VIEWPORT":
+        return
+    # all of them: what the scene's settings were is remembered
+    if any([_matters(update, scene) for update in depsgraph.updates]) and kept_light.kept(scene):
+        _follower.changed(scene)
+
+
+@persistent
+def _left(*_):
+    """Another file comes."""
+    _follower.give_way()
+
+
+@persistent
+def _come(*_):
+    """Another file is there."""
+    _known.clear()
+    _known.update({scene.session_uid: _told(scene) for scene in bpy.data.scenes if scene.btfsep.live})
+
+
+def switched(settings) -> None:
+    """Live is switched on or off."""
+    scene = settings.id_data
+    _known[scene.session_uid] = _told(scene)
+    if not settings.live:
+        _follower.give_way()
+
+
+HANDLERS = (("depsgraph_update_post", _heard), ("load_pre", _left), ("load_post", _come))
+
+
+def register():
+    runs.give_way = _follower.give_way
+    for when, handler in HANDLERS:
+        getattr(bpy.app.handlers, when).append(handler)
+
+
+def unregister():
+    _follower.give_way()
+    if bpy.app.timers.is_registered(_step):
+        bpy.app.timers.unregister(_step)
+    for when, handler in HANDLERS:
+        getattr(bpy.app.handlers, when).remove(handler)
