@@ -17,7 +17,7 @@ from . import answer, atomic, engine_process, engine_settings, kept_light, meshe
 from .errors import InputError
 
 INTERVAL = 0.02  # seconds between looks
-QUIET = 0.1  # seconds without a change, before a draft
+QUIET = 0.05  # seconds without a change, before a draft
 SETTLED = 1.0  # and before the preset
 DRAFT, WHOLE = "draft", "whole"
 
@@ -115,7 +115,7 @@ class Follower:
         if asked == WHOLE:
             return request.engine_arguments("estimate", folder, scene, "--out", folder / "result")
         _recognised(scene, folder)
-        given = ("--out", folder / "draft", "--no-report")
+        given = ("--out", folder / "draft", "--no-report", "--align", "never")  # the search for it takes seconds
         return request.engine_arguments("estimate", folder, scene, *given, options=argparse.Namespace(preset=DRAFT))
 
     def _go_on(self, scene) -> None:
@@ -125,13 +125,15 @@ class Follower:
                 self._over()
             elif self.run.step():
                 self.run = runs.start_engine(self.run.arguments)
-                _tell(self.asked)
+                runs.run_state().following = self.asked
+                if self.asked == WHOLE:  # a draft is there as soon as it is said
+                    runs.redraw(at_once=True)
             return
         for message in self.run.poll():
             if isinstance(message, engine_process.Light) and not self._cancelled:
                 answer.take_light(scene, message.lighting)
                 if self.asked == DRAFT:
-                    self.due, self._cancelled = WHOLE, True
+                    self.due, self._cancelled, self._at = WHOLE, True, time.monotonic()
                     self.run.cancel()  # what else it would say is not asked
                 runs.redraw(at_once=True)
             elif isinstance(message, engine_process.Failed):
@@ -144,7 +146,8 @@ class Follower:
 
     def _over(self) -> None:
         self.run, self.asked = None, ""
-        _tell("")
+        runs.run_state().following = self.due
+        runs.redraw(at_once=True)
 
 
 _follower = Follower()
@@ -161,12 +164,6 @@ def _recognised(scene, folder) -> None:
         if entry and entry.source == "RECOGNISE" and not entry.recognised.startswith("surface/"):
             thing["material"] = entry.recognised or None
     atomic.write_bytes(folder / "job.json", json.dumps(job, indent=1).encode())
-
-
-def _tell(asked: str) -> None:
-    """What the panel's button says."""
-    runs.run_state().following = asked
-    runs.redraw(at_once=True)
 
 
 def _step():
