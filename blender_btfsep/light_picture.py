@@ -30,13 +30,13 @@ def picture_of(scene, lighting: dict, to_world=None, *, map_file=None) -> np.nda
     ball, on = _ball(sky, lamps, to_world)
     factor = WHITE / max(float(np.percentile(ball[on], 99)), 1e-9)
     above = _map_of(map_file) if map_file else _map(sky, lamps)
-    below = [_object(scene), np.where(on[..., None], _coded(ball * factor), 0.1)]
+    below = [_object(scene), np.where(on[..., None], coded(ball * factor), 0.1)]
     middle = max(float(np.percentile(above @ harmonics.LUMINANCE, 70)), 1e-9)
     # a shoulder instead of an edge: sky and sun are both to be seen
-    return np.concatenate([_coded(1 - np.exp(-0.4 * above / middle)), np.concatenate(below, 1)])
+    return np.concatenate([coded(1 - np.exp(-0.4 * above / middle)), np.concatenate(below, 1)])
 
 
-def _coded(linear) -> np.ndarray:
+def coded(linear) -> np.ndarray:
     v = np.clip(linear, 0, 1)
     return np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
 
@@ -101,7 +101,7 @@ def _object(scene) -> np.ndarray:
     part = part[rows][:, columns]
     if image.is_float:
         part = part * WHITE / max(float(np.nanpercentile(part, 99)), 1e-9)
-    return _coded(part) if image.is_float else np.clip(part, 0, 1)
+    return coded(part) if image.is_float else np.clip(part, 0, 1)
 
 
 _last: tuple = (None, None)

@@ -123,6 +123,10 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         if entry is not None:
             row = split.row(align=True)
             row.prop(entry, "mask")
+            if entry.mask is not None:
+                row.operator("btfsep.paint_mask", text="", icon="BRUSH_DATA")
+            elif entry.object is not None:
+                row.operator("btfsep.new_mask", text="", icon="ADD")
             row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "mask"
         split.prop(settings, "occluders")
 

@@ -11,12 +11,16 @@ def of(scene, view_layer, settings, entries: dict) -> str:
     ``entries`` : name -> entry of what is fitted.
     """
     return (
-        _of_photo(settings.image)
-        or of_camera(settings.camera or scene.camera)
-        or _of_shape(scene, settings.image)
+        of_picture(scene, settings)
         or next(filter(None, (_of_entry(name, e, view_layer, settings) for name, e in entries.items())), "")
         or ("" if entries else "Add the objects that the photo shows to the list first")
     )
+
+
+def of_picture(scene, settings) -> str:
+    """Why photo and camera cannot be used; empty where they can."""
+    camera = settings.camera or scene.camera
+    return _of_photo(settings.image) or of_camera(camera) or _of_shape(scene, settings.image)
 
 
 def _of_photo(image) -> str:
