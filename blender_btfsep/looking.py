@@ -20,18 +20,24 @@ class BTFSEP_OT_show_report(runs.Greyed, bpy.types.Operator):
         return "" if light and light.report else "Estimate the light first: the report comes with it"
 
     def execute(self, context):
-        area = image_editor(context)
-        if area is None:
+        if show(context, kept_light.kept(context.scene).report) is None:
             self.report({"ERROR"}, "no window has room for an Image Editor; open one, and press again")
             return {"CANCELLED"}
-        image = kept_light.kept(context.scene).report
-        area.spaces.active.image = image
-        region = next((region for region in area.regions if region.type == "WINDOW"), None)
-        window = next((w for w in context.window_manager.windows if area in w.screen.areas[:]), None)
-        if window is not None and region is not None and not bpy.app.background:
-            with context.temp_override(window=window, area=area, region=region):
-                bpy.ops.image.view_all(fit_view=True)
         return {"FINISHED"}
+
+
+def show(context, image):
+    """Shows all of an image; gives the area that does, as :func:`image_editor`."""
+    area = image_editor(context)
+    if area is None:
+        return None
+    area.spaces.active.image = image
+    region = next((region for region in area.regions if region.type == "WINDOW"), None)
+    window = next((w for w in context.window_manager.windows if area in w.screen.areas[:]), None)
+    if window is not None and region is not None and not bpy.app.background:
+        with context.temp_override(window=window, area=area, region=region):
+            bpy.ops.image.view_all(fit_view=True)
+    return area
 
 
 def image_editor(context):

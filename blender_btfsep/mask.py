@@ -162,9 +162,8 @@ class BTFSEP_OT_paint_mask(runs.Greyed, bpy.types.Operator):
 
 def open_for_painting(operator, context, image) -> set:
     """Shows ``image`` in an Image Editor, with a black brush; without a window it is only said."""
-    area = looking.image_editor(context)
+    area = looking.show(context, image)
     if area is not None:
-        area.spaces.active.image = image
         area.spaces.active.ui_mode = "PAINT"
         paint = context.tool_settings.image_paint
         colours = getattr(paint, "unified_paint_settings", None) or context.tool_settings.unified_paint_settings

@@ -212,14 +212,13 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             row.scale_y = 1.4
             row.operator("btfsep.recognise", icon="VIEWZOOM")
             row.operator("btfsep.estimate", icon="LIGHT_SUN")
-            row.prop(settings, "live", toggle=True, icon="FILE_REFRESH" if run.following else "PLAY")
             if sequence_run.is_sequence(settings.image):
                 layout.operator("btfsep.estimate_sequence", icon="SEQUENCE")
             lacking = request.missing(context)
             if lacking:
                 _wrapped(context, layout, lacking, icon="INFO")
-            elif seconds := durations.in_words(f"BTFSEP_OT_estimate {settings.preset}"):
-                layout.label(text=seconds, icon="TIME")
+            else:
+                self._beside(context, layout, run)
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
         if light is not None:
@@ -227,6 +226,19 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         layout.operator("btfsep.apply", icon="WORLD")
         if world.is_ours(context.scene.world):
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")
+
+    def _beside(self, context, layout, run):
+        """How long an estimate takes, and the switch that spares asking for one."""
+        settings = context.scene.btfsep
+        seconds = durations.expected(f"BTFSEP_OT_estimate {settings.preset}")
+        there = kept_light.kept(context.scene) is not None
+        row = layout.split(factor=0.6) if there else layout
+        if seconds is not None:
+            row.label(text=f"About {durations.rounded(seconds)}", icon="TIME")
+        elif there:
+            row.label()
+        if there:
+            row.prop(settings, "live", toggle=True, icon="FILE_REFRESH" if run.following else "PLAY")
 
     def _outcome(self, context, layout, run):
         """What the last run said, but for what is in the card."""

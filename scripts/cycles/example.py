@@ -20,7 +20,7 @@ from scripts.cycles import materials, objects, studio
 MATERIAL, LIGHT = "leather/brown-grain", "sunrise"
 WIDTH, HEIGHT, SAMPLES = 384, 256, 256
 LEFT = 0.16  # of the width: how far the monkey stands beside the middle
-BALL = 0.032  # metres, its radius
+BALL = 0.02  # metres, its radius
 
 
 def main() -> None:
@@ -88,9 +88,9 @@ def _ball(scene) -> None:
     bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=BALL)
     ball = bpy.context.object
     ball.name = "Ball (not in the photo)"
-    ball.location = (0.125, -0.02, -0.075 + BALL)
+    ball.location = (0.079, 0.037, -0.05)  # below the ear, in the picture
     ball.data.shade_smooth()
-    ball.data.materials.append(_plain("Grey", (0.5, 0.5, 0.5), 0.3))
+    ball.data.materials.append(_plain("Grey", (0.25, 0.25, 0.25), 0.3))
     ball.select_set(False)
     scene.view_layers[0].objects.active = scene.objects["Suzanne"]
 
