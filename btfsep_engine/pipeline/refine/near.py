@@ -31,7 +31,7 @@ MOVES, WORTH = 8, 0.5  # of the place; of the logarithm of the evidence: less is
 FARTHEST_TURN, FARTHEST_ZOOM = np.radians(10), np.log(1.5)  # of one move
 SAME_LAMP = 15.0  # degrees between a lamp and the same in another fit
 NEAREST, FARTHEST = 1.1, 40.0  # radii
-MORE, MORE_STDDEV, MOST_MORE = 0.15, 0.15, 0.7  # logarithms
+MORE, MORE_STDDEV, MOST_MORE = 0.15, 0.15, 0.7  # `Place.more`: what it is as a rule, its spread, its largest
 SMALL = 0.01  # radians, and of a distance: of a numerical derivative
 BLUR = 0.08  # of a distance: lamps are as wide as the basis lights are, which no evidence knows
 
@@ -64,7 +64,7 @@ class Place:
         return self.fit.election.evidence_of_photo - 0.5 * ((self.more - MORE) / MORE_STDDEV) ** 2
 
 
-class Scene:
+class Photographed:
     """What all places have in common."""
 
     def __init__(self, model, light):
@@ -110,7 +110,7 @@ class Scene:
         columns = np.stack([(project(brightness * c) * weight).ravel() for c in (*changes, of_one)], 1)
         left = self.left(at.fit, at.taken).ravel()
         # a number counts as one of so many that are independent (`Photograph.coarsening`)
-        precision = columns.T @ columns / (float(np.square(left).mean()) * photo.coarsening)
+        precision = columns.T @ columns / max(float(np.square(left).mean()) * photo.coarsening, 1e-300)
         wanted = precision @ np.linalg.lstsq(columns, left, rcond=None)[0]
         precision[3, 3] += 1 / MORE_STDDEV**2
         wanted[3] += (MORE - at.more) / MORE_STDDEV**2
@@ -127,7 +127,7 @@ def moved(away, step) -> np.ndarray:
     return turned * (np.clip(distance * np.exp(step[2]), NEAREST, FARTHEST) / np.linalg.norm(turned))
 
 
-def speaks_for_nearness(scene: Scene, fit: Fit, taken, direction) -> float:
+def speaks_for_nearness(scene: Photographed, fit: Fit, taken, direction) -> float:
     """chi^2 of how much a misfit looks like what nearness would make of a lamp; 0: of the opposite."""
     column = scene.light.solver.smoother(fit)(scene.nearness(RADII[0] * direction)) / scene.light.solver.basis.response
     found = effect(scene.left(fit, taken), column[None], scene.blocks)
@@ -139,7 +139,7 @@ def near_lamps(model, light):
     if model.settings.estimator != "map":
         return model, light, {}
     with model.reporter.stage("fit"):
-        scene = Scene(model, light)
+        scene = Photographed(model, light)
         direction = light.solver.brightest_direction(light.fit)
         if speaks_for_nearness(scene, light.fit, 0.0, direction) < SPEAKS:
             why = "light comes from far away: nothing in the photo looks like a lamp nearby"
@@ -151,7 +151,7 @@ def near_lamps(model, light):
     return nearer(scene, model, light, found)
 
 
-def places(scene: Scene) -> list[Place]:
+def places(scene: Photographed) -> list[Place]:
     """Of each lamp that stands near, the brightest first; the last one's fit and what was taken off are of all."""
     start, others, found = scene.light.fit, np.zeros_like(scene.photo), []
     if not start.election.lamps:
@@ -188,7 +188,7 @@ def lamp_towards(fit: Fit, away) -> int | None:
     return int(np.argmax(cosines)) if cosines and max(cosines) > np.cos(np.radians(SAME_LAMP)) else None
 
 
-def search(scene: Scene, lamp: int, start: Fit, others) -> Place:
+def search(scene: Photographed, lamp: int, start: Fit, others) -> Place:
     """The most probable place of a lamp, from the best of a few distances on."""
     tried, fit = [], start
     for radii in RADII:
@@ -199,7 +199,7 @@ def search(scene: Scene, lamp: int, start: Fit, others) -> Place:
     return followed(scene, max(tried, key=lambda p: p.evidence), others)
 
 
-def followed(scene: Scene, at: Place, others) -> Place:
+def followed(scene: Photographed, at: Place, others) -> Place:
     """A place moved where its misfit asks for it, as long as the evidence rises."""
     for _ in range(MOVES):
         step, _ = scene.asked(at)
@@ -215,7 +215,7 @@ def followed(scene: Scene, at: Place, others) -> Place:
     return at
 
 
-def nearer(scene: Scene, model, light, found):
+def nearer(scene: Photographed, model, light, found):
     """The model whose photos are less what was ``found``, its light, and what is said of it."""
     last, lamps = found[-1], []
     for place in found:
