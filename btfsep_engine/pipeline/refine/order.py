@@ -56,7 +56,8 @@ def cross_validated_order(basis, radiance, blocks, largest: int, *, seed: int = 
             for c in range(3):
                 gram = grams[:, c, :n, :n].sum(0) - grams[k, c, :n, :n]
                 ridge = 1e-12 * np.trace(gram) / n * np.eye(n)
-                x = np.linalg.solve(gram + ridge, moments[:, c, :n].sum(0) - moments[k, c, :n])
+                moment = moments[:, c, :n].sum(0) - moments[k, c, :n]
+                x = np.linalg.lstsq(gram + ridge, moment, rcond=None)[0]  # of few blocks a fold may have all
                 left += energies[k, c] - 2 * x @ moments[k, c, :n] + x @ grams[k, c, :n, :n] @ x
             errors[order, k] = left / max(energies[k].sum(), 1e-300)
     mean = errors.mean(1)
