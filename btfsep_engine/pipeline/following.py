@@ -91,12 +91,12 @@ class Follower:
         return Found(light_of(simplest, self.library), CHOSEN)
 
     def _followed(self, model: Model, beside: Fit | None) -> SolvedLight | None:
-        """The light of a model from the last one on; None where the view is another, or the light does not stand still.
+        """The light of a model from the last one on, of whatever view; None where it does not stand still.
 
         Nor is a lamp nearby followed, whose place is sought by other fits. ``beside`` : as of `fit_together`
         """
         (problem,), solver = model.problems, light_solver(model.problems, model.settings)
-        if problem.scene.seen != self._last.scene.seen or self._last.light.near:
+        if self._last.light.near:
             return None
         with model.reporter.stage("fit"):
             before, b = self._last.light.fit, problem.radiance()
