@@ -83,6 +83,8 @@ class Follower:
         if scene is None or not scene.btfsep.live:
             self.give_way()
             return False
+        if bpy.app.is_job_running("RENDER"):
+            return True  # a light that changes between two frames is of no use
         try:
             if self.run is not None:
                 self._go_on(scene)
@@ -218,6 +220,8 @@ def _heard(scene, depsgraph):
     """Blender has changed something."""
     if not scene.btfsep.live or meshes.is_as_rendered() or depsgraph.mode != "VIEWPORT":
         return
+    if depsgraph.view_layer.name != Place(scene).view_layer.name:
+        return  # of another window: it is told of the same later, also of what the export did
     # all of them: what the scene's settings were is remembered
     if any([_matters(update, scene) for update in depsgraph.updates]) and kept_light.kept(scene):
         _follower.changed(scene)

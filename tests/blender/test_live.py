@@ -159,6 +159,15 @@ def test_the_export_of_what_a_render_has_finer_is_no_change(photographed, asked)
     assert len(asked) == 2 and not meshes.is_as_rendered() and round_.levels == 0
 
 
+def test_only_the_view_layer_that_is_exported_counts(photographed, asked):
+    photographed.view_layers.new("Other").update()
+    photographed.camera.location.x += 0.1
+    photographed.view_layers["Other"].update()
+    assert not live._follower.step()
+    follow()
+    assert len(asked) == 2
+
+
 def test_a_draft_takes_what_was_recognised_for_known(photographed, asked, monkeypatch):
     jobs = []
     start = runs.start_engine
