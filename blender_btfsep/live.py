@@ -104,6 +104,7 @@ class Follower:
         asked, self.due = self.due, ""
         if reasons.of(scene, self.place.view_layer, settings, request.fitted(settings)):
             return  # the panel says it
+        self.due = WHOLE if asked == DRAFT else ""
         state.error = state.summary = ""
         state.warnings.clear()
         self.asked, self._ids, self._cancelled = asked, request.ids_of(settings), False
@@ -135,10 +136,10 @@ class Follower:
             if isinstance(message, engine_process.Light) and not self._cancelled:
                 answer.take_light(scene, message.lighting)
                 if self.asked == DRAFT:
-                    self.due, self._cancelled, self._at = WHOLE, True, time.monotonic()
+                    self._cancelled, self._at = True, time.monotonic()
                     self.run.cancel()  # what else it would say is not asked
                 runs.redraw(at_once=True)
-            elif isinstance(message, engine_process.Failed):
+            elif isinstance(message, engine_process.Failed) and not self._cancelled:
                 raise InputError(message.message, "", "")
             elif isinstance(message, engine_process.Done) and not self._cancelled:
                 own = [warning.name for warning in runs.run_state().warnings]
@@ -199,15 +200,20 @@ SHAPE = (
 def _matters(update, scene) -> bool:
     """Whether a change that Blender tells of may change the light."""
     thing, settings = update.id.original, scene.btfsep
-    camera = settings.camera or scene.camera
-    moved = update.is_updated_transform or update.is_updated_geometry
+    others = settings.occluders == "OTHERS"
+    entries = request.fitted(settings).values()
     match thing:
         case bpy.types.Object():
-            return moved and (thing == camera or meshes.has_surface(thing))
+            if not (update.is_updated_transform or update.is_updated_geometry):
+                return False
+            if thing in ((settings.camera or scene.camera), *(entry.object for entry in entries)):
+                return True
+            # what another object instances is in no scene
+            return meshes.has_surface(thing) and (others or thing.name not in scene.objects)
         case bpy.types.Image():
-            return thing in (settings.image, settings.depth, *(e.mask for e in request.fitted(settings).values()))
+            return thing in (settings.image, settings.depth, *(entry.mask for entry in entries))
         case bpy.types.Material():
-            return True
+            return others or any(entry.source == "BLENDER" for entry in entries)
         case bpy.types.Scene():
             before, now = _known.get(thing.session_uid), _told(scene)
             _known[thing.session_uid] = now
@@ -259,6 +265,7 @@ def register():
 
 def unregister():
     _follower.give_way()
+    runs.give_way = None
     if bpy.app.timers.is_registered(_step):
         bpy.app.timers.unregister(_step)
     for when, handler in HANDLERS:

@@ -87,6 +87,14 @@ def mask(scene):
     scene.update_tag()  # as the panel does
 
 
+def beside(scene):
+    scene.view_layers[0].update()
+    live._known[scene.session_uid] = live._told(scene)
+    live._follower.give_way()
+    bpy.ops.mesh.primitive_cube_add(location=(2, 0, 0))
+    scene.view_layers[0].objects.active.data.materials.append(bpy.data.materials.new("Beside"))
+
+
 def edit(scene, path, value):
     owner, _, name = path.rpartition(".")
     setattr(scene.path_resolve(f"btfsep.{owner}") if owner else scene.btfsep, name, value)
@@ -100,6 +108,7 @@ CHANGES = {
     "colour": lambda scene: (edit(scene, "objects[0].source", "COLOUR"), edit(scene, "objects[0].colour", (1, 0, 0))),
     "own material": lambda scene: setattr(material(scene), "roughness", 0.3),
     "mask": mask,
+    "another object": lambda scene: beside(scene),
     "curve": lambda scene: edit(scene, "curve", "linear"),
     "order": lambda scene: edit(scene, "order", 2),
 }
@@ -108,6 +117,7 @@ INDIFFERENT = {
         bpy.data.objects.new("Lamp", bpy.data.lights.new("L", "POINT"))
     ),
     "empty": lambda scene: scene.collection.objects.link(bpy.data.objects.new("Empty", None)),
+    "another object, which casts no shadow": lambda scene: (edit(scene, "occluders", "NONE"), beside(scene)),
     "selection": lambda scene: scene.btfsep.objects[0].object.select_set(False),
     "strength": lambda scene: setattr(scene.world.node_tree.nodes[0].inputs["Strength"], "default_value", 2),
     "exposure of the view": lambda scene: setattr(scene.view_settings, "exposure", 1),
@@ -140,7 +150,7 @@ def test_the_newest_change_wins(photographed, asked, fake_engine, tmp_path):
     fake_engine(lighting=LIGHTING)
     photographed.camera.location.x += 0.1
     follow()
-    assert first.over and presets(asked) == ["draft", "draft"]  # this engine tells no light before the end of a draft
+    assert first.over and presets(asked) == ["draft", "draft", "balanced"]
 
 
 def test_a_run_of_the_users_ends_what_is_asked(photographed, asked, fake_engine, tmp_path):
