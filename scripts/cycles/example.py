@@ -43,11 +43,9 @@ def main() -> None:
     use_photo.put_behind(scene, camera, photo, (WIDTH, HEIGHT))
     scene.world = bpy.data.worlds.new("Grey")
     scene.name, camera.name = example.SCENE, "Camera"
-    for library in (bpy.data.images, bpy.data.materials, bpy.data.meshes, bpy.data.worlds):
-        for unused in [item for item in library if item.users == 0]:
-            library.remove(unused)
+    scene.render.filepath = "//"
     partial = example.FILE.with_name(f"partial-{os.getpid()}.blend")
-    bpy.ops.wm.save_as_mainfile(filepath=str(partial), compress=True, copy=True)
+    bpy.data.libraries.write(str(partial), {scene}, compress=True)
     os.replace(partial, example.FILE)
     print(f"{example.FILE}: {example.FILE.stat().st_size} bytes")
 
@@ -61,7 +59,7 @@ def _half(scene, shot, path):
     bpy.data.images.remove(image)
     photo = bpy.data.images.load(str(path))
     photo.pack()
-    photo.filepath_raw = "//photo.exr"
+    photo.filepath_raw = photo.packed_files[0].filepath = "//photo.exr"
     return photo
 
 
