@@ -28,7 +28,7 @@ BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
 
 
-def card_of(result: dict, lighting: dict, to_world=None, *, warnings=()) -> dict:
+def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_per_unit: float = 1.0) -> dict:
     """The card of an estimate, or of a lighting from elsewhere (then ``result`` is empty).
 
     Parameters
@@ -37,6 +37,7 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=()) -> dict
     lighting : as lighting_file.read returns it
     to_world : (4, 4) of the camera; None where there is none
     warnings : sentences of the engine and the add-on
+    metres_per_unit : of the scene
 
     Returns
     -------
@@ -57,7 +58,11 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=()) -> dict
         words += ": about {median:.0f}% off ({low:.0f}–{high:.0f}%)".format(
             **{key: 100 * error[key] for key in ("median", "low", "high")}
         )
-    lines = [("Trust", words), *_key_and_fill(result, lighting, to_world), ("Not shown", _not_shown(lighting))]
+    lines = [
+        ("Trust", words),
+        *_key_and_fill(result, lighting, to_world, metres_per_unit),
+        ("Not shown", _not_shown(lighting)),
+    ]
     materials = _materials(result)
     if materials:
         lines.append(("Material", materials))
@@ -69,7 +74,7 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=()) -> dict
     }
 
 
-def _key_and_fill(result: dict, lighting: dict, to_world) -> list:
+def _key_and_fill(result: dict, lighting: dict, to_world, metres_per_unit: float) -> list:
     """The lines of the key light and of the fill."""
     suns = lighting["suns"]
     whole = np.array(lighting["coefficients"])
@@ -100,7 +105,7 @@ def _key_and_fill(result: dict, lighting: dict, to_world) -> list:
     words = f"{ratio:.0f} : 1" if ratio >= 3 else f"{ratio:.1f} : 1"
     from_where = "even" if more < EVEN else "mostly from above" if side[2] > 0.8 else f"more from {where(side)}"
     away = told[0]["near"]["distance"] if told and "near" in told[0] else None
-    near = f", {away:.2g} units away" if away else ""
+    near = f", {metres_per_unit * away:.2g} m away" if away else ""
     return [
         ("Key light", where(direction) + near + others),
         ("", f"{size_words(size)}, {colour_words(power)}, {100 * min(share, 1):.0f}% of the light"),

@@ -32,7 +32,9 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
             to_world = pinhole.to_world(camera)
         except InputError:
             pass  # a mirrored camera: directions are then the world's
-    card = card_of(result or {}, lighting, to_world, warnings=warnings)
+    units = scene.unit_settings
+    unit = 1.0 if units.system == "NONE" else units.scale_length
+    card = card_of(result or {}, lighting, to_world, warnings=warnings, metres_per_unit=unit)
     light.text = json.dumps({"lighting": lighting_file.as_data(lighting), "card": card})
     out = Path(str((result or {}).get("out") or ""))
     sky, report = (out / name if (out / name).is_file() else None for name in ("lighting.exr", "report.png"))

@@ -115,6 +115,10 @@ def test_a_sunny_light_in_an_artists_words():
     assert len(lines) <= 6
     assert lines[0] == ["Trust", "Not stated"]
     assert lines[1] == ["Key light", "front left (45° round), 45° up"]
+    near = sunny()
+    near["suns"]["lamps"][0]["near"] = {"centre": [0.0, 0.0, 0.0], "distance": 80.0}
+    told = dict(card.card_of({}, near, FRONT, metres_per_unit=0.01)["lines"])
+    assert told["Key light"] == "front left (45° round), 45° up, 0.8 m away"
     # 3 of 4 pi + 3
     assert lines[2][1].startswith("hard, warm (3500 K), 19% of the light")
     # the sky's irradiance is pi
