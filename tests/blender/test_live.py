@@ -35,8 +35,13 @@ def asked(photographed, fake_engine, tmp_path, monkeypatch):
 def follow():
     """What Blender's timer does, until there is no more to do."""
     bpy.context.view_layer.update()
-    end = time.monotonic() + 20
-    while live._follower.step():
+    until(lambda: not live._follower.step())
+
+
+def until(condition):
+    """Waits for something that comes in a moment, or never."""
+    end = time.monotonic() + 60
+    while not condition():
         assert time.monotonic() < end, "it never comes to rest"
         time.sleep(live.INTERVAL)
 
@@ -47,8 +52,7 @@ def asleep(scene, fake_engine, folder):
     fake_engine(sleep=600, log=str(begun))
     scene.camera.location.x += 0.1
     bpy.context.view_layer.update()
-    while not begun.exists():
-        live._follower.step()
+    until(lambda: live._follower.step() and begun.exists())
     return live._follower.run
 
 
@@ -62,8 +66,7 @@ def test_a_draft_comes_at_once_and_the_preset_when_all_is_quiet(photographed, as
     photographed.camera.location.x += 0.1
     bpy.context.view_layer.update()
     assert bpy.app.timers.is_registered(live._step)
-    while not asked:
-        live._follower.step()
+    until(lambda: live._follower.step() and asked)
     assert "--no-report" in asked[0] and asked[0][0] == "estimate" and not runs.is_running()
     follow()
     assert presets(asked) == ["draft", "balanced"] and "--no-report" not in asked[1]
