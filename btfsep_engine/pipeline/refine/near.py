@@ -17,6 +17,7 @@ from btfsep_engine.fit.light_model import across
 from btfsep_engine.fit.near_lamp import nearness
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Near
+from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 
@@ -143,6 +144,9 @@ def near_lamps(model, light):
         direction = light.solver.brightest_direction(light.fit)
         if speaks_for_nearness(scene, light.fit, 0.0, direction) < SPEAKS:
             why = "light comes from far away: nothing in the photo looks like a lamp nearby"
+            return model, light, {"near": why}
+        if curve_doubts(model.problems, light):
+            why = "light is taken to come from far away: what looks like a lamp nearby may be the photo's tone curve"
             return model, light, {"near": why}
         found = places(scene)
     if not found:
