@@ -2,8 +2,9 @@
 """Takes photographs with Cycles and writes their jobs: ``python -m scripts.cycles.shoot``, told what on standard input.
 
 A process of its own, because Blender and the renderer each bring their own libraries. The input is JSON: "resolution",
-"samples", "threads" (0: all), "noise" (of a pixel, where Cycles stops; null: the studio's) and "shots", a list of the
-fields of :class:`scripts.studies.photos.Shot`. What is there already is not made again.
+"samples", "threads" (0: all), "noise" (of a pixel, where Cycles stops; null: the studio's), "denoise" (see
+`studio.denoise`) and "shots", a list of the fields of :class:`scripts.studies.photos.Shot`. What is there already is
+not made again.
 """
 
 import json
@@ -23,7 +24,7 @@ COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object
 STANDING = ("object", "material", "seed", "variation", "thickness")  # the same of all that one scene shows
 
 
-def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None) -> None:
+def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None, denoise=False) -> None:
     """Renders each shot, and writes each folder's job (photo, base mesh, camera) after its first one."""
     missing = [s for s in shots if not (Path(s["folder"]) / s["name"]).exists() or not _job(s).exists()]
     bar = tqdm(total=len(missing), desc="photographs", disable=not missing)
@@ -37,6 +38,8 @@ def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None)
                 scene.render.threads_mode, scene.render.threads = "FIXED", threads
             if noise:
                 scene.cycles.adaptive_threshold = noise
+            if denoise:
+                studio.denoise(scene)
         for shot in group:
             folder = Path(shot["folder"])
             folder.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,8 @@
 """The photographer's studio: an object, a camera, one of Blender's own studio lights, and Cycles.
 
 What is photographed is the displaced object; what is *known* (and exported in a job) is the base object, its
-undisplaced macro geometry. Scene unit: metre. Nothing is clamped, filtered or denoised: radiance is as rendered.
+undisplaced macro geometry. Scene unit: metre. Nothing is clamped, filtered or, unless a study asks for it (`denoise`),
+denoised: radiance is as rendered.
 """
 
 import contextlib
@@ -221,6 +222,17 @@ def _unseen(obj, material):
     return obj
 
 
+def denoise(scene) -> None:
+    """A photograph with a camera's noise instead of a path tracer's: Intel's denoiser, led by albedo and normals.
+
+    On linen under a sun, 64 samples: the contrast of the finest octave is 0.025, with 512 samples and no denoiser
+    0.023, with 64 and none 0.034; the coarser ones agree (0.016, 0.013, 0.025).
+    """
+    cycles = scene.cycles
+    cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
+    cycles.denoising_input_passes, cycles.denoising_prefilter = "RGB_ALBEDO_NORMAL", "ACCURATE"
+
+
 def render_photo(scene, path_exr, samples: int = 64) -> np.ndarray:
     """Renders ``scene`` to a linear 32-bit EXR and returns it, (h, w, 3) float32, row 0 at the top."""
     scene.cycles.samples = samples
@@ -232,8 +244,11 @@ def render_photo(scene, path_exr, samples: int = 64) -> np.ndarray:
 def object_mask(scene) -> np.ndarray:
     """(h, w) float32 in [0, 1], how much of each pixel is object rather than World."""
     render, cycles, settings = scene.render, scene.cycles, scene.render.image_settings
-    kept = render.film_transparent, cycles.max_bounces, cycles.use_adaptive_sampling, cycles.samples
-    render.film_transparent, cycles.max_bounces, cycles.use_adaptive_sampling, cycles.samples = True, 0, False, 16
+    names = "max_bounces", "use_adaptive_sampling", "use_denoising", "samples"
+    kept = [getattr(cycles, name) for name in names]
+    for name, value in zip(names, (0, False, False, 16), strict=True):
+        setattr(cycles, name, value)
+    transparent, render.film_transparent = render.film_transparent, True
     settings.color_mode = "RGBA"
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -247,5 +262,7 @@ def object_mask(scene) -> np.ndarray:
             bpy.data.images.remove(image)
     finally:
         settings.color_mode = "RGB"
-        render.film_transparent, cycles.max_bounces, cycles.use_adaptive_sampling, cycles.samples = kept
+        render.film_transparent = transparent
+        for name, value in zip(names, kept, strict=True):
+            setattr(cycles, name, value)
     return flat.reshape(shape)[::-1, :, 3].copy()

@@ -89,11 +89,11 @@ def shot(folder: Path, object_name, material, light, **more) -> Shot:
     return Shot(str(folder / folder_name(object_name, material, light)), object_name, material, str(light), **more)
 
 
-def take(shots, *, resolution: int = 256, samples: int = 64, threads: int = 0, noise=None) -> None:
+def take(shots, *, resolution: int = 256, samples: int = 64, threads: int = 0, noise=None, denoise=False) -> None:
     """Takes the photographs that are not there yet, in a process of its own with Blender."""
     if not shots:
         return
-    task = {"resolution": resolution, "samples": samples, "threads": threads, "noise": noise}
+    task = {"resolution": resolution, "samples": samples, "threads": threads, "noise": noise, "denoise": denoise}
     task["shots"] = [asdict(s) for s in shots]
     in_blender("scripts.cycles.shoot", task)
 

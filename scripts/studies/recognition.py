@@ -34,7 +34,7 @@ from scripts.studies.photos import WHITE
 OBJECTS = ("knot", "vase", "pebble", "cushion", "sphere")
 LIGHTS = ("courtyard", "forest", "interior", "night", "studio", "sunset")
 OBJECTS_EACH, LIGHTS_EACH = 2, 5  # of a material
-RESOLUTION, SAMPLES = 256, 20
+RESOLUTION, SAMPLES = 256, 64
 BINS = 10  # of the calibration
 PICTURES = ROOT / "docs" / "results" / "images"
 
@@ -219,7 +219,7 @@ def main(arguments) -> int:
     library, settings, reporter = open_library(), choose(given.preset), Reporter()
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
     if given.take:
-        photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES)
+        photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES, denoise=True)
     found = cues.seen_in(given.folder, wanted)
     found.sort(key=lambda p: OBJECTS.index(p.object))  # an object's training is loaded once
     rows, answers_of = [], {}

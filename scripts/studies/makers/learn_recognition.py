@@ -44,7 +44,7 @@ VARIATION = 2  # of the texels: the library has 0, the evaluation 1
 HEIGHT = 128  # rows of a light
 LAMPS = (0.4, 0.4, 0.2)  # how probable none, one and two are
 LAMP_PIXELS = 2.0  # radius of a lamp's disc
-RESOLUTION, SAMPLES = 256, 20  # of a photograph
+RESOLUTION, SAMPLES = 256, 64  # of a photograph
 MODELS = {
     "verified": ("classifier", "evidence", *SIMILARITIES),
     "votes": ("classifier",),
@@ -143,7 +143,7 @@ def main(arguments) -> int:
     library, reporter = open_library(), Reporter()
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
     if given.take:
-        photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES)
+        photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES, denoise=True)
     found = [cues.seen_in(given.folder, wanted)]
     found += [photos.photographs_in(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
     seen = []
