@@ -35,6 +35,17 @@ def equirect_to_direction(u, v):
     return np.stack([c * np.cos(azimuth), c * np.sin(azimuth), np.sin(elevation) * np.ones_like(azimuth)], -1)
 
 
+def direction_of_angles(elevation, azimuth):
+    """(..., 3) float64 unit, world, of degrees above the horizon, and of azimuth from +X towards +Y."""
+    return equirect_to_direction(0.5 - np.asarray(azimuth) / 360, 0.5 + np.asarray(elevation) / 180)
+
+
+def angles_of_direction(direction):
+    """Degrees above the horizon, and azimuth from +X towards +Y in (-180, 180], of a unit vector (3,)."""
+    x, y, z = direction
+    return float(np.degrees(np.arcsin(np.clip(z, -1, 1)))), float(np.degrees(np.arctan2(y, x)))
+
+
 def direction_to_equirect(directions):
     """Equirectangular coordinates (u, v) in [0, 1] of ``directions : (..., 3) float, unit``; v is upward."""
     d = np.asarray(directions, np.float64)

@@ -30,8 +30,8 @@ PRESET = click.option(
     help="Speed against accuracy; paper: the published method.",
 )
 RECOGNITION = ("classifier", "verify", "seed")
-ESTIMATE = ("order", "estimator", "colorspace", "robust", "key_light", "appearance", "pixels", "directions", "bounces")
-ESTIMATE += ("transport", "samples", "align", *RECOGNITION)
+ESTIMATE = ("order", "estimator", "colorspace", "robust", "sun", "key_light", "appearance", "pixels", "directions")
+ESTIMATE += ("bounces", "transport", "samples", "align", *RECOGNITION)
 ONE_SOLVER = ("order", "appearance", "pixels", "directions", "bounces", "seed")  # of `plan`
 SEQUENCE = tuple(name for name in ESTIMATE if name not in ("estimator", "transport", "samples"))
 
@@ -63,6 +63,10 @@ def _field_option(name: str, meaning: Meaning, defaults):
     notes += [f"{preset}: {_shown(value)}" for preset, value in others if value != usual]
     if meaning.kind is bool:
         return click.option(f"--{option}/--no-{option}", default=None, help=_in_words(meaning, notes))
+    if meaning.many:
+        return click.option(
+            f"--{option}", name, metavar=meaning.unit.upper(), multiple=True, help=_in_words(meaning, notes)
+        )
     notes += [] if meaning.choices else [meaning.range]
     values = [*(meaning.choices or [meaning.unit.upper()]), *["auto"] * bool(meaning.auto)]
     return click.option(f"--{option}", name, metavar="|".join(values), help=_in_words(meaning, notes))
@@ -89,7 +93,8 @@ def takes_settings(*names: str, only_numbers=(), **prescribed):
         @functools.wraps(function)
         def run(preset, **options):
             texts = {name: options.pop(name) for name in names}
-            changes = {n: None if text is None else known[n].checked(n, text) for n, text in texts.items()}
+            given = {n: text for n, text in texts.items() if text is not None and text != ()}
+            changes = {n: known[n].checked(n, text) for n, text in given.items()}
             return function(settings=choose(preset, **changes, **prescribed), **options)
 
         return together(PRESET, field_options(known, {"balanced": PRESETS["balanced"], **PRESETS}))(run)

@@ -5,7 +5,8 @@
     log E_c = log(2 pi) + `BRIGHTNESS` q3 + V[c] (`TINT` q4, `GREEN` q5)
 
 with u of `light.log_field`, in units of the photo's own level (even light of radiance 1 has the irradiance pi). All
-unknowns are N(0, 1) before the photo is looked at; d0 is where a lamp was first seen, t1 and t2 lie across it.
+unknowns are N(0, 1) before the photo is looked at; d0 is where a lamp was first seen, t1 and t2 lie across it. Of a
+lamp whose direction is given, d0 is that and s is 0: the photo says how bright it is, and nothing of where it stands.
 """
 
 from dataclasses import dataclass
@@ -32,10 +33,26 @@ def across(direction) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class LightModel:
-    """A field and lamps first seen at ``lamps`` (k, 3)."""
+    """A field and lamps first seen at ``lamps`` (k, 3); ``given`` : s of the first ones, whose direction is given."""
 
     field: LogField
     lamps: tuple = ()
+    given: tuple = ()
+
+    @property
+    def found(self) -> int:
+        """How many of its lamps nobody has told of."""
+        return len(self.lamps) - len(self.given)
+
+    def beside(self, white, degrees: float) -> int:
+        """How many of the lamps that were found stand, with unknowns (k,), so near to one whose direction is given."""
+        directions = [self.lamp(i, q)[0] for i, q in enumerate(self.parts(white)[1])]
+        told, found = directions[: len(self.given)], directions[len(self.given) :]
+        return sum(any(d @ t > np.cos(np.radians(degrees)) for t in told) for d in found)
+
+    def towards(self, i: int) -> float:
+        """s of lamp i."""
+        return self.given[i] if i < len(self.given) else DIRECTION
 
     @property
     def unknowns(self) -> int:
@@ -53,7 +70,7 @@ class LightModel:
 
     def lamp(self, i: int, q) -> tuple[np.ndarray, np.ndarray]:
         """Directions (…, 3) and irradiances (…, 3) of lamp i with unknowns q (…, 5)."""
-        d = self.lamps[i] + DIRECTION * (q[..., :2] @ self._across[i])
+        d = self.lamps[i] + self.towards(i) * (q[..., :2] @ self._across[i])
         log = np.log(2 * np.pi) + (q[..., 2:] * SIZES) @ CHROMA.T
         return d / np.linalg.norm(d, axis=-1, keepdims=True), np.exp(np.minimum(log, LARGEST_LOG))
 

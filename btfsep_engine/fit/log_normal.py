@@ -7,6 +7,9 @@ Two families stand for election, by evidence (`fit.search`), under one noise mod
 - rich: light whose logarithm is a Gaussian field (`light.log_field`), with the plain model's lamps or without, and with
   lamps at the field's own peaks.
 
+Lamps whose direction is given stand in all of them, where they are said to be, and cost no evidence. They may come out
+as good as dark: then others explain the photo (`without_given`).
+
 A model of few unknowns that explains as much wins: its evidence pays for no unknowns that it does not have. What is
 stated are samples of the posterior about the maximum (Laplace, in the white unknowns): the light is their exponential,
 so that its ranges are lopsided where light may be bright but not negative. Two things that one photograph cannot tell
@@ -15,6 +18,7 @@ are in the samples, too: how light or dark a piece of the material is (`REFLECTA
 the photo does not show what it says of those that it does, and nobody knows that.
 """
 
+import copy
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -54,6 +58,7 @@ class Lamp:
     direction : (3,) unit, to the lamp; irradiance : (3,) on a surface that faces it; stddev : (3,) of it
     degrees : standard deviation of the direction
     share, share_stddev : of the light's mean radiance
+    given : whether its direction was
     """
 
     direction: np.ndarray
@@ -62,6 +67,7 @@ class Lamp:
     degrees: float
     share: float
     share_stddev: float
+    given: bool = False
 
 
 class LightSolver:
@@ -74,6 +80,7 @@ class LightSolver:
     order : the order that is reported; it does not change the numbers
     seed : of the samples
     coarsening : how many times less a pixel counts than in an estimate
+    given : direction (3,), unit, and its standard deviation, degrees, of each lamp whose direction is given
 
     Raises
     ------
@@ -81,10 +88,19 @@ class LightSolver:
         Without pixels, or where the material reflects nothing.
     """
 
-    def __init__(self, basis, *, normals, order: int, seed: int = 0, coarsening: float = 1.0):
+    def __init__(self, basis, *, normals, order: int, seed: int = 0, coarsening: float = 1.0, given=()):
         with one_thread():  # so that the number of threads changes no digit of what is found
             self.basis = Basis(basis, normals)
         self.order, self.seed, self.coarsening = order, seed, coarsening
+        self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
+        self._held = {"lamps": tuple(d for d, _ in self.given), "given": (0.0,) * len(self.given)}
+
+    def without_given(self, left=None) -> "LightSolver":
+        """The same of the same basis images with no lamp given; ``left`` : the number of the one to leave out alone."""
+        out = copy.copy(self)
+        out.given = () if left is None else (*self.given[:left], *self.given[left + 1 :])
+        out._held = {"lamps": tuple(d for d, _ in out.given), "given": (0.0,) * len(out.given)}
+        return out
 
     def solve(self, radiance, *, weights=None, start: Fit | None = None, beside: Fit | None = None) -> Fit:
         """The light of the photograph ``radiance : (p, 3)``, linear.
@@ -104,7 +120,7 @@ class LightSolver:
             photo = self._photograph(radiance, weights, beside)
             if start is not None:
                 return self._fit(photo, *follow(photo, start.election.solution, start.election.rival))
-            return self._fit(photo, *elect(photo))
+            return self._fit(photo, *elect(photo, **self._held))
 
     def follow(self, radiance, before: Fit, *, weights=None, beside: Fit | None = None) -> Fit:
         """As `solve`, of much the same light as ``before``: its model, from its light on, where `solve` would elect it.
@@ -114,19 +130,19 @@ class LightSolver:
         """
         with one_thread():
             photo = self._photograph(radiance, weights, beside)
-            rough_light(photo)
+            rough_light(photo, **self._held)
             return self._fit(photo, *onward(photo, before.election.solution, before.election.rival))
 
     def first_look(self, radiance, *, weights=None) -> Fit:
         """The rough fit of a field with which `solve` begins: what a fit by another basis stands `beside`."""
         with one_thread():
             photo = self._photograph(radiance, weights, None)
-            return self._fit(photo, rough_light(photo), None)
+            return self._fit(photo, rough_light(photo, **self._held), None)
 
     def field_evidence(self, radiance, *, weights=None, beside: Fit | None = None) -> float:
         """`Fit.evidence` of ``radiance`` under a field alone: quickly, what one basis explains more than another."""
         with one_thread():
-            return natural_light(self._photograph(radiance, weights, beside)).evidence
+            return natural_light(self._photograph(radiance, weights, beside), **self._held).evidence
 
     def _photograph(self, radiance, weights, beside: Fit | None) -> Photograph:
         effective = None if beside is None else beside.election.photo.effective
@@ -157,12 +173,20 @@ class LightSolver:
             return self._fit(photo, one_lamp_more(photo, best, place=_next_lamp(best)), fit.election.rival)
 
     def brightest_direction(self, fit: Fit) -> np.ndarray:
-        """The direction (3,) of a light's brightest lamp; of one without lamps, that in which one would be put."""
-        if fit.election.lamps:
-            return max(fit.election.lamps, key=lambda lamp: lamp[1].mean())[0]
+        """The direction (3,) of the brightest lamp that was found; where none was, that in which one would be put."""
+        lamps = [fit.election.lamps[i] for i in fit.election.found]
+        if lamps:
+            return max(lamps, key=lambda lamp: lamp[1].mean())[0]
         with one_thread():
             best = fit.election.solution
             return _next_lamp(best)(best, fit.election.photo)
+
+    def shows(self, direction) -> bool:
+        """Whether a lamp in that direction (3,) lights more of the pixels than one that the photo could not know of."""
+        field = natural_field()
+        response = self.basis.mean_response @ field.to_coefficients
+        of_one = self.basis.mean_response @ sh.evaluate(sh.order_of(self.basis.terms), direction)
+        return bool(of_one > HIDDEN * response.max() * len(field.directions) / (4 * np.pi))
 
     def reported_up_to(self, fit: Fit, order: int) -> Fit:
         """The same fit with fewer orders reported."""
@@ -175,12 +199,13 @@ class LightSolver:
 
     def _sampled(self, best: Solution, rival: Solution | None, unit, tint) -> Stated:
         random = np.random.default_rng(self.seed)
-        model = best.model
-        whites, lights = posterior_samples(best, SAMPLES, random)
+        loose = self._loose(best)
+        model = loose.model
+        whites, lights = posterior_samples(loose, SAMPLES, random)
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
         own_light = lights[:, 0].copy()  # what the lamps are a share of: a rival's light has none of them
         if rival is not None:
-            lights[::2] = posterior_samples(rival, len(lights[::2]), random)[1]
+            lights[::2] = posterior_samples(self._loose(rival), len(lights[::2]), random)[1]
         hidden = hidden_lamps(self.basis, SAMPLES, random, known=len(model.lamps))
         lights += hidden
         samples = lights * (unit * factors)[:, None]
@@ -194,9 +219,17 @@ class LightSolver:
             share = each.mean(1) / np.maximum(whole, 1e-300)  # a sample may have no light at all
             own = irradiance * unit
             part = float(own.mean() / (SINGLE * (best.x[:, 0] * unit).mean()))
-            degrees = float(np.degrees(np.sqrt(np.square(off).mean())))
-            lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std())))
+            given = i < len(self.given)
+            degrees = self.given[i][1] if given else float(np.degrees(np.sqrt(np.square(off).mean())))
+            lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std()), given))
         return stated_by(best.x.T * unit, samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share)))
+
+    def _loose(self, best: Solution) -> Solution:
+        """The same with given directions as uncertain as is said: in samples they turn, and the rest follows."""
+        if not self.given:
+            return best
+        turns = tuple(np.radians(degrees) / np.sqrt(2) / WIDER for _, degrees in self.given)
+        return replace(best, model=replace(best.model, given=turns))
 
     def smoother(self, fit: Fit):
         """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.
@@ -234,6 +267,12 @@ class Election:
     def sky(self) -> np.ndarray:
         """(terms, 3), coefficients of the field alone, without lamps."""
         return self.solution.model.sky(self.solution.white).T * self.unit
+
+    @property
+    def found(self) -> range:
+        """The numbers of those of its lamps whose direction was not given."""
+        model = self.solution.model
+        return range(len(model.given), len(model.lamps))
 
     @property
     def lamps(self) -> list:
@@ -309,26 +348,32 @@ def hidden_lamps(basis: Basis, count: int, random, *, known: int) -> np.ndarray:
     return out
 
 
-def rough_light(photo: Photograph) -> Solution:
-    """A field that is roughly probable; the photo learns from it what its misfit is a part of."""
-    first = solve(photo, LightModel(natural_field()), rounds=2, steps=ROUGHLY)
+def rough_light(photo: Photograph, **held) -> Solution:
+    """A field that is roughly probable; the photo learns from it what its misfit is a part of.
+
+    ``held`` : `LightModel.lamps` that are given, and `LightModel.given`
+    """
+    first = solve(photo, LightModel(natural_field(), **held), rounds=2, steps=ROUGHLY)
     photo.learn_from(first.x)
     return first
 
 
-def natural_light(photo: Photograph, *, rounds: int = ROUNDS) -> Solution:
-    """The most probable field alone."""
-    first = rough_light(photo)
+def natural_light(photo: Photograph, *, rounds: int = ROUNDS, **held) -> Solution:
+    """The most probable field alone, or with lamps that are given (``held``, as of `rough_light`)."""
+    first = rough_light(photo, **held)
     return solve(photo, first.model, white=first.white, v=first.v, rounds=rounds)
 
 
-def elect(photo: Photograph) -> tuple[Solution, Solution | None]:
-    """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one."""
-    field = natural_light(photo)
-    plain = with_lamps(photo, solve(photo, LightModel(even_field())), place=most_explained)
+def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
+    """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one.
+
+    ``held`` : as of `rough_light`
+    """
+    field = natural_light(photo, **held)
+    plain = with_lamps(photo, solve(photo, LightModel(even_field(), **held)), place=most_explained)
     rich = field
     if plain.model.lamps and plain.evidence > field.evidence - HOPELESS:
-        model = LightModel(natural_field(), plain.model.lamps)
+        model = replace(plain.model, field=natural_field())
         white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
         rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
     rich = with_lamps(photo, rich, place=brightest)
@@ -363,7 +408,7 @@ def onward(photo: Photograph, before: Solution, rival: Solution | None) -> tuple
 
 def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
     """The solution with as many more lamps as its evidence asks for; ``place`` says where the next one may be."""
-    while len(best.model.lamps) < MOST_LAMPS:
+    while best.model.found < MOST_LAMPS:
         trial = one_lamp_more(photo, best, place=place)
         if trial.evidence <= best.evidence:
             break

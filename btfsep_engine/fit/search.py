@@ -29,6 +29,7 @@ GAIN = 3e-3  # of the logarithm of the probability: less is no step worth taking
 EXACT = 0.02  # discrepancy of a model that is as good as exact
 EXACT_COST = 12.0  # of the logarithm of the evidence: how much less probable such a model is
 LAMP_COST = 5.0  # of the logarithm of the evidence: how much less probable one more lamp is, wherever it stands
+BESIDE_COST, BESIDE = 20.0, 15.0  # of it, of a lamp so near (degrees) to one whose direction is given: it is that one
 STIFFEST = 1e5  # of the damping
 
 
@@ -103,7 +104,8 @@ def solve(
         - float(np.log(np.diag(factor)).sum())
         - rows.log_determinant
         - 0.5 * float((photo.count * np.log(v)).sum()) / photo.coarsening
-        - LAMP_COST * len(model.lamps)
+        - LAMP_COST * model.found
+        - BESIDE_COST * model.beside(white, BESIDE)
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)
     )
     return Solution(model, white, x, radiance, v, discrepancy, rows, jacobian, evidence, all_steps)

@@ -8,19 +8,23 @@ import numpy as np
 
 from btfsep_engine import atomic, images
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.conventions import direction_of_angles
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.camera import Camera
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.meshes import load_mesh
-from btfsep_engine.job.model import Job, JobObject, Occluder, Photo, TriangleMesh
-from btfsep_engine.job.schema import CameraSchema, JobSchema, SurfaceSchema, parse
+from btfsep_engine.job.model import Job, JobObject, KnownLamp, Occluder, Photo, TriangleMesh
+from btfsep_engine.job.schema import KNOWN_TO, MAX_KNOWN_LAMPS, CameraSchema, JobSchema, SurfaceSchema, parse
 
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
+SAME_LAMP = 1.0  # degrees between two known lamps: nearer, they are one that is named twice
 BASE_COLOUR_SIDE = 2048  # of an image of base colours: larger ones are averaged down
 BASE_COLOUR_PIXELS = 2**26  # and these are too many: no camera says how many there are to be
 
 
-def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None, schema: JobSchema | None = None) -> Job:
+def load_job(
+    folder, *, with_photo: bool = True, colorspace: str | None = None, schema: JobSchema | None = None, suns=None
+) -> Job:
     """Reads ``folder/job.json`` and all that it names.
 
     Parameters
@@ -29,6 +33,7 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None, 
     with_photo : false: the image is not read and need not be there; the photo is black
     colorspace : instead of the job's ``image_colorspace``; None: as it says
     schema : instead of what ``job.json`` says, with the files of the folder (`job.poses`)
+    suns : instead of the job's ``known_lamps``, elevation, azimuth and, maybe, accuracy of each, degrees; None: these
 
     Returns
     -------
@@ -44,6 +49,11 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None, 
     if colorspace is not None:
         schema = schema.model_copy(update={"image_colorspace": colorspace})
     camera = camera_of(schema.camera)
+    told = [(lamp.direction, lamp.direction_stddev_degrees) for lamp in schema.known_lamps]
+    if suns is None:
+        lamps = known_lamps(told, "job.json: known_lamps")
+    else:
+        lamps = known_lamps([(direction_of_angles(*s[:2]), *(s[2:] or [KNOWN_TO])) for s in suns], "--sun")
     notes: list[str] = []
     photo = _photo(reader, schema, camera, notes) if with_photo else _no_photo(camera)
     names = [o.name for o in schema.objects]
@@ -71,7 +81,30 @@ def load_job(folder, *, with_photo: bool = True, colorspace: str | None = None, 
         digest=reader.digest(),
         warnings=tuple(notes),
         image_colorspace=schema.image_colorspace,
+        known_lamps=lamps,
     )
+
+
+def known_lamps(told, what: str) -> tuple[KnownLamp, ...]:
+    """Lamps of which direction (3,), of any length, and standard deviation in degrees are ``told``, checked.
+
+    ``what`` : what to call them in an error. Raises InputError.
+    """
+    if len(told) > MAX_KNOWN_LAMPS:
+        raise InputError(what, f"it has {len(told)} lamps", f"name at most {MAX_KNOWN_LAMPS}: the brightest")
+    out: list[KnownLamp] = []
+    for i, (direction, degrees) in enumerate(told):
+        direction = np.array(direction, np.float64)
+        length = float(np.linalg.norm(direction))
+        if not (np.isfinite(direction).all() and length > 1e-12):
+            got = f"its direction is {direction.tolist()}"
+            raise InputError(f"{what}[{i}]", got, "give a vector towards the lamp that is finite and not zero")
+        direction = direction / length
+        for j, other in enumerate(out):
+            if direction @ other.direction > np.cos(np.radians(SAME_LAMP)):
+                raise InputError(f"{what}[{i}]", f"it stands where lamp [{j}] stands", "name each lamp once")
+        out.append(KnownLamp(direction, float(degrees)))
+    return tuple(out)
 
 
 def job_schema(folder) -> JobSchema:

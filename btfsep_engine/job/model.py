@@ -63,6 +63,14 @@ class Occluder:
 
 
 @dataclass(frozen=True)
+class KnownLamp:
+    """A lamp far away: its direction, (3,) float64, unit, world, to it, and the standard deviation of that, degrees."""
+
+    direction: np.ndarray
+    degrees: float
+
+
+@dataclass(frozen=True)
 class Photo:
     """The photograph.
 
@@ -100,3 +108,4 @@ class Job:
     digest: str
     warnings: tuple[str, ...] = ()
     image_colorspace: str = "auto"
+    known_lamps: tuple[KnownLamp, ...] = ()

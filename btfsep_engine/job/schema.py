@@ -15,6 +15,8 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # none is ours, and to l
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 MAX_OBJECTS = 1000
+MAX_KNOWN_LAMPS = 8
+KNOWN_TO = 1.0  # degrees: how well the direction of a known lamp is known where nobody says it
 MAX_BYTES = 2**24
 
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
@@ -87,6 +89,13 @@ class OccluderSchema(Strict):
     surface: SurfaceSchema | None = None
 
 
+class KnownLampSchema(Strict):
+    """``direction`` : to the lamp, which is far away, in world axes; of any length."""
+
+    direction: Annotated[list[Position], Field(min_length=3, max_length=3)]
+    direction_stddev_degrees: Annotated[float, Field(ge=0, le=45)] = KNOWN_TO
+
+
 class JobSchema(Strict):
     format: Literal["btfsep-job"]
     version: Literal[1]
@@ -98,6 +107,7 @@ class JobSchema(Strict):
     occluders: Annotated[list[OccluderSchema], Field(max_length=MAX_OBJECTS)] = []
     depth: RelativePath | None = None
     metres_per_unit: Length = 1.0
+    known_lamps: Annotated[list[KnownLampSchema], Field(max_length=MAX_KNOWN_LAMPS)] = []
 
 
 class CameraChangeSchema(Strict):

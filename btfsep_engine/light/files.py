@@ -115,6 +115,7 @@ class LampSchema(BeamSchema):
     share: NotNegative | None = None
     share_stddev: NotNegative = 0.0
     near: NearSchema | None = None
+    given: bool = False
 
 
 class SunsSchema(Strict):
@@ -266,6 +267,8 @@ def sun_record(sun: Sun) -> dict:
     """All of a sun, for JSON."""
     more = ("direction_stddev_degrees", "share", "share_stddev")
     out = {**beam_record(sun), **{key: float(getattr(sun, key)) for key in more}}
+    if sun.given:
+        out["given"] = True
     if sun.near is not None:
         centre, between = sun.near.centre.tolist(), [float(sun.near.low), float(sun.near.high)]
         out["near"] = {"centre": centre, "distance": float(sun.near.distance), "distance_range": between}

@@ -46,6 +46,7 @@ class Sun:
     share : of the light's mean radiance, its own; None: what the irradiance is of the light that it is put into
     share_stddev : of the share
     near : where it is a lamp nearby; None: it is far away
+    given : whether its direction was, and not found
     """
 
     direction: np.ndarray
@@ -56,6 +57,7 @@ class Sun:
     share: float | None = None
     share_stddev: float = 0.0
     near: Near | None = None
+    given: bool = False
 
     def __post_init__(self):
         for name in ("direction", "irradiance", "stddev"):

@@ -6,12 +6,21 @@ import numpy as np
 from btfsep_engine import kept
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.misalignment import silhouette_shift
-from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, clamped_share, structure_doubts
+from btfsep_engine.fit.search import LAMP_COST
+from btfsep_engine.pipeline.doubts import (
+    THRESHOLDS,
+    alignment_doubt,
+    clamped_share,
+    given_lamp_doubts,
+    structure_doubts,
+)
 from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.scene import unseen_meshes
-from btfsep_engine.pipeline.together import stacked
+from btfsep_engine.pipeline.together import all_weights, stacked
+
+IN_ITS_PLACE = 45.0  # degrees between a lamp whose direction is given and the one that a photo has in its place
 
 
 def all_doubts(estimate) -> list[str]:
@@ -26,7 +35,7 @@ def all_doubts(estimate) -> list[str]:
                     f"the light explains object '{obj.name}' poorly (relative residual {residual:.2f}): the material "
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
-    out += colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
+    out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
     return out + curve_doubts(estimate.model.problems, estimate.light)
 
 
@@ -52,6 +61,30 @@ def misfit_doubts(estimate) -> list[str]:
     )
     names = [m.name for materials in estimate.model.materials for m in materials]
     return structure_doubts(effects, residual=light.fit.residual, names=names)
+
+
+def known_lamp_doubts(estimate) -> list[str]:
+    """What the photo says of the lamps whose direction is given: it is fitted again without each of them.
+
+    A lamp that is then found in its place is not counted as one more: that there is a lamp, is given.
+    """
+    problems, light, out = estimate.model.problems, estimate.light, []
+    if light.solver is None and any(p.scene.job.known_lamps for p in problems):
+        return ["lamps whose direction is given are left out: that needs --estimator map"]
+    lamps = [lamp for lamp in light.fit.lamps if lamp.given]
+    for lamp in lamps:
+        number = next(i for i, (d, _) in enumerate(light.solver.given) if np.allclose(d, lamp.direction))
+        free = light.solver.without_given(number).solve(
+            light.radiance(problems), weights=all_weights(problems), beside=light.fit
+        )
+        there = [free.election.lamps[i][0] for i in free.election.found]
+        instead = max(there, key=lambda d: d @ lamp.direction, default=None)
+        if instead is not None and instead @ lamp.direction < np.cos(np.radians(IN_ITS_PLACE)):
+            instead = None
+        gain = free.evidence - light.fit.evidence + LAMP_COST * (instead is not None)
+        shown = bool(light.solver.shows(lamp.direction))
+        out += given_lamp_doubts(lamp, gain=gain, instead=instead, shown=shown)
+    return out
 
 
 def uncertainty_doubts(estimate) -> list[str]:

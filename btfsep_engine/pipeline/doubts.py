@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.conventions import angles_of_direction
 from btfsep_engine.fit.diagnose import Effect
 from btfsep_engine.fit.misalignment import Shift
 
@@ -30,6 +31,9 @@ class Thresholds:
     explained : relative misfit of the photo, under which nothing is left that could speak of anything
     condition : of a least-squares fit
     clipped : share of an object's pixels
+    given : of the logarithm of the evidence, that a photo gains without a lamp whose direction is given
+    given_off : degrees between it and the lamp that the photo has in its place
+    given_share : of the light, under which such a lamp is as good as dark
     """
 
     shift: float = 1.5
@@ -45,6 +49,9 @@ class Thresholds:
     explained: float = 0.02
     condition: float = 300.0
     clipped: float = 0.05
+    given: float = 5.0
+    given_off: float = 5.0
+    given_share: float = 0.05
 
 
 THRESHOLDS = Thresholds()
@@ -61,6 +68,43 @@ def alignment_doubt(shift: Shift | None) -> str | None:
         f"geometry and photo do not line up: the outlines in the photo lie {down} and {right} of where the camera "
         "should see them; check the camera's pose and lens, or let btfsep align move it"
     )
+
+
+def given_lamp_doubts(lamp, *, gain: float, instead, shown: bool) -> list[str]:
+    """What speaks against a lamp whose direction is given.
+
+    Parameters
+    ----------
+    lamp : `fit.log_normal.Lamp`
+    gain : of the logarithm of the evidence, without it
+    instead : direction (3,) of the lamp that is then found nearest to it; None: there is none
+    shown : whether it lights what the photo shows
+    """
+    t, name = THRESHOLDS, f"the lamp whose direction is given ({angles_words(lamp.direction)})"
+    if not shown:
+        part = f"{100 * max(lamp.share - lamp.share_stddev, 0):.0f} to {100 * (lamp.share + lamp.share_stddev):.0f} %"
+        return [
+            f"{name} lights hardly anything that the photo shows: how bright it is, is little more than a guess: {part}"
+            " of the light"
+        ]
+    off = None if instead is None else float(np.degrees(np.arccos(np.clip(instead @ lamp.direction, -1, 1))))
+    if gain > t.given and off is not None and off > t.given_off:
+        return [
+            f"the photo speaks against {name}: it would have it {off:.0f} degrees away, at {angles_words(instead)}; "
+            "turn it there, or leave it out"
+        ]
+    if lamp.share < t.given_share or (gain > t.given and off is None):
+        return [
+            f"the photo speaks against {name}: it has {100 * lamp.share:.0f} % of the light; check its direction, or "
+            "leave it out"
+        ]
+    return []
+
+
+def angles_words(direction) -> str:
+    """A direction for people."""
+    elevation, azimuth = angles_of_direction(direction)
+    return f"{elevation:.0f} degrees above the horizon, azimuth {azimuth:.0f} degrees (from +X towards +Y)"
 
 
 def clamped_share(x) -> float:

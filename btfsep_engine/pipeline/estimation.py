@@ -225,7 +225,7 @@ def run_estimate(
     """
     started = time.perf_counter()
     with reporter.stage("reading"):
-        jobs = [load_job(each, colorspace=settings.colorspace) for each in (folder, *others)]
+        jobs = [load_job(each, colorspace=settings.colorspace, suns=settings.sun) for each in (folder, *others)]
         for note in (note for job in jobs for note in job.warnings):
             reporter.warn(note)
     out = Path(out) if out is not None else jobs[0].folder / "result"

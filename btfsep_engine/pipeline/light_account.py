@@ -33,6 +33,7 @@ def lamp_record(lamp) -> dict:
         "stddev": lamp.stddev,
         "share": lamp.share,
         "share_stddev": lamp.share_stddev,
+        **({"given": True} if lamp.given else {}),
     }
 
 

@@ -123,8 +123,8 @@ class Frames:
             return
         self._pose, self._scene, self._job = pose, None, self._still
         if pose is not None:
-            folder, curve = self._still.folder, self._settings.colorspace
-            self._job = load_job(folder, with_photo=False, schema=pose, colorspace=curve)
+            told = {"colorspace": self._settings.colorspace, "suns": self._settings.sun}
+            self._job = load_job(self._still.folder, with_photo=False, schema=pose, **told)
 
     def _light(self, photo: Photo, reporter: Reporter) -> Found:
         """The Estimate of a photo, and what of it was found for it alone (`following.Found`)."""
@@ -174,7 +174,7 @@ def run_sequence(
     with reporter.stage("reading"):
         files = frame_files(frames)
         posed = {} if poses is None else posed_jobs(poses, folder)
-        job = load_job(folder, with_photo=False, colorspace=settings.colorspace)
+        job = load_job(folder, with_photo=False, colorspace=settings.colorspace, suns=settings.sun)
         for note in job.warnings:
             reporter.warn(note)
         for stem in posed.keys() - {file.stem for file in files}:

@@ -25,7 +25,22 @@ BASIS_IMAGES = "What makes the basis images; reference: the paper's path-traced 
 BEST_ORDER = "the highest of which the photo determines something; with least-squares by cross-validation"
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
 ALIGN = "Whether a camera that is a little off is moved into line for this estimate, where its own doubt speaks"
+SUN = (
+    "A lamp far away whose direction is known: degrees above horizon, degrees from +X towards +Y, and how well, if not "
+    "to 1 degree; instead of the job's; may be given again"
+)
 LAMPS = "Whether lamps of a fifth of the light or more are told apart from the sky"
+
+
+class Angles(tuple):
+    """Degrees of elevation, azimuth and, where it is said, accuracy, of their text with commas or of numbers."""
+
+    def __new__(cls, value):
+        numbers = [float(part) for part in (value.split(",") if isinstance(value, str) else value)]
+        elevation, azimuth, accuracy = (*numbers, 0.0) if len(numbers) == 2 else numbers  # or ValueError
+        if not (abs(elevation) <= 90 and abs(azimuth) <= 360 and 0 <= accuracy <= 45):
+            raise ValueError("out of range")
+        return super().__new__(cls, numbers)
 
 
 @dataclass(frozen=True)
@@ -40,6 +55,7 @@ class Meaning:
     low, high : ends of its range; None: open
     auto : what "auto" means, where it may be that
     unit : what is counted
+    many : whether it is a tuple of such values
     """
 
     help: str
@@ -49,17 +65,22 @@ class Meaning:
     high: float | None = None
     auto: str = ""
     unit: str = "n"
+    many: bool = False
 
     @property
     def range(self) -> str:
         """What it takes, in words."""
         if self.kind is bool:
             return "true or false"
+        if self.kind is Angles:
+            return "ELEVATION,AZIMUTH or ELEVATION,AZIMUTH,ACCURACY in degrees, as in 35,-120"
         ends = f"{self.low} or more" if self.high is None else f"{self.low} to {self.high}"
         return (f"one of {', '.join(self.choices)}" if self.choices else ends) + ", or auto" * bool(self.auto)
 
     def checked(self, name: str, value):
         """``value``, or what its text on a command line says; ``name`` is the field's. Raises InputError."""
+        if self.many:
+            return tuple(replace(self, many=False).checked(name, each) for each in value)
         if self.auto and isinstance(value, str) and value == "auto":
             return value
         try:
@@ -157,6 +178,7 @@ class FitSettings(Seeded):
     order: int | str = setting(4, "Order of the spherical harmonics", low=0, high=LARGEST_ORDER, auto=BEST_ORDER)
     estimator: str = setting("map", ESTIMATOR, choices=("map", "least-squares"))
     robust: bool = setting(False, "Leave out pixels that the light does not explain: things in front")
+    sun: tuple | None = setting(None, SUN, kind=Angles, many=True, unit="elevation,azimuth[,accuracy]")
     key_light: str = setting("auto", LAMPS, choices=("auto", "never"))
 
     @property
@@ -209,4 +231,6 @@ def choose(preset: str = "balanced", **changes) -> Settings:
     settings = changed(PRESETS[preset], **changes)
     if settings.robust and settings.estimator != "map":
         raise InputError("--robust", f"with --estimator {settings.estimator}", "it goes with --estimator map only")
+    if settings.sun and settings.estimator != "map":
+        raise InputError("--sun", f"with --estimator {settings.estimator}", "it goes with --estimator map only")
     return settings

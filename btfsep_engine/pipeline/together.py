@@ -14,6 +14,7 @@ from btfsep_engine import kept, sh
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import Fit
+from btfsep_engine.job.load import SAME_LAMP
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.settings import FitSettings
 
@@ -59,14 +60,24 @@ def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: 
     """The basis images of all photos together made ready, for the estimator with a prior."""
     order = min(settings.order, settings.fit_order)
 
+    given = given_lamps([p.scene.job for p in problems])
+
     def made() -> LightSolver:
         normals = np.concatenate([p.normals for p in problems])
-        return LightSolver(
-            stacked(problems)[0], normals=normals, order=order, seed=settings.seed, coarsening=coarsening
-        )
+        how = {"order": order, "seed": settings.seed, "coarsening": coarsening, "given": given}
+        return LightSolver(stacked(problems)[0], normals=normals, **how)
 
     parts = [[[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]]
-    return kept.recalled("solver", [*parts, order, settings.seed, float(coarsening)], made)
+    return kept.recalled("solver", [*parts, order, settings.seed, float(coarsening), list(given)], made)
+
+
+def given_lamps(jobs) -> tuple:
+    """Direction and standard deviation in degrees of the lamps that jobs know of, each once."""
+    out: list = []
+    for lamp in (lamp for job in jobs for lamp in job.known_lamps):
+        if not any(lamp.direction @ direction > np.cos(np.radians(SAME_LAMP)) for direction, _ in out):
+            out.append((lamp.direction, lamp.degrees))
+    return tuple(out)
 
 
 def all_weights(problems: list[Problem]):

@@ -223,9 +223,36 @@ PROJECTIVE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 1, 1]]
     ("metres_per_unit", 10**400, "metres_per_unit"),
     ("exposure_ev", 1e6, "it has to be at most 100"),
     ("depth", "photo.exr", "both depth and meshes"),
+    ("known_lamps", [[0, 0, 1]], r"known_lamps\[0\]; it is \[0, 0, 1\]; it has to be an object"),
+    ("known_lamps", [{}], r"known_lamps\[0\].direction; it is missing"),
+    ("known_lamps", [{"direction": [0, 1]}], r"known_lamps\[0\].direction; it has 2 entries"),
+    ("known_lamps", [{"direction": [0.0, float("nan"), 1.0]}], r"direction\[1\]; it is nan; .* a finite number"),
+    ("known_lamps", [{"direction": [0.0, float("inf"), 1.0]}], r"known_lamps\[0\].direction\[1\]"),
+    ("known_lamps", [{"direction": [0, 0.0, 0]}], r"known_lamps\[0\]; its direction is \[0.0, 0.0, 0.0\]"),
+    ("known_lamps", [{"direction": [0, 0, 1], "direction_stddev_degrees": -1.0}], "it has to be at least 0"),
+    ("known_lamps", [{"direction": [0, 0, 1], "direction_stddev_degrees": 90.0}], "it has to be at most 45"),
+    ("known_lamps", [{"direction": [0, 0, 1], "power": 3.0}], r"known_lamps\[0\].power; this key is not known"),
+    ("known_lamps", [{"direction": [1, i, 0]} for i in range(9)], "known_lamps; it has 9 entries; it needs at most 8"),
+    ("known_lamps", [{"direction": [1, 0, 0]}, {"direction": [5.0, 0.01, 0]}], "it stands where lamp"),
 ])  # fmt: skip
 def test_what_is_wrong_in_job_json(job, path, value, words):
     fails(job, words, path, value)
+
+
+def test_lamps_whose_direction_is_known(job):
+    job.tree["known_lamps"] = [{"direction": [0, 3, 4]}, {"direction": [-1e-3, 0, 0], "direction_stddev_degrees": 5.0}]
+    first, second = load_job(job.write()).known_lamps
+    np.testing.assert_allclose([first.direction, second.direction], [[0, 0.6, 0.8], [-1, 0, 0]])
+    assert (first.degrees, second.degrees) == (1.0, 5.0)
+    # by angles, instead of these: up, then from +X towards +Y
+    first, second = load_job(job.folder, suns=[(30.0, 90.0), (0.0, -90.0, 3.0)]).known_lamps
+    np.testing.assert_allclose(first.direction, [0, np.sqrt(3) / 2, 0.5], atol=1e-12)
+    np.testing.assert_allclose(second.direction, [0, -1, 0], atol=1e-12)
+    assert (first.degrees, second.degrees) == (1.0, 3.0)
+    with pytest.raises(InputError, match=r"--sun\[1\]; it stands where lamp \[0\] stands"):
+        load_job(job.folder, suns=[(30.0, 10.0), (30.2, 370.0)])
+    with pytest.raises(InputError, match="--sun; it has 9 lamps; name at most 8"):
+        load_job(job.folder, suns=[(0.0, 10.0 * i) for i in range(9)])
 
 
 def test_two_objects_of_one_name(job):

@@ -46,12 +46,22 @@ def test_what_is_given_goes_over_the_preset_and_what_the_command_prescribes_over
         (["--order", "auto"], "--order; 'auto'; choose 0 to 9"),
         (["--seed", "-1"], "--seed; '-1'; choose 0 to 4294967295"),
         (["--preset", "finest"], "--preset; 'finest'; choose one of draft"),
+        (["--sun", "35"], "--sun; '35'; choose ELEVATION,AZIMUTH or ELEVATION,AZIMUTH,ACCURACY in degrees"),
+        (["--sun", "35,nan"], "--sun; '35,nan'"),
+        (["--sun", "10,20", "--sun", "91,0"], "--sun; '91,0'"),
+        (["--sun", "35,10,1,1"], "--sun; '35,10,1,1'"),
+        (["--sun", "35,10", "--preset", "paper"], "--sun; with --estimator least-squares"),
         (["--robust", "--preset", "paper"], "--robust; with --estimator least-squares"),
     ],
 )
 def test_what_is_wrong_is_one_line_for_programs_too(capsys, given, words):
-    line = settings_of(given, capsys, "order", "seed", "robust", only_numbers=("order",))
+    line = settings_of(given, capsys, "order", "seed", "robust", "sun", only_numbers=("order",))
     assert line["type"] == "failed" and line["exit_code"] == 2 and words in line["message"]
+
+
+def test_a_setting_that_may_be_given_again_is_all_that_was_given(capsys):
+    assert settings_of(["--sun", "35,-120", "--sun", "10,20,3"], capsys, "sun").sun == ((35, -120), (10, 20, 3))
+    assert settings_of([], capsys, "sun").sun is None
 
 
 @pytest.mark.parametrize("name", TAKE_SETTINGS)

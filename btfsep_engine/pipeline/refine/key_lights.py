@@ -7,6 +7,7 @@ import numpy as np
 
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Sun
+from btfsep_engine.pipeline.doubts import angles_words
 
 LEAST = 0.2  # of the light's mean radiance: what is less stays in the sky
 SAME = 10.0  # degrees: a lamp whose distance was found, and one of the final light
@@ -30,7 +31,8 @@ def key_lights(model, light):
             direction_stddev_degrees=lamp.degrees,
             share=lamp.share,
             share_stddev=lamp.share_stddev,
-            near=nearness_of(lamp, light.near),
+            near=None if lamp.given else nearness_of(lamp, light.near),
+            given=lamp.given,
         )
         for lamp in light.fit.lamps
         if lamp.share >= LEAST and lamp.degrees <= NARROW
@@ -47,6 +49,16 @@ def nearness_of(lamp, near):
 
 def key_light_words(suns, fit: Fit, metres_per_unit: float) -> str:
     """The lamps for people."""
+    kept = [
+        lamp for lamp in fit.lamps if lamp.given and not any(np.allclose(lamp.direction, s.direction) for s in suns)
+    ]
+    beside = "".join(
+        f"; of the lamp whose direction is given ({angles_words(lamp.direction)}) is {100 * lamp.share:.0f} % of the "
+        "light: it stays in the spherical harmonics"
+        for lamp in kept
+    )
+    if not suns and kept:
+        return f"no key light{beside}"
     if not suns:
         if not fit.lamps:
             return "no single direction stands out: all of the light is in the spherical harmonics"
@@ -57,12 +69,11 @@ def key_light_words(suns, fit: Fit, metres_per_unit: float) -> str:
         )
     each = []
     for sun in suns:
-        height = np.degrees(np.arcsin(np.clip(sun.direction[2], -1, 1)))
-        azimuth = np.degrees(np.arctan2(sun.direction[1], sun.direction[0]))
+        known = f"known to {sun.direction_stddev_degrees:.1f} degrees"
         away = f", {metres_per_unit * sun.near.distance:.2g} m away" if sun.near else ""
         each.append(
-            f"{100 * sun.share:.0f} % of the light, from {height:.0f} degrees above the horizon, azimuth "
-            f"{azimuth:.0f} degrees (from +X towards +Y), known to {sun.direction_stddev_degrees:.1f} degrees{away}"
+            f"{100 * sun.share:.0f} % of the light, from {angles_words(sun.direction)}, "
+            f"{'as its direction is given' if sun.given else known}{away}"
         )
     first = "a key light is" if len(suns) == 1 else f"{len(suns)} key lights are"
-    return f"{first} told apart from the sky: {'; '.join(each)}"
+    return f"{first} told apart from the sky: {'; '.join(each)}{beside}"

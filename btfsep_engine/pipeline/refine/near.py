@@ -5,7 +5,8 @@ A place of the lamp is judged by the photograph less what its nearness makes of 
 light from afar, from the last place's light on: how bright the lamp is, that fit says. From the best of a few distances
 the place goes where the misfit asks for it (Gauss and Newton, the light projected out), as long as the evidence rises.
 A place is believed where it explains the photo clearly better than the lamp far away; so is, after it, a further
-lamp's. What is stated of the light, of lamps above all, is then of the objects' middle.
+lamp's. What is stated of the light, of lamps above all, is then of the objects' middle. A lamp whose direction is given
+is taken to be far away.
 """
 
 from dataclasses import dataclass, replace
@@ -158,9 +159,9 @@ def near_lamps(model, light):
 def places(scene: Photographed) -> list[Place]:
     """Of each lamp that stands near, the brightest first; the last one's fit and what was taken off are of all."""
     start, others, found = scene.light.fit, np.zeros_like(scene.photo), []
-    if not start.election.lamps:
+    if not start.election.found:
         start = scene.light.solver.with_lamp(start)
-    while len(found) < len(start.election.lamps):
+    while len(found) < len(start.election.found):
         lamp = brightest_left(start, found)
         if found and speaks_for_nearness(scene, start, others, start.election.lamps[lamp][0]) < SPEAKS:
             break
@@ -181,15 +182,15 @@ def places(scene: Photographed) -> list[Place]:
 
 def brightest_left(fit: Fit, found) -> int:
     """The brightest of a fit's lamps that is not among those that were found, by its number."""
-    brightness = [irradiance.mean() for _, irradiance in fit.election.lamps]
-    done = [place.lamp for place in found]
-    return max((i for i in range(len(brightness)) if i not in done), key=lambda i: brightness[i])
+    lamps, done = fit.election.lamps, [place.lamp for place in found]
+    return max((i for i in fit.election.found if i not in done), key=lambda i: lamps[i][1].mean())
 
 
 def lamp_towards(fit: Fit, away) -> int | None:
     """The number of a fit's lamp in the direction of a place, or None."""
-    cosines = [away @ direction / np.linalg.norm(away) for direction, _ in fit.election.lamps]
-    return int(np.argmax(cosines)) if cosines and max(cosines) > np.cos(np.radians(SAME_LAMP)) else None
+    lamps, toward = fit.election.lamps, away / np.linalg.norm(away)
+    nearest = max(fit.election.found, key=lambda i: toward @ lamps[i][0], default=None)
+    return nearest if nearest is not None and toward @ lamps[nearest][0] > np.cos(np.radians(SAME_LAMP)) else None
 
 
 def search(scene: Photographed, lamp: int, start: Fit, others) -> Place:
