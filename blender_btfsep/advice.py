@@ -14,7 +14,8 @@ MATERIAL = "does not rule them out"  # `card` says it from the answer itself, by
 @dataclass(frozen=True)
 class Advice:
     """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object); "" hides it under
-    Details; ``mend`` : key of `mending.MENDS`; ``level`` : the trust that is left at best
+    Details; ``mend`` : key of `mending.MENDS`, "ALIGN", or "FREEZE" (the suns' own buttons); ``level`` : the trust that
+    is left at best
     """
 
     phrase: str
@@ -46,7 +47,10 @@ KNOWN = (
     Advice("pixels are saturated", "Overexposed pixels are left out"),
     Advice("is mapped by projecting patches", ""),
     Advice("is negative in some directions", ""),
-    Advice("not all of the first four", "The photo does not tell from where the light comes", level="RED"),
+    Advice("not all of the first four", "The photo does not tell from where the light comes", "FREEZE", "RED"),
+    Advice("the photo speaks against", "The photo speaks against a known sun", "FREEZE", "AMBER"),
+    Advice("is little more than a guess", "A known sun lights nothing that the photo shows; its power is a guess"),
+    Advice("lamps whose direction is given are left out", "This preset leaves known suns out", level="AMBER"),
     Advice("the fit is badly conditioned", "The photo tells little of so fine a light; a lower order is steadier"),
     Advice("tone curve is doubtful", "The photo's tone curve may be another one", "CURVE", "AMBER"),
     Advice("a depth shows one side", "The depth shows one side of it only"),

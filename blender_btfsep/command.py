@@ -83,6 +83,13 @@ def _parser() -> argparse.ArgumentParser:
     job.add_argument("--exposure", type=float, metavar="EV", help="stops applied to the photo (default: the panel's)")
     curves = [name for name, *_ in CURVES]
     job.add_argument("--curve", choices=curves, help="how the photo codes the light (default: the panel's)")
+    job.add_argument(
+        "--known-sun",
+        dest="known_suns",
+        nargs="*",
+        metavar="NAME",
+        help="Sun lamps whose direction is known; none named: none (default: the panel's)",
+    )
     job.add_argument("--job", help="folder for the job (default: one that is removed afterwards)")
 
     engine = argparse.ArgumentParser(add_help=False)

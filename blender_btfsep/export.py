@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import atomic, meshes, own_surface, photo, ply, surroundings, unwrap
+from . import atomic, meshes, own_surface, photo, ply, sun_lamp, surroundings, unwrap
 from . import camera as pinhole
 from .errors import InputError
 
@@ -31,6 +31,7 @@ def export_job(
     exposure_ev=0.0,
     mapping="CHARTS",
     curve="auto",
+    known_suns=None,
     warn=lambda sentence: None,
 ) -> Path:
     """Writes a job.
@@ -51,6 +52,7 @@ def export_job(
     exposure_ev : the photo's exposure in stops
     mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
         unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
+    known_suns : Sun lamps whose direction is known; None for those that the scene names
     curve : the photo's tone curve, "auto", "srgb", "linear" or "unknown"; a photo of floats is linear anyway
     warn : called with a sentence for each thing of the occluders or the lens that the job does not have
 
@@ -92,6 +94,8 @@ def export_job(
         lens = pinhole.for_photo(scene, evaluated, size)
         lens |= pinhole.distortion(scene, evaluated, lens, warn=warn)
         lens["to_world"] = pinhole.to_world(evaluated).tolist()
+        suns = sun_lamp.known(scene) if known_suns is None else known_suns
+        suns = [{"direction": sun_lamp.known_direction(scene, sun, depsgraph).tolist()} for sun in suns]
         shadowing = meshes.render_occluders(view_layer, depsgraph, objects) if occluders is None else list(occluders)
         shadowing = [thing for thing in shadowing if thing not in objects]
         gathered = meshes.gather(depsgraph, objects + shadowing)
@@ -152,6 +156,7 @@ def export_job(
         "occluders": casting,
         "depth": None if depth is None else photo.put_depth(depth, folder),
         "metres_per_unit": 1.0 if units.system == "NONE" else units.scale_length,
+        **({"known_lamps": suns} if suns else {}),
     }
     atomic.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
     return folder / JOB_FILE

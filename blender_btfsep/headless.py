@@ -109,7 +109,15 @@ def write_job(options, scene, *, image=None) -> Path:
         mapping=options.mapping and options.mapping.upper(),
         exposure_ev=options.exposure,
         curve=options.curve,
+        known_suns=None if options.known_suns is None else [_sun(scene, name) for name in options.known_suns],
     )
+
+
+def _sun(scene, name: str):
+    lamp = named(scene.objects, "object", name)
+    if lamp.type != "LIGHT" or lamp.data.type != "SUN":
+        raise InputError(f"--known-sun '{name}'", "it is no Sun lamp", "name a Sun lamp of the scene")
+    return lamp
 
 
 def _image_of(path: str):

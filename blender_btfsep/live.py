@@ -13,7 +13,7 @@ import time
 import bpy
 from bpy.app.handlers import persistent
 
-from . import answer, atomic, engine_process, engine_settings, kept_light, meshes, reasons, request, runs
+from . import answer, atomic, engine_process, engine_settings, kept_light, meshes, reasons, request, runs, sun_lamp
 from .errors import InputError
 
 INTERVAL = 0.02  # seconds between looks
@@ -173,6 +173,11 @@ def _step():
     return INTERVAL if _follower.step() else None
 
 
+def _facing(scene, sun) -> list:
+    """To a known sun, so that its being written again is no change."""
+    return [round(float(part), 4) for part in sun_lamp.known_direction(scene, sun)]
+
+
 def _told(scene) -> tuple:
     """What of a scene's own settings an estimate depends on."""
     s, r = scene.btfsep, scene.render
@@ -187,7 +192,8 @@ def _told(scene) -> tuple:
     ]
     camera = s.camera or scene.camera
     shape = [getattr(r, name) for name in SHAPE]
-    own = (s.occluders, s.mapping, s.exposure_ev, s.curve, camera and camera.session_uid)
+    suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known(scene)]
+    own = (suns, s.occluders, s.mapping, s.exposure_ev, s.curve, camera and camera.session_uid)
     return (*own, pictures, made, shape, engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s))
 
 
@@ -206,6 +212,8 @@ def _matters(update, scene) -> bool:
         case bpy.types.Object():
             if not (update.is_updated_transform or update.is_updated_geometry):
                 return False
+            if thing in sun_lamp.known(scene):
+                return _differs(scene)
             if thing in ((settings.camera or scene.camera), *(entry.object for entry in entries)):
                 return True
             # what another object instances is in no scene
@@ -215,10 +223,15 @@ def _matters(update, scene) -> bool:
         case bpy.types.Material():
             return others or any(entry.source == "BLENDER" for entry in entries)
         case bpy.types.Scene():
-            before, now = _known.get(thing.session_uid), _told(scene)
-            _known[thing.session_uid] = now
-            return before is not None and before != now
+            return _differs(thing)
     return False
+
+
+def _differs(scene) -> bool:
+    """Whether what of a scene's settings matters is not what was seen last, which it becomes."""
+    before, now = _known.get(scene.session_uid), _told(scene)
+    _known[scene.session_uid] = now
+    return before is not None and before != now
 
 
 @persistent

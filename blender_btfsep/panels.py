@@ -18,6 +18,7 @@ from . import (
     request,
     runs,
     sequence_run,
+    sun_lamp,
     use_photo,
     world,
 )
@@ -200,6 +201,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         column.prop(settings, "world_mode")
         if settings.world_mode != "NONE":
             column.prop(settings, "sun_lamp")
+        self._suns(context, layout)
 
         if runs.is_running():
             row = layout.row(align=True)
@@ -226,6 +228,19 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         layout.operator("btfsep.apply", icon="WORLD")
         if world.is_ours(context.scene.world):
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")
+
+    def _suns(self, context, layout):
+        """The Sun lamps: those of the estimate, those that are known, and the active one, each with its button."""
+        scene, known, active = context.scene, sun_lamp.known(context.scene), context.object
+        chosen = [active] if active is not None and active.type == "LIGHT" else []
+        shown = dict.fromkeys((*known, *sun_lamp.lamps(scene), *chosen))
+        column = layout.column(align=True)
+        for lamp in (lamp for lamp in shown if lamp.data.type == "SUN"):
+            row = column.row(align=True)
+            held = lamp in known
+            row.label(text=lamp.name, icon="LIGHT_SUN")
+            words, icon = ("Free", "UNLOCKED") if held else ("Freeze Sun", "LOCKED")
+            row.operator(f"btfsep.{'free' if held else 'freeze'}_sun", text=words, icon=icon).name = lamp.name
 
     def _beside(self, context, layout, run):
         """How long an estimate takes, and the switch that spares asking for one."""
@@ -284,6 +299,8 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             mend, about = warning["mend"], next((w for n, w, _ in mending.MENDS if n == warning["mend"]), "")
             if mend == "ALIGN":
                 box.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
+            elif mend == "FREEZE":
+                self._suns(context, box)
             elif mend:
                 button = box.operator("btfsep.mend", text=about)
                 button.how, button.object = mend, warning["object"]

@@ -131,6 +131,17 @@ class BTFSEP_PG_kept(bpy.types.PropertyGroup):
     report: PointerProperty(name="Report", description="Photo, re-rendering, difference", type=bpy.types.Image)
 
 
+class BTFSEP_PG_known_sun(bpy.types.PropertyGroup):
+    """A sun whose direction is known (`known_suns`)."""
+
+    object: PointerProperty(
+        name="Known Sun",
+        description="A Sun lamp whose direction is known; how bright it is, the photo says",
+        type=bpy.types.Object,
+        poll=lambda self, thing: thing.type == "LIGHT" and thing.data.type == "SUN",
+    )
+
+
 class BTFSEP_PG_settings(bpy.types.PropertyGroup):
     """Settings of one scene; the engine's come to these below."""
 
@@ -162,6 +173,7 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         type=bpy.types.Image,
     )
     surface: PointerProperty(type=BTFSEP_PG_object)
+    known_suns: CollectionProperty(name="Known Suns", type=BTFSEP_PG_known_sun)
     light: PointerProperty(type=BTFSEP_PG_kept)
     live: BoolProperty(
         name="Live",
@@ -231,6 +243,7 @@ CLASSES = (
     BTFSEP_PG_candidate,
     BTFSEP_PG_object,
     BTFSEP_PG_kept,
+    BTFSEP_PG_known_sun,
     BTFSEP_PG_settings,
     BTFSEP_PG_name,
     BTFSEP_PG_material,

@@ -72,6 +72,7 @@ def write_job(
     mapping=None,
     exposure_ev=None,
     curve=None,
+    known_suns=None,
     warn=None,
 ) -> Path:
     """Exports the job that the panel describes; gives its folder.
@@ -111,6 +112,7 @@ def write_job(
         exposure_ev=settings.exposure_ev if exposure_ev is None else exposure_ev,
         mapping=mapping or settings.mapping,
         curve=curve or settings.curve,
+        known_suns=known_suns,
         warn=warn or runs.warn,
     )
     return path.parent

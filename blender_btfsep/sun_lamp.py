@@ -17,7 +17,7 @@ import math
 
 import bpy
 import numpy as np
-from mathutils import Quaternion, Vector
+from mathutils import Matrix, Quaternion, Vector
 
 from . import colour, sh_nodes
 
@@ -39,21 +39,51 @@ def beside(scene) -> str:
     return {0: "", 1: ", with one Sun lamp beside it"}.get(count, f", with {count} Sun lamps beside it")
 
 
+def known(scene) -> list:
+    """The Sun lamps of ``scene`` whose direction the user knows, each once: ours or others."""
+    settings = getattr(scene, "btfsep", None)  # a light can be put into a scene without the add-on's panel
+    things = [entry.object for entry in settings.known_suns] if settings else []
+    suns = (t for t in things if t is not None and t.type == "LIGHT" and t.data.type == "SUN")
+    return list(dict.fromkeys(sun for sun in suns if sun.name in scene.objects))
+
+
+def known_direction(scene, lamp, depsgraph=None) -> np.ndarray:
+    """To the sun ``lamp`` (3,), unit, as it stands in the scene without the World's Rotation.
+
+    That turns all of the light, the lamps of BTFsep with it, after the photo has been explained.
+    """
+    shown, world, turn = lamp if depsgraph is None else lamp.evaluated_get(depsgraph), scene.world, 0.0
+    node = sh_nodes.node_of(world.node_tree) if world is not None and world.node_tree is not None else None
+    if node is not None:
+        turn = node.inputs[sh_nodes.ROTATION].default_value
+    to = np.array(Matrix.Rotation(-turn, 3, "Z") @ shown.matrix_world.to_3x3().col[2])
+    return to / np.linalg.norm(to)
+
+
 def put(scene, suns) -> None:
     """Makes ``suns`` the lamps of ``scene``: earlier ones of ours become the nearest of them, the others go.
+
+    Those of ours whose direction is known stay where they stand: they become what was found of them, and are dark where
+    that is left to the World, or the light is of another time.
 
     Parameters
     ----------
     scene : bpy.types.Scene, whose World is ours where there are suns
     suns : list of "lamps" of what lighting_file.read returns; one without light gives no lamp
     """
-    free = []
+    free, held = [], []
+    directions = {lamp.name: known_direction(scene, lamp) for lamp in known(scene)}
     for old in lamps(scene):
         if len(old.users_scene) > 1 or "direction" not in _tag(old):
             _remove(scene, old)  # another scene has it, too
         else:
-            free.append(old)
+            (held if old.name in directions else free).append(old)
     for sun in (sun for sun in suns if max(sun["irradiance"]) > 0):
+        mine = next((old for old in held if _is(directions[old.name], sun["direction"])), None)
+        if mine is not None:
+            held.remove(mine)
+            _stay(mine, sun, scene.world)
+            continue
         lamp = max(free, key=lambda old: np.dot(_tag(old)["direction"], sun["direction"]), default=None)
         if lamp is None:
             lamp = bpy.data.objects.new(LAMP_NAME, bpy.data.lights.new(LAMP_NAME, "SUN"))
@@ -63,8 +93,22 @@ def put(scene, suns) -> None:
         else:
             free.remove(lamp)
         _write(lamp, dict(sun), scene.world)
+    for old in held:
+        _stay(old, {"irradiance": (0.0, 0.0, 0.0), "size_degrees": _tag(old)["size_degrees"]}, scene.world)
     for old in free:
         _remove(scene, old)
+
+
+def _is(direction, other) -> bool:
+    """Whether two directions are one but for rounding."""
+    return np.dot(direction, other) > 1 - 1e-8
+
+
+def _stay(lamp, sun: dict, world) -> None:
+    """Makes a lamp the key light ``sun`` where it stands now: that is its direction, no turn of the user's."""
+    there = [*(_rotation_of(lamp) @ Vector((0, 0, 1)))]
+    lamp[LAMP_TAG] = {**_tag(lamp), "direction": there}
+    _write(lamp, {**sun, "direction": there}, world)
 
 
 def follow(world) -> None:

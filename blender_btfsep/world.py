@@ -102,6 +102,8 @@ def restore_previous(scene):
     previous = ours.get(PREVIOUS)
     if previous is not None and not ours.get(PREVIOUS_WAS_FAKE, True):
         previous.use_fake_user = False
+    if hasattr(scene, "btfsep"):
+        scene.btfsep.known_suns.clear()
     scene.world = previous
     sun_lamp.put(scene, [])
     if ours.users == 0:

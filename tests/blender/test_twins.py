@@ -15,6 +15,7 @@ from blender_btfsep import (
     engine_process,
     engine_settings,
     frames,
+    known_suns,
     lighting_file,
     mending,
     photo,
@@ -27,7 +28,7 @@ from btfsep_engine.btf import linear
 from btfsep_engine.cli import command as engine_command
 from btfsep_engine.cli.commands import cli
 from btfsep_engine.images import read_linear
-from btfsep_engine.job.schema import JobSchema
+from btfsep_engine.job.schema import MAX_KNOWN_LAMPS, JobSchema
 from btfsep_engine.light import files
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline import measuring, sequence, settings
@@ -94,7 +95,7 @@ def said_by(tree):
 def test_every_doubt_that_the_panel_knows_is_said_by_the_engine(known):
     files = sorted(Path(btfsep_engine.__file__).parent.rglob("*.py"))
     assert any(known.phrase in text for path in files for text in said_by(ast.parse(path.read_text())))
-    assert known.mend in {"", "ALIGN", *(name for name, *_ in mending.MENDS)} and known.level in advice.LEVELS
+    assert known.mend in {"", "ALIGN", "FREEZE", *(name for name, *_ in mending.MENDS)} and known.level in advice.LEVELS
     assert advice.advice(f"object 'Cow' {known.phrase} and more").phrase == known.phrase
 
 
@@ -183,6 +184,7 @@ def test_the_words_of_the_contract():
     )
     assert engine_process.INPUT_FAULT == engine_command.INPUT_FAULT
     assert engine_process.BUG == engine_command.BUG
+    assert known_suns.MOST == MAX_KNOWN_LAMPS
     spaces = JobSchema.model_json_schema()["properties"]["image_colorspace"]["enum"]
     assert {"auto", "linear"} <= set(spaces)  # what photo.put gives
     assert {name for name, *_ in properties.CURVES} == set(spaces)
