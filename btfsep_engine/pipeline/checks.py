@@ -6,7 +6,7 @@ import numpy as np
 from btfsep_engine import kept
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.misalignment import silhouette_shift
-from btfsep_engine.fit.search import LAMP_COST
+from btfsep_engine.fit.search import BESIDE, LAMP_COST
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
@@ -83,7 +83,9 @@ def known_lamp_doubts(estimate) -> list[str]:
             instead = None
         gain = free.evidence - light.fit.evidence + LAMP_COST * (instead is not None)
         shown = bool(light.solver.shows(lamp.direction))
-        out += given_lamp_doubts(lamp, gain=gain, instead=instead, shown=shown)
+        near = np.cos(np.radians(BESIDE))
+        beside = any(not other.given and other.direction @ lamp.direction > near for other in light.fit.lamps)
+        out += given_lamp_doubts(lamp, gain=gain, instead=instead, shown=shown, beside=beside)
     return out
 
 

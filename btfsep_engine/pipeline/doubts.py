@@ -70,7 +70,7 @@ def alignment_doubt(shift: Shift | None) -> str | None:
     )
 
 
-def given_lamp_doubts(lamp, *, gain: float, instead, shown: bool) -> list[str]:
+def given_lamp_doubts(lamp, *, gain: float, instead, shown: bool, beside: bool = False) -> list[str]:
     """What speaks against a lamp whose direction is given.
 
     Parameters
@@ -79,6 +79,7 @@ def given_lamp_doubts(lamp, *, gain: float, instead, shown: bool) -> list[str]:
     gain : of the logarithm of the evidence, without it
     instead : direction (3,) of the lamp that is then found nearest to it; None: there is none
     shown : whether it lights what the photo shows
+    beside : whether the photo, with it, has a further lamp just beside it: a part of its light goes there
     """
     t, name = THRESHOLDS, f"the lamp whose direction is given ({angles_words(lamp.direction)})"
     if not shown:
@@ -88,7 +89,7 @@ def given_lamp_doubts(lamp, *, gain: float, instead, shown: bool) -> list[str]:
             " of the light"
         ]
     off = None if instead is None else float(np.degrees(np.arccos(np.clip(instead @ lamp.direction, -1, 1))))
-    if gain > t.given and off is not None and off > t.given_off:
+    if gain > t.given and off is not None and (off > t.given_off or beside):
         return [
             f"the photo speaks against {name}: it would have it {off:.0f} degrees away, at {angles_words(instead)}; "
             "turn it there, or leave it out"

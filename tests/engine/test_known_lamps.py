@@ -6,10 +6,11 @@ import pytest
 
 from btfsep_engine import sh
 from btfsep_engine.fit.light_model import LightModel, across
-from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.log_normal import Lamp, LightSolver
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import LAMP_COST, solve
 from btfsep_engine.light.log_field import even_field, natural_field
+from btfsep_engine.pipeline.doubts import given_lamp_doubts
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, off, shown
 
 BACK = np.array([0.35, 0.9, 0.26]) / np.linalg.norm([0.35, 0.9, 0.26])  # behind the sphere, which is seen from -y
@@ -122,3 +123,25 @@ def test_the_jacobian_with_a_given_lamp_is_that_of_finite_differences(rng):
         )
         np.testing.assert_allclose(found[:, k], (above - below) / 2e-5, rtol=2e-2, atol=2e-2)
     assert sh.order_of(model.field.terms) == 9
+
+
+def test_a_small_error_of_direction_is_not_mended_by_a_lamp_beside_it(rng):
+    """Of a matte sphere; gloss would show so well where the lamp stands that the photo has its way."""
+    basis, normals, _ = half_sphere(rng, pixels=1200, albedo=(0.5, 0.5, 0.5), gloss=0.0)
+    solver = LightSolver(basis, normals=normals, order=4, given=[(turned(SUN, 3.0), 1.0)])
+    (known,) = solver.solve(shown(basis, DIM + lamp(SUN, [3.0] * 3), rng, 0.1)).lamps
+    assert known.given and known.share > 0.5
+
+
+def test_what_is_said_against_a_given_lamp():
+    def said(share, gain, off=None, *, shown=True, beside=False):
+        known = Lamp(SUN, np.ones(3), np.zeros(3), 1.0, share, 0.1, given=True)
+        there = None if off is None else turned(SUN, off)
+        doubts = given_lamp_doubts(known, gain=gain, instead=there, shown=shown, beside=beside)
+        return "".join(doubts)
+
+    assert said(0.5, -3.0) == said(0.5, 4.0, 20.0) == said(0.5, 9.0, 3.0) == ""
+    assert "it would have it 20 degrees away" in said(0.5, 9.0, 20.0, shown=True)
+    assert "it would have it 3 degrees away" in said(0.2, 9.0, 3.0, beside=True)
+    assert "it has 50 % of the light; check" in said(0.5, 9.0) and "it has 2 % of the light" in said(0.02, -3.0)
+    assert "little more than a guess: 40 to 60 % of the light" in said(0.5, 9.0, 20.0, shown=False)
