@@ -74,10 +74,17 @@ def in_words(result: dict, moved: str) -> str:
     """What an alignment did, in sentences."""
     if not result["aligned"]:
         return f"Nothing was moved; {result['why']}"
+    if result.get("depth_shift"):
+        right, down = result["depth_shift"]
+        how = f"{right:+.1f} pixels to the right, {down:+.1f} down"
+        return f"The photo was shifted against the depth: {how}\n{_sentence(result['why'])}"
     zoom = f", focal length {result['focal_percent']:+.1f}%" if abs(result["focal_percent"]) >= 0.05 else ""
     how = f"{result['moved_px']:.1f} pixels in the photo, a turn of {result['degrees']:.1f}°{zoom}"
-    why = str(result["why"])
-    return f"{moved} moved: {how}\n{why[:1].upper()}{why[1:]}"
+    return f"{moved} moved: {how}\n{_sentence(result['why'])}"
+
+
+def _sentence(why: str) -> str:
+    return why[:1].upper() + why[1:]
 
 
 class BTFSEP_OT_refine_alignment(operators.NeedsScene, runs.EngineOperator, bpy.types.Operator):
@@ -88,13 +95,6 @@ class BTFSEP_OT_refine_alignment(operators.NeedsScene, runs.EngineOperator, bpy.
     bl_options = {"REGISTER", "UNDO"}
     task = "Aligning"
     moves: EnumProperty(name="Moves", items=MOVES, options={"SKIP_SAVE"})
-
-    @classmethod
-    def poll(cls, context):
-        if context.scene.btfsep.depth is not None:
-            cls.poll_message_set("A depth belongs to its camera: only objects can be aligned")
-            return False
-        return super().poll(context)
 
     def begin(self, context):
         self._camera = (context.scene.btfsep.camera or context.scene.camera).session_uid
@@ -109,7 +109,10 @@ class BTFSEP_OT_refine_alignment(operators.NeedsScene, runs.EngineOperator, bpy.
         camera = things.get(self._camera)
         if camera is None or not self._ids <= set(things):
             raise InputError("the camera or an object", "it was deleted meanwhile", "align again")
-        if result["aligned"]:
+        if result["aligned"] and result.get("depth_shift"):
+            job = json.loads((Path(result["out"]) / export.JOB_FILE).read_text(encoding="utf-8"))
+            scene.btfsep.depth_shift = job["depth_shift"]
+        elif result["aligned"]:
             objects = [things[number] for number in self._ids] if self.moves == "OBJECTS" else None
             apply_pose(scene, self._before, camera_of(result["out"]), camera=camera, objects=objects)
         return in_words(result, "The objects were" if self.moves == "OBJECTS" else "The camera was")

@@ -28,6 +28,7 @@ def export_job(
     surfaces=None,
     masks=None,
     depth=None,
+    depth_shift=(0.0, 0.0),
     exposure_ev=0.0,
     mapping="CHARTS",
     curve="auto",
@@ -49,6 +50,7 @@ def export_job(
     surfaces : dict, object name -> "surface" of the job, or `own_surface.BLENDER`: as the object's own material says
     masks : dict, object name -> bpy.types.Image of the photo's size, not black where the object may be used
     depth : path of an EXR of z-depth, or its bpy.types.Image, instead of objects; its surface is named `SURFACE`
+    depth_shift : pixels to the right and down by which the photo shows what depth and camera show elsewhere
     exposure_ev : the photo's exposure in stops
     mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
         unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
@@ -155,6 +157,7 @@ def export_job(
         "objects": fitted,
         "occluders": casting,
         "depth": None if depth is None else photo.put_depth(depth, folder),
+        **({} if depth is None or not any(depth_shift) else {"depth_shift": [float(s) for s in depth_shift]}),
         "metres_per_unit": 1.0 if units.system == "NONE" else units.scale_length,
         **({"known_lamps": suns} if suns else {}),
     }

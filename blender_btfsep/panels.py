@@ -96,7 +96,7 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
             column.row(align=True).prop(runs.run_state(), "overlay", expand=True)
             if runs.run_state().overlay != "OFF" and outlines.too_fine(scene):
                 _wrapped(context, layout, "A mesh has too many faces to be drawn over the photo", icon="INFO")
-        layout.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
+        _refine_alignment(layout, settings)
 
 
 class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
@@ -298,7 +298,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             _wrapped(context, box, warning["short"], icon="ERROR")
             mend, about = warning["mend"], next((w for n, w, _ in mending.MENDS if n == warning["mend"]), "")
             if mend == "ALIGN":
-                box.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
+                _refine_alignment(box, context.scene.btfsep)
             elif mend == "FREEZE":
                 self._suns(context, box)
             elif mend:
@@ -325,6 +325,8 @@ class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
         row = column.row(align=True)
         row.prop(settings, "depth")
         row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"
+        if settings.depth is not None:
+            column.prop(settings, "depth_shift")
         _engine_rows(column, settings, "advanced")
         column.prop(settings, "mapping")
         if settings.world_mode != "NONE":
@@ -343,6 +345,14 @@ def _engine_rows(column, settings, part: str) -> None:
             if s.auto:
                 value.active = not getattr(settings, f"auto_{s.name}")
                 row.prop(settings, f"auto_{s.name}", text="Auto", toggle=True)
+
+
+def _refine_alignment(layout, settings) -> None:
+    """The button; of a depth only the photo can be shifted."""
+    if settings.depth is None:
+        layout.operator_menu_enum("btfsep.refine_alignment", "moves", icon="CON_CAMERASOLVER")
+    else:
+        layout.operator("btfsep.refine_alignment", icon="CON_CAMERASOLVER")
 
 
 def _wrapped(context, layout, text: str, *, icon: str = "NONE", icon_value: int = 0, share: float = 1.0) -> None:

@@ -172,6 +172,14 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         description="EXR of z-depth along the view axis, of the photo's size, instead of objects",
         type=bpy.types.Image,
     )
+    depth_shift: FloatVectorProperty(
+        name="Shift",
+        description="Pixels to the right and down by which the photo shows what the depth shows elsewhere. Refine "
+        "Alignment finds it",
+        size=2,
+        precision=1,
+        step=10,
+    )
     surface: PointerProperty(type=BTFSEP_PG_object)
     known_suns: CollectionProperty(name="Known Suns", type=BTFSEP_PG_known_sun)
     light: PointerProperty(type=BTFSEP_PG_kept)

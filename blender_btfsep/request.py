@@ -109,6 +109,7 @@ def write_job(
         surfaces={name: own_surface.chosen(entry) for name, entry in given.items()},
         masks={name: entry.mask for name, entry in entries.items()} | (masks or {}),
         depth=depth,
+        depth_shift=settings.depth_shift if depth == settings.depth else (0.0, 0.0),
         exposure_ev=settings.exposure_ev if exposure_ev is None else exposure_ev,
         mapping=mapping or settings.mapping,
         curve=curve or settings.curve,

@@ -33,7 +33,10 @@ def estimate(result: dict) -> str:
 def align(result: dict) -> str:
     """What an alignment did."""
     how = "the geometry was " * result["aligned"] + result["why"]
-    if result["aligned"]:
+    if result["depth_shift"] is not None and result["aligned"]:
+        right, down = result["depth_shift"]
+        how += f"\nby {right:+.1f} pixels to the right and {down:+.1f} down in the picture"
+    elif result["aligned"]:
         how += (
             f"\nby {result['moved_px']:.1f} pixels in the picture; the camera turned by {result['degrees']:.1f}° about "
             f"the objects, the focal length changed by {result['focal_percent']:+.1f} %"

@@ -11,7 +11,7 @@ set of points. A weak prior about the start holds what the photo does not determ
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter1d
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -70,6 +70,14 @@ class Frame:
         return replace(camera, fx=camera.fx * growth, fy=camera.fy * growth, to_world=world @ np.linalg.inv(move))
 
 
+class Shifts(Frame):
+    """The same of geometry that is one piece with its camera, as a depth: only the two shifts do anything."""
+
+    def at(self, q) -> Camera:
+        """The camera for seven numbers."""
+        return self.camera.shifted(q[3], q[4])
+
+
 @dataclass(frozen=True)
 class Marks:
     """What is seen of the geometry from somewhere near.
@@ -95,9 +103,12 @@ class Picture:
     usable : (h, w) bool
     about : (h, w) bool, where the objects are, roughly
     blur : pixels
+    cubic : whether it is looked up by cubic splines: points that lie alike between pixels all go with a place
+        between these or none, where lines would blur
     """
 
-    def __init__(self, radiance, usable, about, *, blur: float):
+    def __init__(self, radiance, usable, about, *, blur: float, cubic: bool = False):
+        self.cubic = cubic
         radiance = np.maximum(np.asarray(radiance, np.float64), 0)
         weight = gaussian_filter(usable.astype(np.float64), blur)
         level = np.median(radiance[about & usable], 0)
@@ -111,9 +122,20 @@ class Picture:
         size = np.sqrt((self.slopes**2).sum(-1))
         self.half = max(float(np.percentile(size[about], SATURATES)), 1e-12)
         self.shape = self.usable.shape
+        if cubic:
+            self.radiance, self.slopes = (
+                spline_filter1d(spline_filter1d(i, axis=0, mode="nearest"), axis=1, mode="nearest")
+                for i in (self.radiance, self.slopes)
+            )
 
     def _look(self, image, at):
-        """Bilinear, of an image (h, w, c) at image positions (n, 2): (n, c)."""
+        """Of an image (h, w, c) at image positions (n, 2): (n, c)."""
+        if self.cubic:
+            places = at[:, 1] - 0.5, at[:, 0] - 0.5
+            channels = np.moveaxis(image.reshape(*self.shape, -1), -1, 0)
+            return np.stack(
+                [map_coordinates(c, places, order=3, mode="nearest", prefilter=False) for c in channels], -1
+            )
         (h, w), cell = self.shape, at - 0.5
         cell = np.clip(cell, 0, [w - 1.001, h - 1.001])
         first = cell.astype(np.int64)

@@ -6,7 +6,7 @@ normalised coordinates of a pinhole, x to the right and y down, to those of the 
 to where it folds the picture over; farther out, where no picture is, it goes on straight.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,10 @@ class Camera:
     def focal(self) -> float:
         """The geometric mean of ``fx`` and ``fy``."""
         return float(np.sqrt(self.fx * self.fy))
+
+    def shifted(self, right: float, down: float) -> "Camera":
+        """The camera that shows everything, in pixels, so far to the right and down of where this one does."""
+        return replace(self, cx=self.cx + right, cy=self.cy + down)
 
     def local_points(self, x, y, depth=1.0) -> np.ndarray:
         """Camera-space positions (..., 3) that are seen at image positions (pixels), ``depth`` along the view axis."""

@@ -101,6 +101,11 @@ def closing_mesh(depth, camera: Camera) -> TriangleMesh | None:
     return TriangleMesh(vertices, faces, np.repeat(normals[:, None], 3, 1).astype(np.float32), None)
 
 
+def shifted_mask(mask, right: float, down: float) -> np.ndarray:
+    """A mask (h, w) bool of a depth as a photo shows it that is shifted against it: by whole pixels, false outside."""
+    return _shifted(np.asarray(mask), -round(right), -round(down))
+
+
 def _surface(depth, camera: Camera):
     """What both meshes are made of: a pinhole, and as it sees them, (h, w), z-depth (0 where nothing is), its inverse
     (0), where it is, and its links.

@@ -11,7 +11,7 @@ from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import direction_of_angles
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.camera import Camera
-from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
+from btfsep_engine.job.depth import closing_mesh, mesh_from_depth, shifted_mask
 from btfsep_engine.job.meshes import load_mesh
 from btfsep_engine.job.model import Job, JobObject, KnownLamp, Occluder, Photo, TriangleMesh
 from btfsep_engine.job.schema import KNOWN_TO, MAX_KNOWN_LAMPS, CameraSchema, JobSchema, SurfaceSchema, parse
@@ -63,12 +63,15 @@ def load_job(
     if schema.depth is None and not schema.objects:
         raise InputError("job.json", "it has neither objects nor depth", "give the geometry of what is in the photo")
     if schema.depth is None:
+        if any(schema.depth_shift):
+            raise InputError("job.json: depth_shift", "the job has no depth", "leave it out; meshes go by the camera")
         for o in schema.objects:
             if o.mesh is None:
                 raise InputError(f"object '{o.name}'", "it has no mesh, and the job has no depth", "name its mesh file")
         objects = tuple(_object(reader, o, camera, notes) for o in schema.objects)
     else:
         objects = (_depth_object(reader, schema, camera),)
+        camera = camera.shifted(*schema.depth_shift)
     occluders = tuple(_occluder(reader, o, f"occluders[{i}]", notes) for i, o in enumerate(schema.occluders))
     return Job(
         folder=reader.folder,
@@ -381,4 +384,6 @@ def _depth_object(reader: _Folder, schema: JobSchema, camera: Camera) -> JobObje
     if o.to_world is not None or o.uv == "mesh":
         raise InputError(f"object '{o.name}'", "a surface from depth takes no to_world and no uv 'mesh'", "remove them")
     surface = _object_surface(reader, o, mesh)
-    return JobObject(o.name, mesh, _mask(reader, o, camera), o.material, unseen=unseen, surface=surface)
+    mask = _mask(reader, o, camera)
+    mask = None if mask is None else shifted_mask(mask, *schema.depth_shift)
+    return JobObject(o.name, mesh, mask, o.material, unseen=unseen, surface=surface)

@@ -106,6 +106,7 @@ class JobSchema(Strict):
     objects: Annotated[list[ObjectSchema], Field(max_length=MAX_OBJECTS)] = []
     occluders: Annotated[list[OccluderSchema], Field(max_length=MAX_OBJECTS)] = []
     depth: RelativePath | None = None
+    depth_shift: Annotated[list[Position], Field(min_length=2, max_length=2)] = [0.0, 0.0]
     metres_per_unit: Length = 1.0
     known_lamps: Annotated[list[KnownLampSchema], Field(max_length=MAX_KNOWN_LAMPS)] = []
 

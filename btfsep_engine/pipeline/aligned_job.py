@@ -12,8 +12,7 @@ from btfsep_engine.atomic import write_json
 from btfsep_engine.errors import InputError
 from btfsep_engine.images import write_png
 from btfsep_engine.job.load import load_job
-from btfsep_engine.job.model import Camera
-from btfsep_engine.pipeline.alignment import Alignment, Left, align, camera_keys, refuse_depth, with_camera
+from btfsep_engine.pipeline.alignment import Alignment, Left, align, camera_keys, with_camera
 from btfsep_engine.pipeline.record import peak_memory_mb, versions
 from btfsep_engine.pipeline.scene import PreparedScene
 
@@ -25,17 +24,20 @@ THICK = 500  # pixels of the photo's longer edge for each pixel of a line
 def named_files(tree: dict) -> list[str]:
     """Every file that the content of a job.json names."""
     geometry = [*tree.get("objects", ()), *tree.get("occluders", ())]
-    names = [tree["image"], *(g.get(key) for g in geometry for key in ("mesh", "mask"))]
+    names = [tree["image"], tree.get("depth"), *(g.get(key) for g in geometry for key in ("mesh", "mask"))]
     names += [colour for g in geometry if isinstance(colour := (g.get("surface") or {}).get("base_color"), str)]
     return list(dict.fromkeys(name.replace("\\", "/") for name in names if name))
 
 
-def write_job(source: Path, out: Path, camera: Camera) -> None:
-    """Copies a job of meshes that was read without fault, with another camera."""
+def write_job(source: Path, out: Path, found: Alignment) -> None:
+    """Copies a job that was read without fault, with the camera that was found; of a depth, with the shift."""
     tree = json.loads((source / "job.json").read_text(encoding="utf-8-sig"))
     for name in named_files(tree):
         atomic.write_bytes(out / name, atomic.read_bytes(source / name))
-    tree["camera"] |= camera_keys(camera)
+    if found.shift is None:
+        tree["camera"] |= camera_keys(found.camera)
+    else:
+        tree["depth_shift"] = [a + b for a, b in zip(tree.get("depth_shift", (0, 0)), found.shift, strict=True)]
     write_json(out / "job.json", tree)
 
 
@@ -69,13 +71,12 @@ def run_align(folder, *, out=None, reporter) -> dict:
     Raises
     ------
     InputError
-        For a depth, or where ``out`` is the job's own folder.
+        Where ``out`` is the job's own folder.
     """
     with reporter.stage("reading"):
         job = load_job(folder)
         for note in job.warnings:
             reporter.warn(note)
-    refuse_depth(job)
     out = Path(out) if out is not None else job.folder / "aligned"
     if out.resolve() == job.folder.resolve():
         raise InputError("--out", "it is the job's own folder, whose job.json stays", "name another folder")
@@ -83,7 +84,7 @@ def run_align(folder, *, out=None, reporter) -> dict:
     with reporter.stage("alignment"):
         found = align(scene)
     with reporter.stage("writing"):
-        write_job(job.folder, out, found.camera)
+        write_job(job.folder, out, found)
         write_overlay(out / OVERLAY, scene, found)
     result = {
         "format": "btfsep-alignment",
@@ -94,6 +95,7 @@ def run_align(folder, *, out=None, reporter) -> dict:
         "moved_px": found.moved_px,
         "degrees": found.degrees,
         "focal_percent": found.focal_percent,
+        "depth_shift": found.shift,
         "gain": None if found.gain is None else vars(found.gain),
         "objective": {"before": _left(found.before), "after": _left(found.after)},
         "warnings": list(reporter.warnings),

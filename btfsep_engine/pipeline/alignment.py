@@ -2,6 +2,7 @@
 """Brings a job's geometry into line with its photo: the camera moves until outlines and shading go together.
 
 A turn that outlines and shading do not show stays: the prior of `fit.pose` holds it. Nothing is moved without a gain.
+A depth knows no other side, and is one piece with its mask and its camera: the photo alone is shifted against them.
 """
 
 import copy
@@ -21,16 +22,19 @@ from btfsep_engine.fit.pose import (
     Marks,
     Misfit,
     Picture,
+    Shifts,
     best_shifts,
     gained,
     refined,
 )
+from btfsep_engine.job.depth import shifted_mask
 from btfsep_engine.job.model import Camera
-from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.render.sampling import spread
 from btfsep_engine.render.surface import SurfacePoints, camera_view, surface_points
 
 SIDE = 256  # pixels of a photo's longer edge, at most, of what is looked at
+SIDE_OF_A_DEPTH = 512  # the same, where marks are made but once
 DIRECTIONS = fibonacci_sphere(96)  # light is smooth
 ORDER, LOBE_ORDER = 2, 3  # of the light by its cosine, and from the mirror direction
 DEEP = 0.03  # of the objects' radius: where depth jumps by more, one surface ends before another
@@ -39,6 +43,7 @@ NEAR = 12  # pixels about the objects, in which the photo's edges are measured
 LEAST_OUTLINE, LEAST_SURFACE = 40, 100  # points; fewer say nothing
 HELD = np.array([True] * 6 + [False])  # all but the focal length
 FREE = np.ones(PARAMETERS, bool)
+SHIFTS = np.array([False] * 3 + [True] * 2 + [False] * 2)
 # For a move. On 16 photographs by Cycles the true camera, moved to where its photo goes best, gains 0.026 of the
 # objective at most, one that is a pixel and a degree off 0.036 at least; 2.3 deviations as a rule, and 2.7 and more.
 SIGNIFICANT = 3.0  # deviations, of what outlines and shading gain together
@@ -93,6 +98,7 @@ class Alignment:
     focal_percent : change of the focal length
     before, after : Left, or None where nothing could be measured
     gain : of the place that was found, taken or not; None where nothing could be measured
+    shift : of a depth, pixels to the right and down by which the photo shows it elsewhere; None: the job has meshes
     """
 
     camera: Camera
@@ -104,16 +110,7 @@ class Alignment:
     before: Left | None = None
     after: Left | None = None
     gain: Gain | None = None
-
-
-def refuse_depth(job) -> None:
-    """InputError for a job whose surface was made from a depth."""
-    if any(o.unseen is not None for o in job.objects):
-        raise InputError(
-            "this job",
-            "its geometry is a depth, which belongs to its camera and cannot be looked at from another",
-            "align a job with meshes",
-        )
+    shift: tuple[float, float] | None = None
 
 
 def camera_keys(camera: Camera) -> dict:
@@ -122,9 +119,15 @@ def camera_keys(camera: Camera) -> dict:
 
 
 def with_camera(scene: PreparedScene, camera: Camera) -> PreparedScene:
-    """The same scene seen by another camera, of a picture of the same size. InputError where an object is not seen."""
-    out = copy.copy(scene)
-    out.job = replace(scene.job, camera=camera)
+    """The same scene seen by another camera, of a picture of the same size; the mask of a depth goes with it.
+
+    InputError where an object is not seen.
+    """
+    out, objects, old = copy.copy(scene), scene.job.objects, scene.job.camera
+    if unseen_meshes(scene.job):
+        way = camera.cx - old.cx, camera.cy - old.cy
+        objects = tuple(replace(o, mask=None if o.mask is None else shifted_mask(o.mask, *way)) for o in objects)
+    out.job = replace(scene.job, camera=camera, objects=objects)
     out.look()
     return out
 
@@ -174,17 +177,26 @@ class Aligner:
     """A scene whose camera is looked for, at a size of the photo that is enough for it."""
 
     def __init__(self, scene: PreparedScene):
-        self.scene = scene.at_most(SIDE)
+        self.depth = bool(unseen_meshes(scene.job))
+        self.scene = scene.at_most(SIDE_OF_A_DEPTH if self.depth else SIDE)
         self.job, self.tracer = self.scene.job, scene.tracer
         view, camera, photo = self.scene.view, self.job.camera, self.job.photo
         seen = self.objects_in(view)
         rows, columns = np.nonzero(seen)
         origins, rays = camera.rays(columns + 0.5, rows + 0.5)
         centre = np.median(origins + view.distance[seen][:, None] * rays, 0)
-        self.frame = Frame(camera, centre, float(np.sqrt(seen.sum() / np.pi)))
+        radius = float(np.sqrt(seen.sum() / np.pi))
+        self.frame = Frame(camera, centre, radius)
+        if self.depth:
+            # the middle of an even block of the photo lies half a pixel before the surface that stands for it
+            self.edge = round(scene.job.camera.fx / camera.fx)
+            self.frame = Shifts(camera.shifted(*[(1 - self.edge % 2) / (2 * self.edge)] * 2), centre, radius)
         about = binary_dilation(seen, iterations=NEAR)
         self._seen: dict = {}  # camera -> what it sees, and the outlines there
-        self.pictures = [Picture(photo.radiance, photo.usable, about, blur=level.blur) for level in LEVELS]
+        self._marks: dict = {}  # level -> of a depth, which looks the same from all
+        self.pictures = [
+            Picture(photo.radiance, photo.usable, about, blur=level.blur, cubic=self.depth) for level in LEVELS
+        ]
 
     def objects_in(self, view) -> np.ndarray:
         """(h, w) bool, where a view shows an object and no occluder."""
@@ -200,9 +212,26 @@ class Aligner:
 
     def marks(self, camera: Camera, level: int) -> Marks:
         """What a camera sees, as points on the geometry."""
+        if not self.depth:
+            return self.marks_of(camera, level)
+        if level not in self._marks:
+            self._marks[level] = self.marks_of(self.job.camera, level)
+        return self._marks[level]
+
+    def marks_of(self, camera: Camera, level: int) -> Marks:
+        """The same, made anew."""
         job = replace(self.job, camera=camera)
         view, (outline, across, mesh) = self.seen(camera)
         mine = (mesh < len(job.objects)) & across.any(1)
+        if self.depth:
+            at = camera.project(outline)
+            if (mask := job.objects[0].mask) is not None:  # outside it the depth shows other things
+                column, row = np.clip(at.astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
+                mine &= binary_dilation(mask, iterations=2)[row, column]
+            # the surface ends in the middle of the last pixel that shows it, the object half a pixel farther on
+            beyond = at - 0.5 / self.edge * across
+            origins, rays = camera.rays(*beyond.T)
+            outline = origins + np.linalg.norm(outline - origins, axis=1)[:, None] * rays
         inner = binary_erosion(self.objects_in(view), iterations=1 + round(1.5 * LEVELS[level].blur))
         points = []
         for i, obj in enumerate(job.objects):
@@ -248,21 +277,23 @@ class Aligner:
 
     def search(self, before: Left) -> tuple[np.ndarray, Left]:
         """The best seven numbers, and what speaks against them."""
-        start = np.zeros(PARAMETERS)
+        start, held = np.zeros(PARAMETERS), SHIFTS if self.depth else HELD
         starts = [start, *best_shifts(self.misfit(start, 0), self.frame, step=4.0, keep=STARTS, apart=5.0)]
         for level in (0, 1):
             ends: list = []
             for q in starts:
-                q = self.follow(q, level, HELD)
+                q = self.follow(q, level, held)
                 if all(np.linalg.norm(q - other) > APART for other in ends):
                     ends.append(q)
             judged = [(q, self.left(q)) for q in ends]
             known = sorted((before.better(left), i) for i, (_, left) in enumerate(judged) if left is not None)
             starts = [ends[i] for _, i in known[: -KEPT - 1 : -1]] or [start]
-        best = self.follow(starts[0], 2, HELD)
+        best = self.follow(starts[0], 2, held)
         left = self.left(best)
         if left is None:
             return start, before
+        if self.depth:
+            return best, left
         zoomed = self.follow(best, 2, FREE)
         other = self.left(zoomed)
         if other is not None and left.better(other) > ZOOM_GAIN:
@@ -271,14 +302,7 @@ class Aligner:
 
 
 def align(scene: PreparedScene) -> Alignment:
-    """Looks for the camera that took a scene's photo, near the job's own.
-
-    Raises
-    ------
-    InputError
-        For a depth.
-    """
-    refuse_depth(scene.job)
+    """Looks for the camera that took a scene's photo, near the job's own; of a depth, for the shift of its photo."""
     camera = scene.job.camera
     aligner = Aligner(scene)
     before = aligner.left(np.zeros(PARAMETERS))
@@ -291,9 +315,10 @@ def align(scene: PreparedScene) -> Alignment:
     seen = aligner.marks(first, len(LEVELS) - 1).surface
     moved = np.linalg.norm(end.project(seen) - first.project(seen), axis=1).mean() * camera.fx / first.fx
     zoom = end.fx / first.fx
-    degrees = np.degrees(np.linalg.norm(q[:3]) / aligner.frame.radius)
+    degrees = np.degrees(np.linalg.norm(q[:3]) / aligner.frame.radius)  # 0 of a depth, as the zoom
     gain = aligner.gain(q)
-    stays = Alignment(camera, False, "", before=before, after=after, gain=gain)
+    still = (0.0, 0.0) if aligner.depth else None
+    stays = Alignment(camera, False, "", before=before, after=after, gain=gain, shift=still)
     if moved < LEAST_MOVE:
         return replace(
             stays, why=f"left as it is: it lies within {LEAST_MOVE} pixels of where it goes best", after=before
@@ -301,13 +326,16 @@ def align(scene: PreparedScene) -> Alignment:
     clear = gain.significance >= SIGNIFICANT and gain.outline + gain.shading >= LEAST_GAIN
     if not clear or gain.outline < 0 or gain.shading_significance < -WORSE:
         return replace(stays, why=f"left as it is: no place nearby goes clearly better ({_words(before, after)})")
+    shift = tuple(float(s) for s in camera.fx / first.fx * q[3:5]) if aligner.depth else None
     found = replace(camera, fx=camera.fx * zoom, fy=camera.fy * zoom, to_world=end.to_world)
+    found = camera.shifted(*shift) if shift else found
     try:
         with_camera(scene, found)
     except InputError as error:
         return replace(stays, why=f"left as it is: after the move, {error}")
     why = f"moved: outlines and shading go better, by {gain.significance:.1f} deviations ({_words(before, after)})"
-    return Alignment(found, True, why, float(moved), float(degrees), 100 * float(zoom - 1), before, after, gain)
+    zoomed = 100 * float(zoom - 1)
+    return Alignment(found, True, why, float(moved), float(degrees), zoomed, before, after, gain, shift)
 
 
 def _words(before: Left, after: Left) -> str:

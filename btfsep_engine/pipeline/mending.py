@@ -5,15 +5,17 @@ The job's files stay as they are; `btfsep align` makes a job of it.
 """
 
 from btfsep_engine.pipeline.checks import shift_doubt
-from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
+from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import PhotoSettings
 
 MOST_PIXELS, MOST_DEGREES = 6.0, 4.0  # of a move: 4 pixels and 2 degrees, and what is found beside them
+MOST_OF_A_DEPTH = 5.0  # of a shift: 4 pixels, and what is found beside them
 
 
 def mends(scene: PreparedScene, found) -> bool:
     """Whether an estimate takes an `alignment.Alignment` of its scene."""
-    small = found.moved_px <= MOST_PIXELS and found.degrees <= MOST_DEGREES
+    most = MOST_PIXELS if found.shift is None else MOST_OF_A_DEPTH
+    small = found.moved_px <= most and found.degrees <= MOST_DEGREES
     return found.aligned and small and shift_doubt(scene) is not None
 
 
@@ -22,7 +24,7 @@ def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
 
     ``mended_by`` of what is returned is the Alignment, or None.
     """
-    if settings.align == "never" or unseen_meshes(scene.job) or shift_doubt(scene) is None:
+    if settings.align == "never" or shift_doubt(scene) is None:
         return scene
     from btfsep_engine.pipeline.alignment import align, with_camera  # most photos are in line, and start without it
 
@@ -32,9 +34,11 @@ def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
         return scene
     out = with_camera(scene, found.camera)
     out.mended_by = found
+    turned = f" and {found.degrees:.1f}°" if found.shift is None else ""
+    moved = "camera is moved" if found.shift is None else "photo is shifted against the depth"
     scene.reporter.warn(
-        f"geometry and photo did not line up: for this estimate the camera is moved by {found.moved_px:.1f} pixels and "
-        f"{found.degrees:.1f}° ({found.why}); the job stays as it is; btfsep align writes one that is in line"
+        f"geometry and photo did not line up: for this estimate the {moved} by {found.moved_px:.1f} pixels{turned} "
+        f"({found.why}); the job stays as it is; btfsep align writes one that is in line"
     )
     return out
 
@@ -47,4 +51,4 @@ def mending_record(scene: PreparedScene) -> dict | None:
     from btfsep_engine.pipeline.alignment import camera_keys
 
     moved = {"moved_px": found.moved_px, "degrees": found.degrees, "focal_percent": found.focal_percent}
-    return {**moved, "camera": camera_keys(found.camera)}
+    return moved | ({"camera": camera_keys(found.camera)} if found.shift is None else {"depth_shift": found.shift})

@@ -52,6 +52,7 @@ def main():
         out.mkdir(parents=True, exist_ok=True)
         job = json.loads((Path(arguments[1]) / "job.json").read_text())
         job["camera"] |= behaviour["aligned"]
+        job |= behaviour.get("job", {})
         (out / "job.json").write_text(json.dumps(job))
         say(type="done", result=behaviour["result"] | {"out": str(out)})
     if "sequence" in behaviour and arguments[0] == "sequence":

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The button Refine Alignment: what it moves, and what it says; and once with the engine itself, on a render."""
 
+import json
+
 import addon_utils
 import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix
 
+from blender_btfsep import request
 from blender_btfsep.camera import for_photo, to_world
 from scripts.cycles import studio
 
@@ -105,10 +108,25 @@ def test_what_something_else_holds_stays_and_is_named(photographed, fake_engine,
         np.testing.assert_allclose(np.array(thing.matrix_world), place, atol=1e-6)
 
 
-def test_a_depth_has_its_own_camera(photographed, fake_engine):
-    photographed.btfsep.depth = bpy.data.images.new("depth", 48, 32)
-    with pytest.raises(RuntimeError, match="A depth belongs to its camera"):
-        bpy.ops.btfsep.refine_alignment()
+def test_the_photo_of_a_depth_is_shifted(photographed, fake_engine, tmp_path):
+    """The shift goes into the next job, and camera and objects stay."""
+    settings, before = photographed.btfsep, camera_of(photographed)
+    settings.objects.clear()
+    drawn = bpy.data.images.new("drawn", 48, 32, float_buffer=True)
+    drawn.filepath_raw, drawn.file_format = str(tmp_path / "depth.exr"), "OPEN_EXR"
+    drawn.save()
+    settings.depth = bpy.data.images.load(str(tmp_path / "depth.exr"))
+    settings.depth_shift = 1.0, 0.0
+    assert json.loads((request.write_job(bpy.context) / "job.json").read_text())["depth_shift"] == [1.0, 0.0]
+    moved = MOVED | {"degrees": 0.0, "focal_percent": 0.0, "depth_shift": [2.5, -1.0]}
+    fake_engine(aligned={}, result=moved, job={"depth_shift": [3.5, -1.0]})
+    assert bpy.ops.btfsep.refine_alignment() == {"FINISHED"}
+    assert tuple(settings.depth_shift) == (3.5, -1.0)
+    np.testing.assert_array_equal(camera_of(photographed)["to_world"], before["to_world"])
+    said = bpy.context.window_manager.btfsep.summary
+    assert said.startswith("The photo was shifted against the depth: +2.5 pixels to the right, -1.0 down\nMoved:")
+    settings.depth, settings.objects.add().object = None, bpy.data.objects["Cube"]
+    assert "depth_shift" not in json.loads((request.write_job(bpy.context) / "job.json").read_text())
 
 
 @pytest.fixture

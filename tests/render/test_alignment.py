@@ -11,7 +11,6 @@ from scipy.ndimage import gaussian_filter
 
 from btfsep_engine import images, sh
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.cli.commands import main
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.pose import Frame
 from btfsep_engine.job.load import load_job
@@ -191,18 +190,6 @@ def test_the_command_writes_a_job_that_can_be_used(potatoes, tmp_path):
     assert green.sum() > 30
     with pytest.raises(InputError, match="the job's own folder"):
         run_align(folder, out=folder, reporter=Reporter())
-
-
-def test_a_depth_is_refused(potatoes, tmp_path, capsys):
-    tree = json.loads((potatoes.job.folder / "job.json").read_text())
-    tree |= {"depth": "depth.exr", "objects": []}
-    (tmp_path / "job.json").write_text(json.dumps(tree))
-    (tmp_path / "photo.exr").write_bytes((potatoes.job.folder / "photo.exr").read_bytes())
-    depth = np.where(np.isfinite(potatoes.view.distance), potatoes.view.distance, 0).astype(np.float32)
-    images.write_exr(tmp_path / "depth.exr", np.repeat(depth[..., None], 3, 2))
-    assert main(["align", str(tmp_path)]) == 2
-    assert "its geometry is a depth" in capsys.readouterr().err
-    assert not (tmp_path / "aligned").exists()
 
 
 def estimated(folder, align):
