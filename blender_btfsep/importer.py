@@ -16,7 +16,11 @@ SUFFIXES = (
     (".exr", "OpenEXR map (.exr)", "An environment map, key lights as discs, 32 bit"),
     (".hdr", "Radiance map (.hdr)", "An environment map, key lights as discs"),
     (".txt", "Harmonics as text (.txt)", "As Filament's cmgen writes them: radiance, Y up"),
-    (".usda", "USD lights (.usda)", "A dome light with its map beside it, and a distant light for each key light"),
+    (
+        ".usda",
+        "USD lights (.usda)",
+        "A dome light with its map beside it, a distant or sphere light for each key light",
+    ),
 )
 
 

@@ -15,6 +15,7 @@ from .scratch import scratch
 
 OWN, MAPS, TEXT, USD = {".json", ".btfsep"}, {".exr", ".hdr"}, {".txt"}, {".usda", ".usd", ".usdc"}
 SUMMED = 256  # rows of a map that is projected: enough for all orders that nodes have
+LEAST_RADIUS = 0.01  # of a lamp nearby in USD, of its distance: one without an area has no radiance
 DISC = 3.0  # pixels of a key light in a map, at least
 _LINE = re.compile(r"\(\s*(\S+)\s*,\s*(\S+)\s*,\s*(\S+?)\s*\)\s*;?\s*//\s*L(\d+?)(-?\d+)\b(.*)")
 _COSINE = {0: 1.0, 1: 2 / 3, 2: 1 / 4}  # of the orders, over pi: what light is to a matte surface
@@ -236,7 +237,7 @@ def _save_map(image, file: Path) -> None:
 
 
 def _write_usd(path: Path, radiance, lamps) -> None:
-    """By Blender's own exporter, which knows how a map lies in USD: a scene of a plain World and Sun lamps."""
+    """By Blender's own exporter, which knows how a map lies in USD: a scene of a plain World and lamps."""
     if not bpy.app.build_options.usd:
         raise InputError(path.name, "this Blender was built without USD", "write an .exr, or take another Blender")
     with scratch() as own:
@@ -250,11 +251,18 @@ def _write_usd(path: Path, radiance, lamps) -> None:
         plain.node_tree.links.new(texture.outputs[0], plain.node_tree.nodes["Background"].inputs[0])
         stage.world = plain
         for lamp in lamps:
-            data = own(bpy.data.lights.new("Key", "SUN"))
+            near, strength, width = lamp.get("near"), max(lamp["irradiance"]), math.radians(lamp["size_degrees"])
+            data = own(bpy.data.lights.new("Key", "POINT" if near else "SUN"))
             thing = own(bpy.data.objects.new("Key", data))
-            data.energy = max(lamp["irradiance"])
-            data.color, data.angle = np.array(lamp["irradiance"]) / data.energy, math.radians(lamp["size_degrees"])
-            thing.rotation_euler = sun_lamp.facing(lamp["direction"]).to_euler()
+            data.color = np.array(lamp["irradiance"]) / max(strength, 1e-300)
+            if near:  # a SphereLight of `normalize`, whose intensity is the power over pi whatever its radius
+                distance = near["distance"]
+                data.energy = sun_lamp.power(strength, near)
+                data.shadow_soft_size = max(distance * math.tan(width / 2), LEAST_RADIUS * distance)
+                thing.location = np.array(near["centre"]) + distance * np.array(lamp["direction"])
+            else:
+                data.energy, data.angle = strength, width
+                thing.rotation_euler = sun_lamp.facing(lamp["direction"]).to_euler()
             stage.collection.objects.link(thing)
         with atomic.replacing(path) as file, bpy.context.temp_override(scene=stage, view_layer=stage.view_layers[0]):
             bpy.ops.wm.usd_export(filepath=str(file), convert_world_material=True, export_textures_mode="KEEP")

@@ -2,6 +2,7 @@
 """Lights from and for other programs: against the engine's own reading, closed forms, and Cycles."""
 
 import json
+import re
 
 import bpy
 import numpy as np
@@ -11,7 +12,8 @@ from mathutils import Matrix
 from blender_btfsep import harmonics, light_files, sh_nodes, sun_lamp, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import conventions, images, sh
-from btfsep_engine.light.files import read_lighting
+from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
+from btfsep_engine.light.sun import Near, Sun
 from tests.blender.lit import look_around, positive_coefficients
 from tests.blender.test_sun_lamp import write_sunny
 
@@ -141,6 +143,36 @@ def test_usd_is_the_same_light_when_blender_reads_it(scene, render, tmp_path):
     away = (conventions.pixel_directions(64, 128) @ lamp["direction"]) < 0.98
     error = np.where(away[..., None], np.abs(render(fresh) - truth), 0)
     assert error[1:-1, 1:-1].max() < 0.04 * truth.max()  # at the seam and the poles the reader looks beside the map
+
+
+@pytest.mark.skipif(not bpy.app.build_options.usd, reason="this Blender has no USD")
+@pytest.mark.parametrize("size", [0.0, 8.0])
+def test_a_lamp_nearby_is_a_sphere_light_at_its_place(scene, tmp_path, size):
+    """It is where it stood, as strong by UsdLux's own formula, and as strong when Blender reads it."""
+    centre, distance, direction = np.array([0.3, -0.2, 0.5]), 2.5, np.array(LAMP["direction"])
+    strength = np.array(LAMP["irradiance"])
+    known = Sun(direction, strength, np.zeros(3), size_degrees=size, near=Near(centre, distance, 2.0, 3.0))
+    whole = positive_coefficients(3, seed=8) + known.coefficients(3)
+    light = Lighting(3, whole, np.zeros_like(whole), np.ones(16, bool), 0.0, (known,))
+    write_lighting(tmp_path / "near.json", light)
+    world.apply_lighting(scene, light_files.read(tmp_path / "near.json"))
+    scene.view_layers[0].update()
+    light_files.write(tmp_path / "light.usda", scene)
+    text = (tmp_path / "light.usda").read_text()
+    assert text.count("def SphereLight") == 1 and "def DistantLight" not in text and "normalize = 1" in text
+    written = text[text.index("def SphereLight") :]
+    told = {k: float(re.search(rf"inputs:{k} = (\S+)", written)[1]) for k in ("intensity", "radius")}
+    assert told["radius"] == pytest.approx(distance * max(np.tan(np.radians(size / 2)), 0.01), rel=1e-4)
+    # UsdLux: radiance is intensity over the sphere's area; a sphere of it shines pi radius^2 / distance^2 of it
+    radiance = told["intensity"] / (4 * np.pi * told["radius"] ** 2)
+    assert radiance * np.pi * (told["radius"] / distance) ** 2 == pytest.approx(strength.max(), rel=1e-3)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.usd_import(filepath=str(tmp_path / "light.usda"))
+    (lamp,) = (o for o in bpy.context.scene.objects if o.type == "LIGHT")
+    assert lamp.data.type == "POINT"
+    assert np.allclose(lamp.matrix_world.translation, centre + distance * direction, atol=1e-4)
+    found = lamp.data.energy * np.array(lamp.data.color) / (4 * np.pi * distance**2)
+    assert np.allclose(found, strength, rtol=1e-3)
 
 
 def test_faults_are_in_words(addon, scene, tmp_path):
