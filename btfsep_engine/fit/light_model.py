@@ -20,7 +20,7 @@ from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, LogField
 OF_LAMP = 5  # unknowns
 DIRECTION = np.radians(10)  # s
 BRIGHTNESS, TINT, GREEN = 2.0, 0.3, 0.1
-SIZES = np.array([BRIGHTNESS, TINT, GREEN])
+BY_CHANNEL = np.array([BRIGHTNESS, TINT, GREEN])[:, None] * CHROMA.T  # (q3 to q5, channels)
 STEP = 1e-3  # of a numerical derivative by the direction
 
 
@@ -60,29 +60,34 @@ class LightModel:
         return self.field.unknowns + OF_LAMP * len(self.lamps)
 
     @cached_property
-    def _across(self) -> list:
-        return [across(d) for d in self.lamps]
+    def _places(self) -> np.ndarray:
+        """(k, 3, 3): d0, s t1 and s t2 of each lamp."""
+        places = [[d, *(self.towards(i) * across(d))] for i, d in enumerate(self.lamps)]
+        return np.array(places).reshape(-1, 3, 3)
 
     def parts(self, white) -> tuple[np.ndarray, np.ndarray]:
         """The field's unknowns (…, k), and the lamps' (…, lamps, 5)."""
         k = self.field.unknowns
         return white[..., :k], white[..., k:].reshape(*white.shape[:-1], -1, OF_LAMP)
 
-    def lamp(self, i: int, q) -> tuple[np.ndarray, np.ndarray]:
-        """Directions (…, 3) and irradiances (…, 3) of lamp i with unknowns q (…, 5)."""
-        d = self.lamps[i] + self.towards(i) * (q[..., :2] @ self._across[i])
-        log = np.log(2 * np.pi) + (q[..., 2:] * SIZES) @ CHROMA.T
-        return d / np.linalg.norm(d, axis=-1, keepdims=True), np.exp(np.minimum(log, LARGEST_LOG))
+    def lamp(self, i, q) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (…, 3) and irradiances (…, 3) of lamp i with unknowns q (…, 5); of a slice, (…, lamps, 5)."""
+        first, aside, along = np.moveaxis(self._places[i], -2, 0)
+        d = first + q[..., :1] * aside + q[..., 1:2] * along
+        log = np.log(2 * np.pi) + q[..., 2:] @ BY_CHANNEL
+        return d / np.sqrt(np.square(d).sum(-1, keepdims=True)), np.exp(np.minimum(log, LARGEST_LOG))
 
     def light(self, white):
         """Coefficients (…, 3, terms) of all of the light, and the field's radiance (…, 3, n), of unknowns (…, k)."""
         of_field, of_lamps = self.parts(white)
         radiance = self.field.radiance(of_field)
         x = self.field.coefficients(radiance)
-        for i in range(len(self.lamps)):
-            direction, irradiance = self.lamp(i, of_lamps[..., i, :])
-            x = x + irradiance[..., None] * self._harmonics(direction)[..., None, :]
-        return x, radiance
+        return (x + self._of_lamps(of_lamps) if self.lamps else x), radiance
+
+    def _of_lamps(self, q) -> np.ndarray:
+        """Coefficients (…, 3, terms) of the lamps alone, of their unknowns (…, lamps, 5)."""
+        directions, irradiances = self.lamp(slice(None), q)
+        return np.swapaxes(irradiances, -1, -2) @ self._harmonics(directions)
 
     def seen(self, white, rows, by_direction) -> np.ndarray:
         """R_c x_c of unknowns (…, k): (…, all rows), in their precision.
@@ -94,10 +99,9 @@ class LightModel:
         of_field, of_lamps = self.parts(white)
         radiance = self.field.radiance(of_field)
         out = np.concatenate([radiance[..., c, :] @ r.T for c, r in enumerate(by_direction)], -1)
-        for i in range(len(self.lamps)):
-            direction, irradiance = self.lamp(i, of_lamps[..., i, :])
-            y = self._harmonics(direction)
-            out += np.concatenate([irradiance[..., c, None] * (y @ r.T) for c, r in enumerate(rows)], -1)
+        if self.lamps:
+            x = self._of_lamps(of_lamps).astype(out.dtype)
+            out += np.concatenate([x[..., c, :] @ r.astype(out.dtype).T for c, r in enumerate(rows)], -1)
         return out
 
     def sky(self, white) -> np.ndarray:
@@ -118,17 +122,30 @@ class LightModel:
         """
         if by_direction is None:
             by_direction = self.field.by_direction(rows)
-        of_lamps, k = self.parts(white)[1], self.field.unknowns
+        k = self.field.unknowns
         out = self.field.jacobian(by_direction, radiance, beside=len(white) - k)
+        start = 0
+        for r, columns in zip(rows, self._lamp_slopes(white), strict=True):
+            out[start : start + len(r), k:] = r @ columns.T
+            start += len(r)
+        return out
+
+    def gradient(self, white, radiance, rows, by_direction, residual) -> np.ndarray:
+        """J^T r, (unknowns,), of `jacobian`'s J without making it; ``residual`` : r of each channel."""
+        kind = by_direction[0].dtype
+        of_field = self.field.gradient(by_direction, radiance, [r.astype(kind) for r in residual])
+        columns = self._lamp_slopes(white)
+        return np.concatenate([of_field, sum(c @ (r @ y) for c, r, y in zip(columns, residual, rows, strict=True))])
+
+    def _lamp_slopes(self, white) -> np.ndarray:
+        """Derivatives of the lamps' coefficients by their unknowns: (3, unknowns of lamps, terms)."""
+        q = self.parts(white)[1]
+        if not self.lamps:
+            return np.empty((3, 0, self.field.terms))
         moves = STEP * np.eye(OF_LAMP)[[2, 0, 1]]
         moves[0] = 0
-        for i, q in enumerate(of_lamps):
-            directions, irradiances = self.lamp(i, q + moves)
-            y, *moved = self._harmonics(directions)
-            slopes = np.stack([y, *((there - y) / STEP for there in moved)], 1)
-            seen = np.concatenate([e * (r @ slopes) for r, e in zip(rows, irradiances[0], strict=True)])
-            channel = np.repeat(SIZES * CHROMA, [len(r) for r in rows], axis=0)
-            own = out[:, k + OF_LAMP * i :]
-            own[:, :2] = seen[:, 1:]
-            own[:, 2:OF_LAMP] = seen[:, :1] * channel
-        return out
+        directions, irradiances = self.lamp(slice(None), q + moves[:, None])
+        y, *moved = self._harmonics(directions)  # (lamps, terms)
+        aside = [(there - y) / STEP for there in moved]
+        each = [np.stack([*aside, *(share * y for share in shares)], 1) for shares in BY_CHANNEL.T]
+        return (irradiances[0].T[..., None, None] * np.stack(each)).reshape(3, -1, self.field.terms)

@@ -38,10 +38,13 @@ MOST_LAMPS = 3
 SEEN = (
     0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them could be as strong as it likes
 )
-HOPELESS = 50.0  # of the logarithm of the evidence: so far below, a plain model's lamps are not tried beside a field
+HOPELESS = 30.0  # of the logarithm of the evidence: so far below a rich model, nothing more is tried of a plain one
 HIDDEN = 0.04  # of the same: a lamp that the photo could not know of
 HIDDEN_LAMPS = 0.5  # expected number of them over a whole sphere of such directions
 ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alone is taken
+FIRST_BRIGHTNESS = np.linspace(
+    -1, 2, 31
+)  # of a new lamp, q3: its search begins at the best; from dimmer ones it creeps
 SAMPLES = 200
 WIDER = 1.4  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
 CENTRINGS = 8  # steps by which samples are moved to what the photo says
@@ -301,29 +304,29 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
     the photo knows how bright it is (randomise, then optimise: Bardsley and others 2014, with the derivative at the
     maximum for all).
     """
-    model, root = best.model, best.rows.root
-    jacobian = best.jacobian.astype(np.float32)
-    inverse = best.inverse.astype(np.float32)
+    model, root = best.model, [r.astype(np.float32) for r in best.rows.root]
+    jacobian, inverse = best.jacobian.astype(np.float32), best.inverse
     by_direction = model.field.by_direction(root, np.float32)
     delta = WIDER * solve_triangular(best.factor.T, random.standard_normal((len(best.white), count)), lower=False).T
     asked = (best.white + delta).astype(np.float32)
     # of the photo's own values y nothing is left but what they differ by from R x: small numbers, as single ones want
-    wanted = (np.concatenate([r @ x for r, x in zip(root, best.x, strict=True)]) + delta @ best.jacobian.T).astype(
-        np.float32
-    )
+    shown = np.concatenate([r @ x for r, x in zip(best.rows.root, best.x, strict=True)])
+    wanted = (shown + delta @ best.jacobian.T).astype(np.float32)
     whites, left, moving = asked.copy(), model.seen(asked, root, by_direction) - wanted, np.arange(count)
     for _ in range(CENTRINGS):
-        away = whites[moving] - asked[moving]
-        step = (left[moving] @ jacobian + away) @ inverse
-        trial = whites[moving] - step * (LONGEST / np.maximum(np.abs(step).max(1, keepdims=True), LONGEST))
-        left_there = model.seen(trial, root, by_direction) - wanted[moving]
-        here = np.square(left[moving]).sum(1) + np.square(away).sum(1)
-        gain = here - np.square(left_there).sum(1) - np.square(trial - asked[moving]).sum(1)
-        better = moving[gain > 0]
-        whites[better], left[better] = trial[gain > 0], left_there[gain > 0]
-        moving = moving[gain > CENTRED]
+        slope = left[moving] @ jacobian + whites[moving] - asked[moving]
+        step = slope @ inverse
+        worth = np.einsum("ij,ij->i", slope, step) > CENTRED  # what a whole step would gain of linear images
+        moving, step = moving[worth], step[worth]
         if not len(moving):
             break
+        trial = whites[moving] - step * (LONGEST / np.maximum(np.abs(step).max(1, keepdims=True), LONGEST))
+        left_there = model.seen(trial, root, by_direction) - wanted[moving]
+        here = np.square(left[moving]).sum(1) + np.square(whites[moving] - asked[moving]).sum(1)
+        gain = here - np.square(left_there).sum(1) - np.square(trial - asked[moving]).sum(1)
+        better = gain > 0
+        whites[moving[better]], left[moving[better]] = trial[better], left_there[better]
+        moving = moving[gain > CENTRED]
     return whites, model.light(whites)[0].transpose(0, 2, 1)
 
 
@@ -377,19 +380,21 @@ def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
         white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
         rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
     rich = with_lamps(photo, rich, place=brightest)
-    plain, rich = exact_if_so(photo, plain, place=most_explained), exact_if_so(photo, rich, place=brightest)
+    rich = exact_if_so(photo, rich)
+    if plain.evidence > rich.evidence - HOPELESS:
+        plain = exact_if_so(photo, plain, place=most_explained)
     return (plain, rich) if plain.evidence > rich.evidence else (rich, None)
 
 
-def exact_if_so(photo: Photograph, best: Solution, *, place) -> Solution:
-    """The same model, or with more lamps, where the photo says that nothing is missing but light.
+def exact_if_so(photo: Photograph, best: Solution, *, place=None) -> Solution:
+    """The same model where the photo says that nothing is missing but light; with more lamps, if there is a ``place``.
 
     A model that takes its materials for nearly right pays for what they might miss by its determinant, at most.
     """
     if best.rows.log_determinant < EXACT_COST:
         return best
     exact = solve(photo, best.model, white=best.white, v=best.v, discrepancy=EXACT)
-    return max(best, with_lamps(photo, exact, place=place), key=lambda s: s.evidence)
+    return max(best, with_lamps(photo, exact, place=place) if place else exact, key=lambda s: s.evidence)
 
 
 def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
@@ -418,11 +423,15 @@ def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
 
 def one_lamp_more(photo: Photograph, best: Solution, *, place) -> Solution:
     """The solution with one more lamp."""
-    model = replace(best.model, lamps=(*best.model.lamps, place(best, photo)))
-    white = np.zeros(model.unknowns)
-    known = best.model.parts(best.white)[1].ravel()
-    at = model.field.unknowns
-    white[at : at + len(known)] = known
+    direction = place(best, photo)
+    model = replace(best.model, lamps=(*best.model.lamps, direction))
+    lamp = sh.evaluate(sh.order_of(photo.basis.terms), direction)
+    slope, curvature, answer = best.beside(np.concatenate([root @ lamp for root in best.rows.root]))
+    irradiance = 2 * np.pi * np.exp(BRIGHTNESS * FIRST_BRIGHTNESS)
+    i = (irradiance * (slope + 0.5 * irradiance * curvature) + 0.5 * FIRST_BRIGHTNESS**2).argmin()
+    answer = answer * irradiance[i]
+    answer *= LONGEST / max(np.abs(answer).max(initial=0.0), LONGEST)
+    white = np.concatenate([best.white + answer, [0, 0, FIRST_BRIGHTNESS[i], 0, 0]])
     return solve(photo, model, white=white, v=best.v, discrepancy=best.discrepancy)
 
 

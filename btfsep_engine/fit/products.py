@@ -27,7 +27,7 @@ there are): n pixels in channels whose misfits go together as `effective` indepe
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import lapack
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
@@ -70,6 +70,9 @@ class Basis:
                 )
         smooth = sh.evaluate(SMOOTH_ORDER, np.asarray(normals, np.float64))[:, 1:]
         self.smooth = smooth * (SINGLE / np.sqrt(smooth.shape[1]))  # Y: its rows are of length 1
+        self._kept = None
+        if self.pixels <= CHUNK:
+            self._kept = [np.ascontiguousarray(self._rows(c, slice(None))) for c in range(3)]
         self.grams = [self._weighted_gram(c, None) for c in range(3)]
         self.axes = [np.linalg.eigh(gram) for gram in self.grams]
         self.mean_response = sum(self.rows(c).mean(0) for c in range(3)) / 3  # (terms,)
@@ -79,6 +82,9 @@ class Basis:
 
     def rows(self, c: int, part=slice(None)) -> np.ndarray:
         """A of a channel at unit response: (pixels of the part, terms) float64."""
+        return self._rows(c, part) if self._kept is None else self._kept[c][part]
+
+    def _rows(self, c: int, part) -> np.ndarray:
         return self.images[part, :, c] / self.response[c]
 
     def _weighted_gram(self, c: int, weights) -> np.ndarray:
@@ -182,6 +188,7 @@ class Photograph:
         self.count = weight.sum(0)
         self._weight, self._smooth = weight, None
         self.moments = [basis.rows(c).T @ (weight[:, c] * self.b[:, c]) for c in range(3)]
+        self._axis_rows = [np.ascontiguousarray(own.T) for _, own in self._axes]
         self.energies = (weight * self.b**2).sum(0)
         # at least 1 where the unit is the channel's mean; a channel that is black has no less noise for that
         self.mean_square = np.maximum(self.energies / np.maximum(self.count, 1e-300), 1.0)
@@ -217,21 +224,27 @@ class Photograph:
         root, target, rest, log_determinant = [], [], 0.0, 0.0
         for c in range(3):
             w = 1 / (v[c] * self.coarsening)
-            largest, axes = self._axes[c]
-            kept = w * largest > NEGLIGIBLE / 10  # what is negligible without a discrepancy is so with one
-            gram, moment = np.diag(w * largest[kept]), w * (axes[:, kept].T @ self.moments[c])
-            energy = w * self.energies[c]
-            if self._smooth is not None:
+            # what is negligible without a discrepancy is so with one
+            kept = slice(int(np.searchsorted(w * self._axes[c][0], NEGLIGIBLE / 10, side="right")), None)
+            sizes, axes = w * self._axes[c][0][kept], self._axis_rows[c][kept]
+            moment, energy = w * (axes @ self.moments[c]), w * self.energies[c]
+            if self._smooth is None:
+                gram = np.diag(sizes)
+            else:
                 smooth = self._smooth[c]
                 ff, size = smooth.at(w, discrepancy)
                 fa, fb = size[:, None] * smooth.along[:, kept], size * smooth.of_photo
-                gram, moment, energy = gram - fa.T @ fa, moment - fa.T @ fb, energy - fb @ fb
+                gram, moment, energy = -(fa.T @ fa), moment - fa.T @ fb, energy - fb @ fb
+                np.einsum("ii->i", gram)[:] += sizes
                 log_determinant += 0.5 * float(np.log1p(ff).sum())
-            lower, order, rank, _ = lapack.dpstrf(gram, lower=1, tol=NEGLIGIBLE)
-            lower, order = np.tril(lower)[:, :rank], order - 1
-            root.append(lower.T @ axes[:, kept].T[order])
-            target.append(solve_triangular(lower[:rank], moment[order[:rank]], lower=True))
-            rest += max(float(energy - target[-1] @ target[-1]), 0.0)
+            lower, order, rank, _ = lapack.dpstrf(gram.T, lower=1, tol=NEGLIGIBLE, overwrite_a=1)
+            upper, order = np.triu(lower.T[:rank]), order - 1
+            root.append(upper @ axes[order])
+            y = moment[order[:rank]]
+            if rank:
+                y, _ = lapack.dtrtrs(lower[:rank, :rank], y, lower=1)
+            target.append(y)
+            rest += max(float(energy - y @ y), 0.0)
         return Rows(root, target, rest, log_determinant)
 
     def scores(self, radiance, v, discrepancy: float) -> np.ndarray:

@@ -30,6 +30,8 @@ EXACT = 0.02  # discrepancy of a model that is as good as exact
 EXACT_COST = 12.0  # of the logarithm of the evidence: how much less probable such a model is
 LAMP_COST = 5.0  # of the logarithm of the evidence: how much less probable one more lamp is, wherever it stands
 BESIDE_COST, BESIDE = 20.0, 15.0  # of it, of a lamp so near (degrees) to one whose direction is given: it is that one
+NEAR = 0.3  # of the same: after so small a gain,
+AGAIN = 3  # so many steps are made with the slopes that are there, and the gradient anew: a fifth of the cost
 STIFFEST = 1e5  # of the damping
 
 
@@ -43,9 +45,9 @@ class Solution:
     white : (unknowns,), theta
     x : (3, terms), coefficients of all of the light; radiance : (3, n), of the field
     v : (3,), noise; discrepancy : of the model of the photo, D; rows : Rows at both
-    jacobian : (rows, unknowns), J
     evidence : its logarithm
     steps : of the search
+    slopes : J, in single precision; small_factor : of I + J J^T or I + J^T J, the smaller one, the same, lower
     """
 
     model: LightModel
@@ -55,9 +57,15 @@ class Solution:
     v: np.ndarray
     discrepancy: float
     rows: Rows
-    jacobian: np.ndarray
     evidence: float
     steps: int
+    slopes: np.ndarray
+    small_factor: np.ndarray
+
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """(rows, unknowns), J."""
+        return self.model.jacobian(self.white, self.radiance, self.rows.root)
 
     @cached_property
     def factor(self) -> np.ndarray:
@@ -66,9 +74,20 @@ class Solution:
 
     @cached_property
     def inverse(self) -> np.ndarray:
-        """(unknowns, unknowns), (I + J^T J)^-1."""
-        lower, _ = lapack.dpotri(self.factor, lower=1)
-        return np.tril(lower) + np.tril(lower, -1).T
+        """(unknowns, unknowns), (I + J^T J)^-1, in single precision."""
+        root = lapack.dtrtri(self.factor.T, lower=0)[0].astype(np.float32)
+        return root @ root.T
+
+    def beside(self, seen) -> tuple[float, float, np.ndarray]:
+        """What light of images ``seen`` (rows,) does beside this one, as far as images are linear in the unknowns.
+
+        Returns
+        -------
+        slope, curvature : of |r|^2 / 2 + |theta|^2 / 2 by its strength; (unknowns,), theta's answer to strength 1
+        """
+        r = self.rows.residual(self.x)
+        answer = -_answer(self.slopes, self.small_factor, self.slopes.T @ seen.astype(np.float32))
+        return float(seen @ r), float(seen @ (seen + self.slopes @ answer)), answer
 
 
 def solve(
@@ -88,27 +107,28 @@ def solve(
     all_steps = 0
     for left in reversed(range(rounds)):
         rows = photo.rows(v, discrepancy)
-        white, x, radiance, lowest, taken = _minimised(rows, model, white, steps)
+        by_direction = model.field.by_direction(rows.root, np.float32)
+        white, x, radiance, lowest, taken = _minimised(rows, model, white, steps, by_direction)
         all_steps += taken
         now = np.maximum(photo.noise(x, v, discrepancy), floor)
         settled = np.abs(np.log(now / v)).max() < SETTLED
         if settled or not left:  # what is stated is all at one noise
             break
         v = now
-    jacobian = model.jacobian(white, radiance, rows.root)
-    wide = jacobian.shape[0] < jacobian.shape[1]
-    factor = np.linalg.cholesky(_and_one(jacobian @ jacobian.T if wide else jacobian.T @ jacobian))
+    slopes = model.jacobian(white, radiance, rows.root, by_direction)
+    gram = _gram(slopes)
+    factor = _cholesky(gram, 0.0)
     evidence = (
         -lowest
         - 0.5 * rows.rest
-        - float(np.log(np.diag(factor)).sum())
+        - float(np.log(np.diag(factor)).sum(dtype=np.float64))
         - rows.log_determinant
         - 0.5 * float((photo.count * np.log(v)).sum()) / photo.coarsening
         - LAMP_COST * model.found
         - BESIDE_COST * model.beside(white, BESIDE)
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)
     )
-    return Solution(model, white, x, radiance, v, discrepancy, rows, jacobian, evidence, all_steps)
+    return Solution(model, white, x, radiance, v, discrepancy, rows, evidence, all_steps, slopes, factor)
 
 
 def _and_one(gram, more=0.0) -> np.ndarray:
@@ -117,42 +137,63 @@ def _and_one(gram, more=0.0) -> np.ndarray:
     return gram
 
 
-def _minimised(rows: Rows, model: LightModel, white, most: int):
+def _gram(jacobian) -> np.ndarray:
+    """J J^T or J^T J, the smaller one."""
+    return jacobian @ jacobian.T if jacobian.shape[0] < jacobian.shape[1] else jacobian.T @ jacobian
+
+
+def _cholesky(gram, damping: float) -> np.ndarray:
+    """The factor of (1 + damping) I + ``gram``, in single precision, in the lower triangle alone."""
+    if not len(gram):
+        return gram
+    return lapack.spotrf(_and_one(gram.copy(), damping).T, lower=1, overwrite_a=1, clean=0)[0]
+
+
+def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction):
     """theta, x, radiance, (|r|^2 + |theta|^2) / 2, and the steps that were taken."""
     x, radiance = model.light(white)
-    by_direction = model.field.by_direction(rows.root, np.float32)
     r = rows.residual(x)
-    now, damping, steps = 0.5 * (r @ r + white @ white), 1e-2, 0
-    while steps < most:
-        steps += 1
-        jacobian = model.jacobian(white, radiance, rows.root, by_direction)
-        gradient = jacobian.T @ r.astype(np.float32) + white
-        wide = jacobian.shape[0] < jacobian.shape[1]
-        gram = jacobian @ jacobian.T if wide else jacobian.T @ jacobian
+    now, damping, steps, again = 0.5 * (r @ r + white @ white), 1e-2, 0, 0
+    ends = np.cumsum([len(y) for y in rows.target])[:-1]
+    while steps < most or again:
+        if not again:
+            steps += 1
+            jacobian = model.jacobian(white, radiance, rows.root, by_direction)
+            gram = _gram(jacobian)
+            gradient = jacobian.T @ r.astype(np.float32) + white
+            lower = _cholesky(gram, damping)
+        else:
+            gradient = model.gradient(white, radiance, rows.root, by_direction, np.split(r, ends)) + white
         while True:
-            moved = white - _step(jacobian, gram, gradient, damping)
+            moved = white - _answer(jacobian, lower, gradient, damping)
             x_there, radiance_there = model.light(moved)
             r_there = rows.residual(x_there)
             there = 0.5 * (r_there @ r_there + moved @ moved)
-            if there < now or damping > STIFFEST:
+            if there < now or again or damping > STIFFEST:
                 break
             damping = max(5 * damping, 1e-3)
+            lower = _cholesky(gram, damping)
         if not there < now:
+            if again:
+                again = 0
+                continue
             break
         gain = now - there
         white, x, radiance, r, now = moved, x_there, radiance_there, r_there, there
-        damping = damping / 8 if damping > 1e-5 else 0.0
-        if gain < GAIN * max(1.0, 0.01 * now):
+        unit = max(1.0, 0.01 * now)
+        if gain < GAIN * unit:
             break
+        again = again - 1 if again else AGAIN * (gain < NEAR * unit)
+        if not again:
+            damping = damping / 8 if damping > 1e-5 else 0.0
     return white, x, radiance, now, steps
 
 
-def _step(jacobian, gram, gradient, damping: float) -> np.ndarray:
-    """((1 + damping) I + J^T J)^-1 g; ``gram`` : J J^T or J^T J, the smaller one."""
-    if not len(gram):  # a photo that says nothing
+def _answer(jacobian, lower, gradient, damping=0.0) -> np.ndarray:
+    """((1 + damping) I + J^T J)^-1 g; ``lower`` : of J J^T or J^T J, the smaller one, by `_cholesky`."""
+    if not len(lower):  # a photo that says nothing
         return gradient / (1 + damping)
-    lower, _ = lapack.spotrf(_and_one(gram.copy(), damping), lower=1)
-    if len(gram) == len(gradient):
+    if len(lower) == len(gradient):
         return lapack.spotrs(lower, gradient.astype(np.float32), lower=1)[0].astype(float)
     seen, _ = lapack.spotrs(lower, jacobian @ gradient.astype(np.float32), lower=1)
     return (gradient - jacobian.T @ seen) / (1 + damping)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack
 
 from btfsep_engine import sh
 from btfsep_engine.light.log_field import natural_spread
@@ -143,10 +143,20 @@ def stated_by(coefficients, samples, lamps=()) -> Stated:
     The reflectance's scale, which all coefficients share, is in the spread, and leaves none of them undetermined.
     """
     x = coefficients
-    low, below, above, high = np.percentile(samples, (RANGE[0], *MIDDLE, RANGE[1]), axis=0)
+    low, below, above, high = _percentiles(samples, (RANGE[0], *MIDDLE, RANGE[1]))
     spread = np.maximum(np.maximum(above - x, x - below), 0)
     pattern = np.sqrt(np.maximum(spread**2 - (REFLECTANCE * x) ** 2, 0))
     return Stated(spread, determined(x, pattern), np.stack([low, high]), samples, lamps)
+
+
+def _percentiles(samples, percentages) -> np.ndarray:
+    """`np.percentile` over the first axis, of numbers sorted side by side: it takes several times as long."""
+    n = len(samples)
+    by_number = np.sort(samples.reshape(n, -1).T.copy(), axis=1)
+    at = np.asarray(percentages) / 100 * (n - 1)
+    below = np.minimum(at.astype(int), max(n - 2, 0))
+    first, second = by_number[:, below], by_number[:, np.minimum(below + 1, n - 1)]
+    return (first + (at - below) * (second - first)).T.reshape(-1, *samples.shape[1:])
 
 
 def restated(fit: Fit, samples) -> Fit:
@@ -166,7 +176,7 @@ def decided_unknowns(factor) -> float:
 
     To six decimals: the last digits of a long sum hang on where its numbers lie in memory.
     """
-    inverse = solve_triangular(factor, np.eye(len(factor)), lower=True)
+    inverse, _ = lapack.dtrtri(factor.T, lower=0)
     return round((len(factor) - float(np.square(inverse).sum())) / 3, 6)
 
 

@@ -77,6 +77,11 @@ class LogField:
         return y.T * (4 * np.pi / len(y))
 
     @cached_property
+    def _to_coefficients(self) -> dict:
+        """T in double and in single precision."""
+        return {np.dtype(kind): self.to_coefficients.astype(kind) for kind in (np.float64, np.float32)}
+
+    @cached_property
     def _parts(self) -> list:
         ends = np.cumsum([0, sh.term_count(self.order), *[sh.term_count(self.chroma_order)] * 2])
         return [slice(a, b) for a, b in pairwise(ends)]
@@ -91,16 +96,22 @@ class LogField:
         """u = log L, (…, 3, n), of white unknowns (…, k), in their precision."""
         kind = white.dtype
         a, y = white * self.deviation.astype(kind), self._harmonics[kind]
-        fields = np.stack([a[..., part] @ y[:, : part.stop - part.start].T for part in self._parts], -2)
-        return np.minimum(self._mean_logarithm.astype(kind) + CHROMA.astype(kind) @ fields, LARGEST_LOG)
+        fields = np.stack([a[..., part] @ y[:, : part.stop - part.start].T for part in self._parts])
+        out = CHROMA.astype(kind) @ fields.reshape(3, -1)  # a channel's numbers side by side, however many lights
+        out = np.moveaxis(out.reshape(fields.shape), 0, -2)
+        out += self._mean_logarithm.astype(kind)
+        return np.minimum(out, kind.type(LARGEST_LOG), out=out)
 
     def radiance(self, white) -> np.ndarray:
         """L, (…, 3, n), of white unknowns (…, k)."""
-        return np.exp(self.logarithm(white))
+        logarithm = self.logarithm(white)
+        return np.exp(logarithm, out=logarithm)
 
     def coefficients(self, radiance) -> np.ndarray:
-        """T L: (…, 3, terms) of the radiance (…, 3, n)."""
-        return radiance @ self.to_coefficients.T
+        """T L: (…, 3, terms) of the radiance (…, 3, n), in its precision."""
+        by_channel = np.moveaxis(radiance, -2, 0)
+        out = by_channel.reshape(-1, radiance.shape[-1]) @ self._to_coefficients[radiance.dtype].T  # one product
+        return np.moveaxis(out.reshape(*by_channel.shape[:-1], self.terms), 0, -2)
 
     @cached_property
     def _harmonics(self) -> dict:
@@ -110,7 +121,8 @@ class LogField:
 
     def by_direction(self, rows, kind=np.float64) -> list:
         """R_c T, (r_c, n), for each channel's rows R_c (r_c, terms): what `jacobian` needs of them."""
-        return [(r @ self.to_coefficients).astype(kind) for r in rows]
+        t = self._to_coefficients[np.dtype(kind)]
+        return [r.astype(kind, copy=False) @ t for r in rows]
 
     def jacobian(self, by_direction, radiance, *, beside: int = 0) -> np.ndarray:
         """The derivatives of R_c x_c by the white unknowns: (all rows, k), in the precision of what it is given.
@@ -129,6 +141,14 @@ class LogField:
                 size = (share * self.deviation[part]).astype(kind)
                 np.multiply(by_term[:, : part.stop - part.start], size, out=out[rows, part])
         return out
+
+    def gradient(self, by_direction, radiance, residual) -> np.ndarray:
+        """J^T r, (k,), of `jacobian`'s J without making it; ``residual`` : r of each channel, in the same precision."""
+        kind = by_direction[0].dtype
+        each = np.stack([light * (r @ of) for of, light, r in zip(by_direction, radiance, residual, strict=True)])
+        by_term = (CHROMA.T @ each).astype(kind) @ self._harmonics[kind]
+        own = [of_field[: part.stop - part.start] for of_field, part in zip(by_term, self._parts, strict=True)]
+        return np.concatenate(own) * self.deviation
 
     def at(self, white, directions) -> np.ndarray:
         """L in other directions (m, 3): (m, 3)."""

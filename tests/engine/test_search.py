@@ -32,6 +32,45 @@ def test_the_jacobian_with_lamps_is_that_of_finite_differences(field, rng):
     np.testing.assert_allclose(found, numerical, atol=2e-3 * np.abs(numerical).max())
 
 
+@pytest.mark.parametrize("lamps", [(), (SUN, FILL)])
+def test_the_gradient_without_the_jacobian_is_the_jacobians(lamps, rng):
+    model = LightModel(natural_field(), lamps)
+    white = 0.7 * rng.normal(size=model.unknowns)
+    rows = [rng.normal(size=(n, model.field.terms)) for n in (4, 0, 5)]
+    radiance, by_direction = model.light(white)[1], model.field.by_direction(rows)
+    residual = [rng.normal(size=len(r)) for r in rows]
+    expected = model.jacobian(white, radiance, rows, by_direction).T @ np.concatenate(residual)
+    found = model.gradient(white, radiance, rows, by_direction, residual)
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_many_lights_at_once_are_those_one_by_one(rng):
+    model = LightModel(natural_field(), (SUN, FILL))
+    whites = 0.7 * rng.normal(size=(5, model.unknowns))
+    rows = [rng.normal(size=(n, model.field.terms)) for n in (4, 3, 5)]
+    x, radiance = model.light(whites)
+    seen = model.seen(whites, rows, model.field.by_direction(rows))
+    for i, white in enumerate(whites):
+        own, of_field = model.light(white)
+        np.testing.assert_allclose(x[i], own, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(radiance[i], of_field, rtol=1e-10)
+        np.testing.assert_allclose(seen[i], np.concatenate([r @ c for r, c in zip(rows, own, strict=True)]), rtol=1e-8)
+
+
+def test_what_a_lamp_does_beside_a_light_is_that_of_all_unknowns_written_out(rng):
+    basis, normals, _ = half_sphere(rng, pixels=300)
+    photo = Photograph(Basis(basis, normals), shown(basis, side_light(), rng, 0.05))
+    for field in (even_field(), natural_field()):  # more rows than unknowns, and fewer
+        found = solve(photo, LightModel(field))
+        seen = rng.normal(size=len(found.jacobian))
+        precision = np.eye(found.model.unknowns) + found.jacobian.T @ found.jacobian
+        answer = -np.linalg.solve(precision, found.jacobian.T @ seen)
+        slope, curvature, by_field = found.beside(seen)
+        assert slope == pytest.approx(seen @ found.rows.residual(found.x))
+        assert curvature == pytest.approx(seen @ (seen + found.jacobian @ answer), rel=1e-3)
+        np.testing.assert_allclose(by_field, answer, atol=1e-3 * np.abs(answer).max())
+
+
 def test_a_lamp_in_the_middle_of_its_prior_is_as_bright_as_twice_even_light(rng):
     model = LightModel(even_field(), (SUN,))
     direction, irradiance = model.lamp(0, np.zeros(5))
