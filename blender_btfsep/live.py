@@ -118,7 +118,8 @@ class Follower:
         if asked == WHOLE:
             return request.engine_arguments("estimate", folder, scene, "--out", folder / "result")
         _recognised(scene, folder)
-        given = ("--out", folder / "draft", "--no-report", "--align", "never")  # the search for it takes seconds
+        # what takes longest, and comes with the preset a moment later
+        given = ("--out", folder / "draft", "--no-report", "--align", "never", "--departures", "never")
         return request.engine_arguments("estimate", folder, scene, *given, options=argparse.Namespace(preset=DRAFT))
 
     def _go_on(self, scene) -> None:

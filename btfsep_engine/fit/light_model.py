@@ -72,8 +72,8 @@ class LightModel:
 
     def lamp(self, i, q) -> tuple[np.ndarray, np.ndarray]:
         """Directions (…, 3) and irradiances (…, 3) of lamp i with unknowns q (…, 5); of a slice, (…, lamps, 5)."""
-        first, aside, along = np.moveaxis(self._places[i], -2, 0)
-        d = first + q[..., :1] * aside + q[..., 1:2] * along
+        place = self._places[i]
+        d = place[..., 0, :] + q[..., :1] * place[..., 1, :] + q[..., 1:2] * place[..., 2, :]
         log = np.log(2 * np.pi) + q[..., 2:] @ BY_CHANNEL
         return d / np.sqrt(np.square(d).sum(-1, keepdims=True)), np.exp(np.minimum(log, LARGEST_LOG))
 

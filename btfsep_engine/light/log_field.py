@@ -96,9 +96,9 @@ class LogField:
         """u = log L, (…, 3, n), of white unknowns (…, k), in their precision."""
         kind = white.dtype
         a, y = white * self.deviation.astype(kind), self._harmonics[kind]
-        fields = np.stack([a[..., part] @ y[:, : part.stop - part.start].T for part in self._parts])
+        fields = np.array([a[..., part] @ y[:, : part.stop - part.start].T for part in self._parts])
         out = CHROMA.astype(kind) @ fields.reshape(3, -1)  # a channel's numbers side by side, however many lights
-        out = np.moveaxis(out.reshape(fields.shape), 0, -2)
+        out = _channels_last_but_one(out.reshape(fields.shape))
         out += self._mean_logarithm.astype(kind)
         return np.minimum(out, kind.type(LARGEST_LOG), out=out)
 
@@ -109,9 +109,12 @@ class LogField:
 
     def coefficients(self, radiance) -> np.ndarray:
         """T L: (…, 3, terms) of the radiance (…, 3, n), in its precision."""
+        to = self._to_coefficients[radiance.dtype].T
+        if radiance.ndim == 2:
+            return radiance @ to
         by_channel = np.moveaxis(radiance, -2, 0)
-        out = by_channel.reshape(-1, radiance.shape[-1]) @ self._to_coefficients[radiance.dtype].T  # one product
-        return np.moveaxis(out.reshape(*by_channel.shape[:-1], self.terms), 0, -2)
+        out = by_channel.reshape(-1, radiance.shape[-1]) @ to  # one product
+        return _channels_last_but_one(out.reshape(*by_channel.shape[:-1], self.terms))
 
     @cached_property
     def _harmonics(self) -> dict:
@@ -156,6 +159,11 @@ class LogField:
         terms = sh.term_count(max(self.order, self.chroma_order))
         of_fields = np.stack([np.pad(a[part], (0, terms - part.stop + part.start)) for part in self._parts], 1)
         return np.exp(np.minimum(sh.series(of_fields, directions) @ CHROMA.T, LARGEST_LOG))
+
+
+def _channels_last_but_one(each) -> np.ndarray:
+    """(3, …, n) as (…, 3, n); of a single light as it is, since what NumPy does for it is what a small step costs."""
+    return each if each.ndim == 2 else np.moveaxis(each, 0, -2)
 
 
 def degrees(order: int) -> np.ndarray:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is kept of a run: settings, versions, time, memory; and of an estimate, all that it found."""
 
-import importlib.metadata
 import platform
 import sys
 from dataclasses import asdict
@@ -22,6 +21,8 @@ PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headles
 @lru_cache(maxsize=1)
 def versions() -> dict:
     """Versions of everything that can change a result; looked up once, which reads files of every package."""
+    import importlib.metadata  # slow to import, and the light is there before anybody asks
+
     backend = choose_backend()
     return {
         "btfsep": __version__,

@@ -23,6 +23,7 @@ BOUNCES = "Reflections followed, 1: no light between surfaces"
 MORE_BOUNCES = "more where that changes an estimate by more than its stated uncertainty; without an estimate 8"
 BASIS_IMAGES = "What makes the basis images; reference: the paper's path-traced image for each basis light"
 BEST_ORDER = "the highest of which the photo determines something; with least-squares by cross-validation"
+DEPARTURES = "Rougher and glossier materials than an object's are tried where the photo asks for them"
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
 ALIGN = "Whether a camera that is a little off is moved into line for this estimate, where its own doubt speaks"
 SUN = (
@@ -180,6 +181,7 @@ class FitSettings(Seeded):
     robust: bool = setting(False, "Leave out pixels that the light does not explain: things in front")
     sun: tuple | None = setting(None, SUN, kind=Angles, many=True, unit="elevation,azimuth[,accuracy]")
     key_light: str = setting("auto", LAMPS, choices=("auto", "never"))
+    departures: str = setting("auto", DEPARTURES, choices=("auto", "never"))
 
     @property
     def fit_order(self) -> int:

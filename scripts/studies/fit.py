@@ -12,10 +12,10 @@ a wrong one, a photo shifted by pixels, a light nearby (brightness by the invers
 radii, laid over the photo) and without reflections. Photos under the lights of --tuned, on which constants of the fit
 were looked at, stand apart from all others.
 
---cost: milliseconds, warm, on one thread, medians over the views of the median of --repeats runs, in turns so that a
-busy machine is busy for all. "preparing": the products of the basis images; "photo": the election of a model, its light
-and its posterior's samples; "further": another photograph under much the same light (a frame of a sequence), with the
-model of the one before, from its light on. The floor is A^T A (3,000 x 300) in double precision.
+--cost: milliseconds of the processor, warm, on one thread, medians over the views of the median of --repeats runs, in
+turns so that a busy machine is busy for all. "preparing": the products of the basis images; "photo": the election of a
+model, its light and its posterior's samples; "further": another photograph under much the same light (a frame of a
+sequence), with the model of the one before, from its light on. The floor is A^T A (3,000 x 300) in double precision.
 """
 
 from collections import defaultdict
@@ -175,7 +175,7 @@ def cost(shown: list, library, repeats: int) -> dict:
     for i in range(repeats + 1):
         for name, call in calls.items():
             seconds, _ = timed(call)
-            spent[name] += [1000 * seconds[0]] if i else []  # the first is not counted
+            spent[name] += [1000 * seconds[1]] if i else []  # the first is not counted
     return {name: float(np.median(values)) for name, values in spent.items()}
 
 

@@ -4,7 +4,7 @@
 import subprocess
 import sys
 
-LATER = {"scipy.optimize", "scipy.ndimage", "scipy.stats", "sklearn", "matplotlib", "PIL"}
+LATER = {"importlib.metadata", "scipy.optimize", "scipy.ndimage", "scipy.stats", "sklearn", "matplotlib", "PIL"}
 LATER |= {f"btfsep_engine.{name}" for name in ("render.patch", "render.reference", "btf.procedural", "btf.factorise")}
 
 
@@ -20,6 +20,6 @@ def test_the_first_line_waits_for_no_library():
 
 
 def test_an_estimate_begins_without_what_most_need_not():
-    modules = loaded("import btfsep_engine.pipeline.estimation")
+    modules = loaded("import btfsep_engine.cli, btfsep_engine.pipeline.estimation")
     assert "scipy.linalg" in modules and not LATER & modules
     assert "mitsuba" not in modules  # where no renderer works, that is said, and the process lives

@@ -29,7 +29,7 @@ WINDOW = (
 )
 
 
-def found_for(material, light, noise=0.01):
+def found_for(material, light, noise=0.01, **changes):
     """The fits with the grey material and with what is nearer, of a ball's photo that ``material`` made; and why."""
     scene = PreparedScene(job_of([as_mesh(trimesh.creation.icosphere(4, radius=0.45))], looking_down()), Reporter())
     points = scene.points(0, textured=False)
@@ -40,7 +40,7 @@ def found_for(material, light, noise=0.01):
     scene.job = replace(scene.job, photo=Photo(image, np.ones((96, 96), bool), 0))
     problems = [make_problem(scene, [GREY], [points.take(np.arange(0, len(points), 3))], SETTINGS)]
     light = fit_together(problems, SETTINGS)
-    _, nearer, words = nearer_materials(Model(SETTINGS, {"mean": problems}), light)
+    _, nearer, words = nearer_materials(Model(replace(SETTINGS, **changes), {"mean": problems}), light)
     return light.fit, nearer.fit, words["reflectance"]
 
 
@@ -50,6 +50,11 @@ def test_a_rough_ball_is_found_to_be_rough_and_the_light_is_nearer():
     assert "roughness" in why and "'object 0'" in why
     assert near.evidence > fit.evidence + 3
     assert off_as_seen(near.coefficients, WINDOW[:9]) < off_as_seen(fit.coefficients, WINDOW[:9])
+
+
+def test_nothing_near_is_tried_where_it_is_not_asked_for():
+    fit, near, why = found_for(departures(GREY)[2].material, WINDOW, departures="never")
+    assert near is fit and "--departures never" in why
 
 
 def test_a_ball_as_lambert_has_it_is_left_as_it_is_under_a_lamp():

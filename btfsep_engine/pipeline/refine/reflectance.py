@@ -53,6 +53,8 @@ def nearer_materials(model, light):
     by = model.problems[0].transport["by"]
     if model.settings.estimator != "map" or by != "kernel" or model.appearance != "mean":
         return model, light, {}
+    if model.settings.departures == "never":
+        return model, light, {"reflectance": "as in the library: --departures never"}
     with model.reporter.stage("reflectance"):
         return _nearer(model, light)
 
