@@ -21,7 +21,7 @@ from blender_btfsep.export import export_job
 from scripts.cycles import studio
 
 COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object
-STANDING = ("object", "material", "seed", "variation", "thickness")  # the same of all that one scene shows
+STANDING = ("object", "material", "seed", "variation", "thickness", "fill")  # the same of all that one scene shows
 
 
 def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None, denoise=False) -> None:

@@ -77,12 +77,12 @@ def make_world(light, *, rotation_euler=(0.0, 0.0, 0.0)) -> bpy.types.World:
     return world
 
 
-def aim(camera: bpy.types.Object, positions) -> None:
-    """Puts ``camera`` so that ``positions : (n, 3)``, world, fill :data:`FRAME_FILL` of a square frame."""
+def aim(camera: bpy.types.Object, positions, *, fill: float = FRAME_FILL) -> None:
+    """Puts ``camera`` so that ``positions : (n, 3)``, world, fill this part of a square frame."""
     back = np.array(Vector(VIEW_FROM).normalized())
     rotation = Vector(-back).to_track_quat("-Z", "Y").to_matrix()
     local = np.asarray(positions) @ np.array(rotation)  # rows times R = R^T p
-    slope = 0.5 * FRAME_FILL * SENSOR_MM / LENS_MM
+    slope = 0.5 * fill * SENSOR_MM / LENS_MM
     # in each axis the object spans [min(x - s(c - z)), max(x + s(c - z))] at camera height c: widest axis decides
     centre, height = np.zeros(2), 0.0
     for axis in (0, 1):
@@ -127,6 +127,7 @@ def make_scene(
     thickness=1.0,
     maps=None,
     face_mm=materials.FACE_MM,
+    fill=FRAME_FILL,
 ):
     """A studio with one object.
 
@@ -141,6 +142,7 @@ def make_scene(
     thickness : factor on the object's extent along the view
     maps : the material's maps, if not ``procedural.maps``' own
     face_mm : edge of a face of the displaced mesh, about
+    fill : the object's larger extent over the frame's edge
 
     Returns
     -------
@@ -166,7 +168,7 @@ def make_scene(
     scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = resolution
     scene.render.resolution_percentage = 100
-    aim(camera, objects.vertex_positions(base.data))
+    aim(camera, objects.vertex_positions(base.data), fill=fill)
     bpy.context.view_layer.update()
     return scene, camera, base, photo
 

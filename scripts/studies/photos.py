@@ -34,7 +34,7 @@ class Shot:
     Attributes
     ----------
     folder : of the job; ``name`` of the picture in it
-    object, material, seed, variation, thickness : of :func:`scripts.cycles.studio.make_scene`
+    object, material, seed, variation, thickness, fill : of :func:`scripts.cycles.studio.make_scene`
     light : a studio light's name, the path of a map, or None: dark
     sun : None, or {direction, irradiance, degrees} of a Sun lamp
     ball, wall : None, or {place, radius, radiance}, {place, edge, colour} of what stands beside, in the object's radii
@@ -50,6 +50,7 @@ class Shot:
     seed: int = 0
     variation: int = 1
     thickness: float = 1.0
+    fill: float = 0.84
     sun: dict | None = None
     ball: dict | None = None
     wall: dict | None = None
