@@ -102,6 +102,34 @@ class SHLighting:
 
 
 @dataclass(frozen=True)
+class FieldLighting:
+    """One light whose logarithm is a field (light.log_field.LogField) at its ``white`` unknowns: positive everywhere.
+
+    ``level`` : (3,), what its radiance is multiplied by.
+    """
+
+    field: object
+    white: np.ndarray
+    level: np.ndarray
+    name: str = "light"
+
+    @property
+    def count(self) -> int:
+        return 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (self.name,)
+
+    def radiance(self, directions) -> np.ndarray:
+        return (self.field.at(self.white, np.asarray(directions)) * self.level)[:, None, :]
+
+    def cell_averages(self, directions) -> np.ndarray:
+        """Point values: a field is smooth over a cell."""
+        return self.radiance(directions)
+
+
+@dataclass(frozen=True)
 class EnvironmentMaps:
     """M environment maps of one size.
 

@@ -3,10 +3,11 @@
 
 The classifier has seen the materials under its training lights, never under the photo's. But each candidate says what
 that light is: the most probable one for its mean ABRDF and the photo's pixels. How probable that makes the photo is the
-first cue, the evidence: a wrong candidate needs an unusual light, in shape or in colour. The BTF is then rendered under
-that light, and described as the photo was; the cosines between both, of the colour patches and of SIFT, are the next:
-a light that explains the shading does not explain the texture; and the last, how strong that is (`recognise.contrast`).
-`recognise.judgement` says what all of it is worth.
+first cue, the evidence: a wrong candidate needs a light of unusual shape; how far the light's colour is from those of
+natural light and lamps is the second, the tint. For the likeliest by these and the classifier the BTF is rendered under
+that light, and compared with the photo: the cosine of the visual words of their texture, and how strong that is, octave
+by octave, in lightness and colour (`recognise.contrast`): a light that explains the shading does not explain the
+texture. `recognise.judgement` says what all of it is worth.
 """
 
 from dataclasses import dataclass
@@ -15,16 +16,22 @@ import numpy as np
 
 from btfsep_engine.fit.log_normal import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
-from btfsep_engine.light.lightings import SHBasis, SHLighting
+from btfsep_engine.light.lightings import FieldLighting, SHBasis
 from btfsep_engine.recognise.contrast import Contrast, contrast, unlike
+from btfsep_engine.recognise.judgement import judgements, utilities
 from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.render.sampling import choose_pixels
 from btfsep_engine.threads import one_thread
 
-CANDIDATES = 8  # the first of the classifier's: others keep what the worst of these has
+EXPLAINED = 24  # the first of the classifier's; others keep what the worst of these has
+RENDERED = 8  # of these, the likeliest
 PIXELS = 1500  # of the fit of the light
 ORDER = 9
-SIMILARITIES = ("colour", "texture", "contrast", "skewness")
+EXPLANATIONS = ("evidence", "tint")
+SIMILARITIES = ("texture", "contrast", "chroma", "skewness", "correlation")
+# standard deviations of the mean's log2 R / B and log2 G / sqrt(R B) in natural light and lamps: nine maps show 0.21
+# and 0.09, lamps and nights more
+TINT = (0.35, 0.15)
 NOISE = 0.05  # of a rendering that is compared, relative to the mean: a photo has some
 
 
@@ -34,11 +41,13 @@ class Explained:
 
     Attributes
     ----------
-    light : SHLighting, in the photo's unit
+    light : FieldLighting, in the photo's unit; positive, where a series would ring about a lamp and go negative
+    colour : (3,), the light's mean radiance
     evidence : logarithm of how probable the photo is
     """
 
-    light: SHLighting
+    light: FieldLighting
+    colour: np.ndarray
     evidence: float
 
 
@@ -76,30 +85,37 @@ class Verification:
         self.few = choose_pixels(self.points, PIXELS, seed=settings.seed)
         self.few_transport = scene.transport(self.points.take(self.few), directions=settings.training_directions)
         self.region, self.window, self.seed = region[window], window, settings.seed
+        self.rendered = RENDERED
         self._bases: dict = {}  # of the materials that were asked for: they are the same for every photo
 
-    def cues(self, names, recogniser: Recogniser, radiance, vectors, load) -> dict:
+    def cues(self, names, votes, recogniser: Recogniser, radiance, vectors, load) -> dict:
         """{cue: (candidates,) float} of the materials ``names``, the classifier's likeliest first.
 
         Parameters
         ----------
+        votes : {cue: (candidates,) float}, what the classifier says of them
         radiance : (h, w, 3), the window of the photograph, NaN where a pixel is unusable
         vectors : (windows + 1, length), VLAD of the photograph
         load : material name -> Material
         """
-        photo, found = Photographed(radiance, vectors[-1], contrast(radiance, self.region)), []
-        for name in names[:CANDIDATES]:
-            material = load(name)
-            explained = self.explained(material, radiance)
-            # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
-            similar = (np.nan,) * len(SIMILARITIES)
-            if material.mirror_reflectance is None:
-                similar = self.similarity(material, explained.light, recogniser, photo)
-            found.append((explained.evidence, *similar))
-        evidence, *similar = np.array(found).T
+        count = len(names)
+        materials = [load(name) for name in names[:EXPLAINED]]
+        explained = [self.explained(material, radiance) for material in materials]
+        evidence = np.array([e.evidence for e in explained])
         below = np.sqrt(np.maximum(evidence.max() - evidence, 0))  # half of a chi^2's size, of which a root is normal
-        cues = zip(("evidence", *SIMILARITIES), (-below, *similar), strict=True)
-        return {cue: _of_all(values, len(names)) for cue, values in cues}
+        found = {"evidence": -below, "tint": np.array([-unusual(e.colour) for e in explained])}
+        cues = {cue: _of_all(values, range(len(materials)), count) for cue, values in found.items()}
+        likely = np.argsort(-utilities(judgements()["explained"].weights, votes | cues), kind="stable")
+        likely = [i for i in likely if i < len(materials)][: self.rendered]
+        photo = Photographed(radiance, vectors[-1], contrast(radiance, self.region))
+        # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
+        similar = [
+            dict.fromkeys(SIMILARITIES, np.nan)
+            if materials[i].mirror_reflectance is not None
+            else self.similarity(materials[i], explained[i].light, recogniser, photo)
+            for i in likely
+        ]
+        return cues | {cue: _of_all(np.array([s[cue] for s in similar]), likely, count) for cue in SIMILARITIES}
 
     def explained(self, material, radiance) -> Explained:
         """What a material explains by its mean ABRDF of ``radiance`` (h, w, 3), the window of the photograph."""
@@ -112,10 +128,11 @@ class Verification:
             basis = Basis(self._bases[material.name][good], self.points.normal[self.few][good])
             photo = Photograph(basis, b[good])
             best = natural_light(photo, rounds=2)
-        return Explained(SHLighting(best.x.T * photo.level), best.evidence)
+        white = best.model.parts(best.white)[0]
+        return Explained(FieldLighting(best.model.field, white, photo.level), best.x[:, 0] * photo.level, best.evidence)
 
-    def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> tuple[float, ...]:
-        """`SIMILARITIES` of the photograph and a material under a light: cosines, -1 to 1, and differences, <= 0."""
+    def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> dict[str, float]:
+        """`SIMILARITIES` of the photograph and a material under a light: a cosine, -1 to 1, and differences, <= 0."""
         image = np.full((*self.region.shape, 3), np.nan, np.float32)
         image[self.region] = self.transport.radiance(material, light)[:, 0]
         usable = self.region & np.isfinite(photo.radiance).all(-1)
@@ -124,15 +141,21 @@ class Verification:
         mean = max(float(np.nanmean(image)), 1e-30)
         noise = np.random.default_rng(self.seed).standard_normal(image.shape, np.float32)
         image = np.maximum(image + NOISE * np.sqrt(np.maximum(image, 0) * mean) * noise, 1e-4 * mean)
-        cosines = recogniser.encoder.cosines(recogniser.describe(image, self.region)[-1], photo.vector)
-        return *cosines, *(-value for value in differences)
+        _, texture = recogniser.encoder.cosines(recogniser.describe(image, self.region)[-1], photo.vector)
+        return {"texture": texture} | {name: -value for name, value in differences.items()}
 
 
-def _of_all(values, count: int) -> np.ndarray:
-    """Of ``count`` candidates: the first ones' ``values``, their mean where NaN, the lowest for those not looked at."""
+def unusual(colour) -> float:
+    """How far the colour (3,) of a light is from grey, in `TINT`s: the root of twice a negative log probability."""
+    red, green, blue = np.log2(np.maximum(colour, 1e-6 * np.max(colour)))
+    return float(np.hypot((red - blue) / TINT[0], (green - (red + blue) / 2) / TINT[1]))
+
+
+def _of_all(values, indices, count: int) -> np.ndarray:
+    """Of ``count`` candidates: ``values`` at ``indices``, their mean where NaN, the lowest for those not looked at."""
     known = np.isfinite(values)
     if not known.any():
         return np.zeros(count)
     out = np.full(count, np.nanmin(values))
-    out[: len(values)] = np.where(known, values, np.nanmean(values))
+    out[list(indices)] = np.where(known, values, np.nanmean(values))
     return out

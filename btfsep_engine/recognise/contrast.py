@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How strong a texture is, octave by octave: what a vector of visual words, normalised as it is, does not say.
 
-The logarithm of an image's luminance is cut into octaves (differences of Gaussians within the mask). Of each: the
-standard deviation, and the skewness (pits are dark, grains are bright). Two images of the same geometry under the same
-light have the same shading in them: what differs is the material. (Colour differences add nothing to that: how much of
-them is a photo's noise, is not known.)
+The logarithm of an image is cut into octaves (differences of Gaussians within the mask). Of each: the standard
+deviation of lightness and of two colour differences, how these go together (a grain that is darker and redder, a thread
+that is bright and blue), and the skewness of lightness (pits are dark, grains are bright). Two images of the same
+geometry under the same light have the same shading in them: what differs is the material.
 """
 
 from dataclasses import dataclass
@@ -20,38 +20,59 @@ BORDER = 7  # pixels of the outline: a silhouette is no texture
 FEWEST = 500  # pixels: a smaller object keeps its border
 UNSEEN = 0.03  # log2 units: a contrast that noise might be
 LARGEST_SKEWNESS = 3.0
-PLAIN = Settings(white_balance=0.0)
+GREY_WORLD = Settings(white_balance=1.0)
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """Of one masked image: ``deviation`` (octaves,), log2 units, and ``skewness`` (octaves,)."""
+    """Of one masked image, for each octave.
+
+    Attributes
+    ----------
+    deviation : (octaves, 3), log2 units: of lightness, and of the colour differences of `descriptors.normalise`
+    skewness : (octaves,), of lightness
+    correlation : (octaves, 2), of lightness with each colour difference
+    """
 
     deviation: np.ndarray
     skewness: np.ndarray
+    correlation: np.ndarray
 
 
 def contrast(radiance, mask) -> Contrast:
     """The contrast of ``radiance`` (h, w, 3), linear, NaN where unusable, within ``mask`` (h, w) bool."""
     valid = mask & np.isfinite(radiance).all(-1)
-    image, weight = normalise(radiance, valid, settings=PLAIN)[..., 0], valid.astype(np.float32)
+    image, weight = normalise(radiance, valid, settings=GREY_WORLD), valid.astype(np.float32)
     smooth = [
-        cv2.GaussianBlur(image, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)
+        cv2.GaussianBlur(image, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)[..., None]
         for sigma in SIGMAS
     ]
     inside = cv2.erode(weight, np.ones((BORDER, BORDER)), borderValue=0) > 0
     inside = inside if inside.sum() >= FEWEST else valid
     octaves = np.stack([(fine - coarse)[inside] for fine, coarse in pairwise(smooth)]).astype(np.float64)
     deviation = octaves.std(1)
-    third = ((octaves - octaves.mean(1, keepdims=True)) ** 3).mean(1)
-    return Contrast(deviation, third / np.maximum(deviation, 1e-6) ** 3)
+    unit = (octaves - octaves.mean(1, keepdims=True)) / np.maximum(deviation, 1e-6)[:, None]
+    return Contrast(deviation, (unit[..., 0] ** 3).mean(1), (unit[..., :1] * unit[..., 1:]).mean(1))
 
 
-def unlike(a: Contrast, b: Contrast) -> tuple[float, float]:
-    """How unlike two images of a geometry are, in contrast (logarithm of the ratio) and in skewness; each >= 0."""
+def unlike(a: Contrast, b: Contrast) -> dict[str, float]:
+    """How unlike two images of a geometry are, each >= 0, and 0 where there is too little texture to tell by.
+
+    "contrast" and "chroma": logarithm of the ratio of the deviations; "skewness" and "correlation": their difference.
+    """
     ratio = np.abs(np.log((a.deviation + UNSEEN) / (b.deviation + UNSEEN)))
-    strength = a.deviation * b.deviation
+    strength = a.deviation[:, 0] * b.deviation[:, 0]
     certain = strength / (strength + (2 * UNSEEN) ** 2)  # where there is hardly any texture, skewness is noise
     limits = -LARGEST_SKEWNESS, LARGEST_SKEWNESS
     turned = np.abs(np.clip(a.skewness, *limits) - np.clip(b.skewness, *limits))
-    return float(ratio.mean()), float((certain * turned).mean())
+    # of a correlation, the weaker of the two that it is between counts
+    weaker = [np.minimum(c.deviation[:, 1:], c.deviation[:, :1]) for c in (a, b)]
+    both = np.sqrt(weaker[0] * weaker[1])
+    apart = both / (both + UNSEEN) * np.abs(a.correlation - b.correlation)
+    differences = {
+        "contrast": ratio[:, 0].mean(),
+        "chroma": ratio[:, 1:].mean(),
+        "skewness": (certain * turned).mean(),
+        "correlation": apart.mean(),
+    }
+    return {name: float(value) for name, value in differences.items()}

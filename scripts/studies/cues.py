@@ -103,16 +103,22 @@ def flawed(radiance, region, flaw: str, random) -> np.ndarray:
     return image
 
 
-def cues_of(photographs: list[Photograph], library, settings, reporter, *, flaw: str = "clean") -> list[Seen]:
-    """The cues of photographs, those of an object together; what is kept beside them already is not made again."""
+def cues_of(
+    photographs: list[Photograph], library, settings, reporter, *, flaw: str = "clean", every: bool = False
+) -> list[Seen]:
+    """The cues of photographs, those of an object together; what is kept beside them already is not made again.
+
+    ``every`` : candidates are rendered, not the likeliest alone
+    """
     code = Path(inspect.getfile(Verification)).read_bytes()  # no training depends on it, and so no digest
-    key, out, view, of = digest(source_digest(), code, library.digest, settings), [], None, None
+    key, out, view, of = digest(source_digest(), code, library.digest, settings, every), [], None, None
     for photograph in photographs:
         path = photograph.folder / f"cues-{flaw.replace(' ', '-')}.json"
         kept = json.loads(path.read_text()) if path.exists() else {}
         if kept.get("key") != key:
             if of != photograph.object:
                 view, of = View(photograph, library, settings, reporter), photograph.object
+                view.verification.rendered = None if every else view.verification.rendered
             photo = load_job(photograph.folder).photo
             radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)
             if flaw != "clean":

@@ -17,16 +17,17 @@ def texture(rng, sigma, strength):
 
 
 def test_an_octave_shows_the_texture_of_its_size(rng):
-    sizes = [contrast(texture(rng, sigma, 0.4), MASK).deviation.argmax() for sigma in (0.7, 1.6, 3.5, 7.0)]
+    sizes = [contrast(texture(rng, sigma, 0.4), MASK).deviation[:, 0].argmax() for sigma in (0.7, 1.6, 3.5, 7.0)]
     assert sizes == [0, 1, 2, 3] and len(SIGMAS) == 5
 
 
 def test_the_strength_is_measured_and_neither_exposure_nor_outline_matters(rng):
     weak, strong = (contrast(texture(np.random.default_rng(3), 1.6, s), MASK) for s in (0.15, 0.3))
-    assert strong.deviation[1] / weak.deviation[1] == pytest.approx(2, rel=0.1)
+    assert strong.deviation[1, 0] / weak.deviation[1, 0] == pytest.approx(2, rel=0.1)
     image = texture(rng, 1.6, 0.3)
     around = np.where(MASK[..., None], image, 1e4)
-    assert unlike(contrast(5 * image, MASK), contrast(around, MASK)) == pytest.approx((0, 0), abs=1e-4)
+    cast = 5 * image * [1.3, 1.0, 0.6]
+    assert max(unlike(contrast(cast, MASK), contrast(around, MASK)).values()) < 0.02
 
 
 def test_pits_and_grains_are_unlike_and_noise_is_not(rng):
@@ -34,13 +35,23 @@ def test_pits_and_grains_are_unlike_and_noise_is_not(rng):
     bumps = np.maximum(gaussian_filter(rng.standard_normal(MASK.shape), 2), 0) ** 2
     bumps = (1.2 * bumps / bumps.max())[..., None] * np.ones(3)
     pits, grains = contrast(2.0**-bumps, MASK), contrast(2.0**bumps, MASK)
-    assert pits.skewness[1] < -0.5 < 0.5 < grains.skewness[1] and unlike(pits, grains)[1] > 0.3
+    assert pits.skewness[1] < -0.5 < 0.5 < grains.skewness[1] and unlike(pits, grains)["skewness"] > 0.3
     faint = contrast(2.0 ** (-0.02 * bumps), MASK), contrast(2.0 ** (0.02 * bumps), MASK)
-    assert unlike(*faint)[1] < 0.02
+    assert unlike(*faint)["skewness"] < 0.02
 
 
 def test_unusable_pixels_have_no_say(rng):
     image = texture(rng, 1.6, 0.3)
     spoilt = image.copy()
     spoilt[60:70, 60:70] = np.nan
-    assert max(unlike(contrast(image, MASK), contrast(spoilt, MASK))) < 0.05
+    assert max(unlike(contrast(image, MASK), contrast(spoilt, MASK)).values()) < 0.05
+
+
+def test_the_colours_of_a_texture_and_how_they_go_with_its_lightness_are_told(rng):
+    """Threads of two colours: as strong in lightness, the bright ones red, or blue, or all of them grey."""
+    grain = gaussian_filter(rng.standard_normal(MASK.shape), 1.6)[..., None]
+    grain = 0.3 * grain / grain.std()
+    red, blue, grey = (contrast(2.0 ** (grain * np.array(c)), MASK) for c in ([2, 1, 0.5], [0.5, 1, 2], [1, 1, 1]))
+    assert red.correlation[1, 0] > 0.95 and blue.correlation[1, 0] < -0.95
+    assert unlike(red, blue)["correlation"] > 5 * unlike(red, red)["correlation"] + 0.3
+    assert unlike(red, grey)["chroma"] > 0.5 and unlike(red, grey)["chroma"] > 2 * unlike(red, blue)["chroma"]

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from btfsep_engine.pipeline.verification import SIMILARITIES
+from btfsep_engine.pipeline.verification import EXPLANATIONS, SIMILARITIES
 from btfsep_engine.recognise.judgement import LEVEL, Judgement, judged, judgements, utilities
 
 NAMES = tuple("abcdef")
@@ -71,8 +71,9 @@ def test_of_few_photographs_nothing_is_ruled_out():
 
 
 def test_the_shipped_table_is_of_enough_lights_and_asks_for_cues_that_there_are():
+    explained = {"classifier", *EXPLANATIONS}
+    cues = {"verified": explained | {*SIMILARITIES}, "explained": explained, "votes": {"classifier"}}
     for name, model in judgements().items():
-        cues = {"classifier", "evidence", *SIMILARITIES} if name == "verified" else {"classifier"}
-        assert set(model.weights) <= cues and len(model.strangeness) >= 19
+        assert set(model.weights) == cues[name] and len(model.strangeness) >= 19
         assert (np.diff(model.strangeness) >= 0).all() and np.isfinite(model.strangeness).all()
     assert utilities({"a": 2.0, "b": 1.0}, {"a": [1, 2], "b": [3, 4]}).tolist() == [5, 8]

@@ -9,7 +9,8 @@ of the library, each under a light of its own. No object and no light of theirs 
 eight studio lights, drawn by chance, each photograph with another turn of it; and draws from the prior of natural light
 (`light/log_field.py`) with up to two lamps.
 
-Two models: "verified", of all cues, and "votes", of the classifier alone. The weights are those of the largest
+Three models: "verified", of all cues; "explained", which says what is worth a rendering; and "votes", of the
+classifier alone. The weights are those of the largest
 likelihood (a multinomial logistic regression with a ridge), each photograph twice: with all materials, where its own is
 right, and without its own, where none is. The strangeness of each photograph's own material is that under weights which
 were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
@@ -23,13 +24,13 @@ from scipy.optimize import minimize
 
 from btfsep_engine.atomic import write_text
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.conventions import pixel_directions
+from btfsep_engine.conventions import REC709_LUMINANCE, pixel_directions
 from btfsep_engine.images import write_exr
 from btfsep_engine.light.lightings import shrink, turned
 from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.light.maps import normalised, read_map
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.pipeline.verification import SIMILARITIES
+from btfsep_engine.pipeline.verification import EXPLANATIONS, SIMILARITIES, TINT
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import TABLE, judged, utilities
 from scripts.cycles.lights import studio_lights
@@ -46,10 +47,11 @@ LAMPS = (0.4, 0.4, 0.2)  # how probable none, one and two are
 LAMP_PIXELS = 2.0  # radius of a lamp's disc
 RESOLUTION, SAMPLES = 256, 64  # of a photograph
 MODELS = {
-    "verified": ("classifier", "evidence", *SIMILARITIES),
+    "verified": ("classifier", *EXPLANATIONS, *SIMILARITIES),
+    "explained": ("classifier", *EXPLANATIONS),
     "votes": ("classifier",),
 }
-RIDGE = 0.02  # of weights of cues of deviation 1
+RIDGE = 0.5  # of weights of cues of deviation 1: strong, for 75 photographs have each material on one object alone
 LEFT_OUT = 0.1  # how much a photograph without its material counts beside one with it
 
 
@@ -69,6 +71,20 @@ def drawn_light(random) -> np.ndarray:
     return radiance.astype(np.float32)
 
 
+def tint_of(radiance, number: int) -> np.ndarray:
+    """(3,), what moves the mean colour of a map (h, w, 3) to one of natural light's, at the same luminance.
+
+    The prior itself has means three times as far apart: most rooms would be green or violet.
+    """
+    warm, green = np.random.default_rng(number).standard_normal(2) * TINT
+    height = len(radiance)
+    solid_angle = np.sin(np.pi * (np.arange(height) + 0.5) / height)
+    mean = np.average(radiance.mean(1), axis=0, weights=solid_angle)
+    wanted = np.exp2([warm / 2 - green / 3, green * 2 / 3, -warm / 2 - green / 3])
+    wanted *= (mean @ REC709_LUMINANCE) / (wanted @ REC709_LUMINANCE)
+    return (wanted / mean).astype(np.float32)
+
+
 def shots(folder: Path, materials) -> list:
     """The photographs, their lights written beside them; those of one object in one material stand together."""
     random, out, lights = np.random.default_rng(0), [], folder / "lights"
@@ -83,6 +99,7 @@ def shots(folder: Path, materials) -> list:
                     radiance = turned(shrink(radiance, max(1, len(radiance) // 256)), random.uniform(0, 360))
                 else:
                     light, radiance = DRAWN, drawn_light(random)
+                    radiance *= tint_of(radiance, number)
                 path = lights / f"{light}-{number:03d}.exr"
                 if not path.exists():
                     write_exr(path, np.asarray(radiance, np.float32))
@@ -149,7 +166,7 @@ def main(arguments) -> int:
     seen = []
     for some in found:  # of one size each: an object's training is used for all of its photographs
         some.sort(key=lambda p: p.object)
-        seen += cues.cues_of(some, library, choose("balanced"), reporter)
+        seen += cues.cues_of(some, library, choose("balanced"), reporter, every=True)
     data = examples(seen)
     table = {
         "photographs": len(seen),
