@@ -3,23 +3,28 @@
 
 scripts/study stability --work FOLDER --axes "near light" --stages photos
 scripts/study near FOLDER
+scripts/study near FOLDER --pairs        two lamps
 
 Half of the light comes from a ball that stands 1.5 to 12 radii from the middle of the object, the rest from one of
-Blender's studio lights; each of the four objects under both. Whole estimates, preset balanced, the right material
-given; errors are of the light at the middle, relative, with one free scale: median (worst). Prints a row a distance:
+Blender's studio lights; each of the four objects under both. With --pairs a quarter comes from each of two lamps (a
+right angle apart; one may be far away), the rest from one studio light. Whole estimates, preset balanced, the right
+material given; errors are of the light at the middle, relative, with one free scale: median (worst). Prints a row a
+distance:
 
-    believed     photographs in which a lamp is said to stand near
-    distance     of those, over the true one: median (least to most); inside: in how many the true one is in the range
-    direction    of that lamp, off: median (worst)
+    believed     lamps that are said to stand near, within 30 degrees of a true one that does; elsewhere: that are not
+    distance     of those, over the true one: median (least to most); inside: of how many the true one is in the range
+    direction    of those, off: median (worst)
     order 2      the error, and the same where all light is taken to come from far away; stated: the expected error
 """
 
+import json
 import tempfile
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
+from btfsep_engine import atomic
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.estimation import estimate
@@ -27,54 +32,78 @@ from btfsep_engine.pipeline.refine import near
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from scripts.studies import parser, tables
+from scripts.studies import parser, photos, tables
 from scripts.studies.measures import judged
-from scripts.studies.stability import scenes
-from scripts.studies.stability.axes import AXES, Setting
-from scripts.studies.stability.cases import write_job
+from scripts.studies.stability import NOISE, scenes
+from scripts.studies.stability.axes import Setting, with_lamps
+from scripts.studies.stability.cases import undisturbed, write_job
+
+EDGE, SAMPLES = 160, 64  # of a photograph: the stability study's defaults
+SHARE = 0.5  # of all light, of the lamps together
 
 HEADS = (
     "distance, radii", "photos", "believed", "distance, over the true one", "inside", "direction", "order 2",
     "all far away", "over stated", "over stated, all far away", "95 % range",
 )  # fmt: skip
+FIRST, SECOND, FAR = scenes.LAMP_FROM, scenes.SECOND_FROM, scenes.SUNS[1]
+PAIRS = (
+    ((1.5, FIRST), (2.2, SECOND)),
+    ((2.2, FIRST), (3.5, SECOND)),
+    ((3.5, FIRST), (2.2, SECOND)),
+    ((2.2, FIRST), (None, FAR)),
+)
+SAME = 30.0  # degrees: a lamp that is believed in and stands no nearer to any is none of them
 
 
-def study(setting: Setting, radii: float, library) -> dict:
-    """One photograph, with and without lamps that may stand near."""
-    case = AXES["near light"].make(setting, radii)
+def study(setting: Setting, lamps, library) -> dict:
+    """One photograph under lamps (distance in radii, or None: far away; direction), with and without places of them."""
+    case = undisturbed(setting.work, setting.scene, setting.light)
+    with_lamps(case, setting, lamps, SHARE)
     with tempfile.TemporaryDirectory() as folder:
         write_job(case, folder)
         job = load_job(folder)
-    row, usual = {"radii": radii}, near.SPEAKS
+    row, usual = {"radii": " and ".join("far" if d is None else f"{d:g}" for d, _ in lamps)}, near.SPEAKS
+    row |= {"scene": setting.scene.name, "light": setting.light, "lamps": []}
     try:
         for name, speaks in (("", usual), ("far ", np.inf)):
             near.SPEAKS = speaks
             found = estimate(PreparedScene(job, Reporter()), library, choose(), material=case.material)
             row |= {name + k: v for k, v in judged(found.lighting, found.fit.samples, case.truth).items()}
-            if found.light.near:
-                corners = job.objects[0].mesh.vertices
-                true = radii * np.linalg.norm(np.ptp(corners, axis=0)) / 2
-                direction, how = found.light.near[0]
-                off = float(np.degrees(np.arccos(np.clip(direction @ scenes.unit(scenes.LAMP_FROM), -1, 1))))
-                row |= {"ratio": how.distance / true, "inside range": how.low <= true <= how.high, "off": off}
+            row["lamps"] += [told(lamps, direction, how, job) for direction, how in found.light.near]
+            row[name + "said"] = found.choice.get("near")
     finally:
         near.SPEAKS = usual
     return row
 
 
+def told(lamps, direction, how, job) -> dict:
+    """What is said of a lamp that is believed to stand near, beside the true one in its direction (or none)."""
+    unit = float(np.linalg.norm(np.ptp(job.objects[0].mesh.vertices, axis=0))) / 2
+    off = [float(np.degrees(np.arccos(np.clip(direction @ scenes.unit(d), -1, 1)))) for _, d in lamps]
+    which = int(np.argmin(off))
+    true = lamps[which][0]
+    if true is None or off[which] > SAME:
+        return {"of": None, "off": off[which]}
+    away = {"ratio": how.distance / (unit * true), "inside": how.low <= unit * true <= how.high}
+    return {"of": which, "off": off[which], **away}
+
+
 def lines(rows):
     """Each distance, and all."""
     for name, some in tables.groups(rows, "radii"):
-        told = [r for r in some if "ratio" in r]
-        ratios = np.array([r["ratio"] for r in told])
-        between = f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})" if told else "–"
+        lamps = [lamp for r in some for lamp in r["lamps"]]
+        right = [lamp for lamp in lamps if lamp["of"] is not None]
+        ratios = np.array([lamp["ratio"] for lamp in right])
+        between = f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})" if len(right) else "–"
+        there = sum(word != "far" for r in some for word in r["radii"].split(" and "))
+        wrong = f", {len(lamps) - len(right)} elsewhere" if len(lamps) > len(right) else ""
         yield (
-            name if isinstance(name, str) else f"{name:g}",
+            name,
             len(some),
-            len(told),
+            f"{len(right)} of {there}{wrong}" if there > len(some) or wrong else len(right),
             between,
-            sum(r["inside range"] for r in told),
-            tables.spread([r["off"] for r in told], "{:.1f}°"),
+            sum(lamp["inside"] for lamp in right),
+            tables.spread([lamp["off"] for lamp in right], "{:.1f}°"),
             tables.spread([r["order2"] for r in some]),
             tables.spread([r["far order2"] for r in some]),
             tables.spread([r["order2"] / r["stated2"] for r in some]),
@@ -86,10 +115,26 @@ def lines(rows):
 def main(arguments) -> int:
     options = parser("near", __doc__)
     options.add_argument("work", type=Path, help="folder of the stability study's photographs")
+    options.add_argument("--pairs", action="store_true", help="two lamps; what is not there is photographed")
+    options.add_argument("--only", nargs="+", choices=[s.name for s in scenes.SCENES], help="some of the objects")
+    options.add_argument("--keep", type=Path, help="folder for each photo's numbers: what is there is not done again")
     given = options.parse_args(arguments)
-    library = open_library(None)
-    settings = [Setting(given.work, s, light, scenes.LIGHTS) for s in scenes.SCENES for light in scenes.LIGHTS]
-    todo = [(setting, radii) for radii in scenes.NEAR for setting in settings]
-    rows = [study(setting, radii, library) for setting, radii in tqdm(todo)]
+    chosen = [s for s in scenes.SCENES if not given.only or s.name in given.only]
+    lights = scenes.LIGHTS[:1] if given.pairs else scenes.LIGHTS
+    many = PAIRS if given.pairs else [((d, FIRST),) for d in scenes.NEAR]
+    if given.pairs:
+        axes = ("near light", "second lamp", "sun")
+        wanted = [shot for s in chosen for shot in scenes.shots(given.work, s, lights, axes, under=lights)]
+        photos.take(wanted, resolution=EDGE, samples=SAMPLES, threads=2, noise=NOISE)
+    library, rows = open_library(None), []
+    settings = [Setting(given.work, s, light, scenes.LIGHTS) for s in chosen for light in lights]
+    for lamps, setting in tqdm([(lamps, setting) for lamps in many for setting in settings]):
+        name = "_".join([setting.scene.name, setting.light, *(scenes.lamp_name(lamp) for lamp in lamps)])
+        kept = given.keep / f"{name}.json" if given.keep else None
+        if kept is None or not kept.exists():
+            row = study(setting, lamps, library)
+            if kept is not None:
+                atomic.write_text(kept, json.dumps(row))
+        rows.append(json.loads(kept.read_text()) if kept else row)
     print(tables.table(HEADS, lines(rows)))
     return 0

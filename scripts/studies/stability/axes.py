@@ -219,19 +219,21 @@ def _flux(coefficients) -> float:
     return float(coefficients[0] @ REC709_LUMINANCE)
 
 
-def _with_lamp(case, setting, name: str, lamp, share: float) -> None:
-    """The photograph and a lamp that gives ``share`` of all light at the object's centre."""
-    more = scenes.lamp_coefficients(lamp)
-    factor = share / (1 - share) * _flux(case.truth) / _flux(more)
-    case.image = case.clean = case.image + factor * setting.photograph(name)
-    case.truth = case.truth + factor * more
+def with_lamps(case, setting, lamps, share: float) -> None:
+    """The photograph and lamps that give ``share`` of all light at the object's centre, each as much as another."""
+    flux = share / (1 - share) * _flux(case.truth) / len(lamps)
+    for lamp in lamps:
+        more = scenes.lamp_coefficients(lamp)
+        factor = flux / _flux(more)
+        case.image = case.clean = case.image + factor * setting.photograph(scenes.lamp_name(lamp))
+        case.truth = case.truth + factor * more
 
 
 @axis("sun", "share of the sun, %", (10, 30, 60, 85, 97))
 def _sun(case, setting, value):
     """A sun of 0.54 degrees beside the map."""
     number = setting.number % len(scenes.SUNS)
-    _with_lamp(case, setting, f"sun-{number}", (None, scenes.SUNS[number]), value / 100)
+    with_lamps(case, setting, [(None, scenes.SUNS[number])], value / 100)
 
 
 @axis("coloured light", "saturation", (0.2, 0.4, 0.6, 0.8, 1.0), zero=0.0)
@@ -248,7 +250,7 @@ def _coloured(case, setting, value):
 @axis("near light", "distance, object radii", scenes.NEAR)
 def _near(case, setting, value):
     """Half of the light comes from a ball that stands near; the truth is the light at the object's centre."""
-    _with_lamp(case, setting, f"near-{value:g}", (value, scenes.LAMP_FROM), 0.5)
+    with_lamps(case, setting, [(value, scenes.LAMP_FROM)], 0.5)
 
 
 @axis("second object", "distance, object radii", scenes.WALL)

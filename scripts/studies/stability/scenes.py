@@ -23,6 +23,7 @@ LAMP_RADIUS = 0.12
 LAMP_FROM = (-0.70, -0.55, 0.45)
 SUNS = ((-0.55, -0.60, 0.58), (0.80, 0.10, 0.59))  # one for each light, before the object and behind it
 THICKNESS = (0.6, 0.35, 0.2, 0.1, 0.04)  # of the object along the view, of what it was
+SECOND_FROM, SECOND_NEAR = (0.75, -0.45, 0.5), (2.2, 3.5)  # of a second lamp (scripts/study near --pairs)
 NEAR = (12.0, 6.0, 3.5, 2.2, 1.5)  # distance of a lamp
 WALL = (6.0, 3.5, 2.2, 1.5, 1.1)  # distance of a second surface
 WALL_FROM, WALL_EDGE, WALL_COLOUR = (0.95, 0.25, -0.05), 5.0, (0.80, 0.12, 0.06)
@@ -76,11 +77,9 @@ def shots(work: Path, scene: Scene, lights, axes, *, under) -> list[Shot]:
         sun = {"irradiance": [np.pi] * 3, "degrees": 2 * SUN_RADIUS_DEGREES}
         out += [shot(f"sun-{i}", sun=sun | {"direction": d}) for i, d in enumerate(SUNS)]
     if "near light" in axes:
-        for d in NEAR:
-            lamp = d, LAMP_FROM
-            place = (d * unit(LAMP_FROM)).tolist()
-            ball = {"place": place, "radius": LAMP_RADIUS, "radiance": lamp_radiance(lamp)}
-            out.append(shot(f"near-{d:g}", ball=ball))
+        out += [shot(lamp_name((d, LAMP_FROM)), ball=lamp_ball((d, LAMP_FROM))) for d in NEAR]
+    if "second lamp" in axes:
+        out += [shot(lamp_name((d, SECOND_FROM)), ball=lamp_ball((d, SECOND_FROM))) for d in SECOND_NEAR]
     if "second object" in axes:
         wall = {"edge": WALL_EDGE, "colour": WALL_COLOUR}
         places = {d: (d * unit(WALL_FROM)).tolist() for d in WALL}
@@ -98,6 +97,21 @@ def unit(direction) -> np.ndarray:
     """(3,) float64 of length 1."""
     d = np.asarray(direction, np.float64)
     return d / np.linalg.norm(d)
+
+
+def lamp_name(lamp) -> str:
+    """The photograph of a lamp (distance, or None: a sun; direction) alone."""
+    distance, direction = lamp
+    if distance is None:
+        return f"sun-{SUNS.index(direction)}"
+    return f"near-{distance:g}{'-second' if direction == SECOND_FROM else ''}"
+
+
+def lamp_ball(lamp) -> dict:
+    """A lamp nearby as a shot has it."""
+    distance, direction = lamp
+    place = (distance * unit(direction)).tolist()
+    return {"place": place, "radius": LAMP_RADIUS, "radiance": lamp_radiance(lamp)}
 
 
 def lamp_angle(lamp) -> float:
