@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine import sh
 from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, LogField
 
 OF_LAMP = 5  # unknowns
@@ -87,7 +86,7 @@ class LightModel:
     def _of_lamps(self, q) -> np.ndarray:
         """Coefficients (…, 3, terms) of the lamps alone, of their unknowns (…, lamps, 5)."""
         directions, irradiances = self.lamp(slice(None), q)
-        return np.swapaxes(irradiances, -1, -2) @ self._harmonics(directions)
+        return np.swapaxes(irradiances, -1, -2) @ self.field.of_beam(directions)
 
     def seen(self, white, rows, by_direction) -> np.ndarray:
         """R_c x_c of unknowns (…, k): (…, all rows), in their precision.
@@ -107,10 +106,6 @@ class LightModel:
     def sky(self, white) -> np.ndarray:
         """Coefficients (3, terms) of the field alone."""
         return self.field.coefficients(self.field.radiance(self.parts(white)[0]))
-
-    def _harmonics(self, directions) -> np.ndarray:
-        """(…, terms) of directions (…, 3)."""
-        return sh.evaluate(sh.order_of(self.field.terms), directions)
 
     def jacobian(self, white, radiance, rows, by_direction=None) -> np.ndarray:
         """Derivatives of R_c x_c by the unknowns: (all rows, unknowns).
@@ -145,7 +140,7 @@ class LightModel:
         moves = STEP * np.eye(OF_LAMP)[[2, 0, 1]]
         moves[0] = 0
         directions, irradiances = self.lamp(slice(None), q + moves[:, None])
-        y, *moved = self._harmonics(directions)  # (lamps, terms)
+        y, *moved = self.field.of_beam(directions)  # (lamps, terms)
         aside = [(there - y) / STEP for there in moved]
         each = [np.stack([*aside, *(share * y for share in shares)], 1) for shares in BY_CHANNEL.T]
         return (irradiances[0].T[..., None, None] * np.stack(each)).reshape(3, -1, self.field.terms)

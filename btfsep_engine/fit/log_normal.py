@@ -27,26 +27,25 @@ from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
+from btfsep_engine.fit.ground import Ground, WithGround
 from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
 from btfsep_engine.fit.search import EXACT, EXACT_COST, ROUNDS, Solution, solve
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
-from btfsep_engine.light.log_field import even_field, natural_field
+from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.threads import one_thread
 
 MOST_LAMPS = 3
-SEEN = (
-    0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them could be as strong as it likes
-)
+SEEN = 0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them has any strength it likes
 HOPELESS = 30.0  # of the logarithm of the evidence: so far below a rich model, nothing more is tried of a plain one
 HIDDEN = 0.04  # of the same: a lamp that the photo could not know of
 HIDDEN_LAMPS = 0.5  # expected number of them over a whole sphere of such directions
 ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alone is taken
-FIRST_BRIGHTNESS = np.linspace(
-    -1, 2, 31
-)  # of a new lamp, q3: its search begins at the best; from dimmer ones it creeps
+FIRST_BRIGHTNESS = np.linspace(-1, 2, 31)  # of a new lamp, q3: a search begins at the best; from dimmer ones it creeps
 SAMPLES = 200
 WIDER = 1.4  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
+GROUND_ROUNDS = 3  # of what a ground departs by and the light that it goes by
+SAME_GROUND = 0.03  # change of what a light predicts of it
 CENTRINGS = 8  # steps by which samples are moved to what the photo says
 LONGEST = 1.0  # of any white unknown in one of them
 CENTRED = 0.5  # of chi^2: less is not worth a further step
@@ -136,6 +135,16 @@ class LightSolver:
             rough_light(photo, **self._held)
             return self._fit(photo, *onward(photo, before.election.solution, before.election.rival))
 
+    def beside_ground(self, radiance, alone: Fit, ground: Ground, *, weights=None) -> Fit:
+        """As `solve`, of what the ``ground`` shows, too; ``alone`` : the same photograph's without it."""
+        with one_thread():
+            photo = WithGround(self._photograph(radiance, weights, alone), ground, alone.election.solution)
+            for _ in range(GROUND_ROUNDS):
+                best, rival = elect(photo, **self._held)
+                if photo.learn_ground(best.x) < SAME_GROUND:
+                    break
+            return self._fit(photo, *onward(photo, best, rival))
+
     def first_look(self, radiance, *, weights=None) -> Fit:
         """The rough fit of a field with which `solve` begins: what a fit by another basis stands `beside`."""
         with one_thread():
@@ -158,13 +167,13 @@ class LightSolver:
         energy = photo.mean_square * photo.level**2 * self.basis.response**2
         return Fit(
             order=self.order,
-            all_coefficients=best.x.T * unit,
-            state=cache(lambda: self._stated(best, rival, unit, tint)),
+            all_coefficients=best.x.T[: self.basis.terms] * unit,
+            state=cache(lambda: self._stated(best, rival, unit, tint, photo)),
             residual=float(np.sqrt(left.sum() / energy.sum())),
             residual_per_channel=np.sqrt(left / np.maximum(energy, 1e-300)),
             condition=self.basis.condition(self.order),
             effective_degrees_of_freedom=decided_unknowns(best.factor),
-            noise=float(np.sqrt(best.v.sum() / photo.mean_square.sum())),
+            noise=float(np.sqrt(best.v[:3].sum() / photo.mean_square.sum())),
             tint=tint,
             election=Election(best, rival, photo, unit),
         )
@@ -195,21 +204,23 @@ class LightSolver:
         """The same fit with fewer orders reported."""
         return replace(fit, order=order, condition=self.basis.condition(order))
 
-    def _stated(self, best: Solution, rival: Solution | None, unit, tint) -> Stated:
+    def _stated(self, best: Solution, rival: Solution | None, unit, tint, photo) -> Stated:
         """What samples of the light's posterior say of it and of its lamps."""
         with one_thread():
-            return self._sampled(best, rival, unit, tint)
+            return self._sampled(best, rival, unit, tint, photo)
 
-    def _sampled(self, best: Solution, rival: Solution | None, unit, tint) -> Stated:
+    def _sampled(self, best: Solution, rival: Solution | None, unit, tint, photo) -> Stated:
         random = np.random.default_rng(self.seed)
         loose = self._loose(best)
         model = loose.model
+        shown = photo.shadowed if isinstance(photo, WithGround) else None
         whites, lights = posterior_samples(loose, SAMPLES, random)
+        lights = lights[:, : self.basis.terms]
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
         own_light = lights[:, 0].copy()  # what the lamps are a share of: a rival's light has none of them
         if rival is not None:
-            lights[::2] = posterior_samples(self._loose(rival), len(lights[::2]), random)[1]
-        hidden = hidden_lamps(self.basis, SAMPLES, random, known=len(model.lamps))
+            lights[::2] = posterior_samples(self._loose(rival), len(lights[::2]), random)[1][:, : self.basis.terms]
+        hidden = hidden_lamps(self.basis, SAMPLES, random, known=len(model.lamps), shown=shown)
         lights += hidden
         samples = lights * (unit * factors)[:, None]
         lamps = []
@@ -225,7 +236,8 @@ class LightSolver:
             given = i < len(self.given)
             degrees = self.given[i][1] if given else float(np.degrees(np.sqrt(np.square(off).mean())))
             lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std()), given))
-        return stated_by(best.x.T * unit, samples, tuple(sorted(lamps, key=lambda lamp: -lamp.share)))
+        lamps = tuple(sorted(lamps, key=lambda lamp: -lamp.share))
+        return stated_by(best.x.T[: self.basis.terms] * unit, samples, lamps)
 
     def _loose(self, best: Solution) -> Solution:
         """The same with given directions as uncertain as is said: in samples they turn, and the rest follows."""
@@ -241,7 +253,9 @@ class LightSolver:
         """
         best, photo = fit.election.solution, fit.election.photo
         terms = self.basis.terms
-        by_light = best.model.jacobian(best.white, best.radiance, [np.eye(terms)] * 3)  # (3 terms, unknowns)
+        by_light = best.model.jacobian(
+            best.white, best.radiance, [np.eye(terms, best.x.shape[1])] * 3
+        )  # (3 terms, unknowns)
 
         def left(values):
             with one_thread():
@@ -269,7 +283,7 @@ class Election:
     @property
     def sky(self) -> np.ndarray:
         """(terms, 3), coefficients of the field alone, without lamps."""
-        return self.solution.model.sky(self.solution.white).T * self.unit
+        return self.solution.model.sky(self.solution.white).T[: self.photo.basis.terms] * self.unit
 
     @property
     def found(self) -> range:
@@ -330,17 +344,20 @@ def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, n
     return whites, model.light(whites)[0].transpose(0, 2, 1)
 
 
-def hidden_lamps(basis: Basis, count: int, random, *, known: int) -> np.ndarray:
+def hidden_lamps(basis: Basis, count: int, random, *, known: int, shown=None) -> np.ndarray:
     """Lamps in the directions from which hardly a pixel is lit: (count, terms, 3), most of them none.
 
     A field's logarithm is Gaussian, and has no lamps; those that the photo shows, ``known`` of them, have been found.
     Of others, behind the object as a rule, nothing is known but that lamps are, and that they come in company: their
     density is that of the known ones where they could be seen, under a Gamma prior of `HIDDEN_LAMPS` in one sphere.
+    ``shown`` says of directions (n, 3) in which of them something else than a pixel that is lit would show a lamp.
     Each is as bright as `fit.light_model` takes lamps to be, or half of its spread from it.
     """
     field = natural_field()
     response = basis.mean_response @ field.to_coefficients
     places = field.directions[response < HIDDEN * response.max()]
+    if shown is not None:
+        places = places[~shown(places)]
     out = np.zeros((count, basis.terms, 3))
     share = len(places) / len(field.directions)
     lit = random.random(count) < -np.expm1(-share * (HIDDEN_LAMPS + known) / (2 - share))
@@ -356,7 +373,7 @@ def rough_light(photo: Photograph, **held) -> Solution:
 
     ``held`` : `LightModel.lamps` that are given, and `LightModel.given`
     """
-    first = solve(photo, LightModel(natural_field(), **held), rounds=2, steps=ROUGHLY)
+    first = solve(photo, LightModel(photo.fields[0], **held), rounds=2, steps=ROUGHLY)
     photo.learn_from(first.x)
     return first
 
@@ -373,10 +390,10 @@ def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
     ``held`` : as of `rough_light`
     """
     field = natural_light(photo, **held)
-    plain = with_lamps(photo, solve(photo, LightModel(even_field(), **held)), place=most_explained)
+    plain = with_lamps(photo, solve(photo, LightModel(photo.fields[1], **held)), place=most_explained)
     rich = field
     if plain.model.lamps and plain.evidence > field.evidence - HOPELESS:
-        model = replace(plain.model, field=natural_field())
+        model = replace(plain.model, field=photo.fields[0])
         white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
         rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
     rich = with_lamps(photo, rich, place=brightest)
@@ -425,7 +442,7 @@ def one_lamp_more(photo: Photograph, best: Solution, *, place) -> Solution:
     """The solution with one more lamp."""
     direction = place(best, photo)
     model = replace(best.model, lamps=(*best.model.lamps, direction))
-    lamp = sh.evaluate(sh.order_of(photo.basis.terms), direction)
+    lamp = best.model.field.of_beam(direction)
     slope, curvature, answer = best.beside(np.concatenate([root @ lamp for root in best.rows.root]))
     irradiance = 2 * np.pi * np.exp(BRIGHTNESS * FIRST_BRIGHTNESS)
     i = (irradiance * (slope + 0.5 * irradiance * curvature) + 0.5 * FIRST_BRIGHTNESS**2).argmin()
@@ -443,18 +460,12 @@ def _next_lamp(best: Solution):
 def brightest(best: Solution, photo: Photograph) -> np.ndarray:
     """The direction (3,) of the field's brightest place."""
     field = best.model.field
-    return field.directions[np.where(reaches(photo, field), best.radiance.mean(0), 0).argmax()]
-
-
-def reaches(photo: Photograph, field) -> np.ndarray:
-    """Which of the field's directions (n,) light the pixels well enough for a lamp to be seen from there."""
-    response = photo.basis.mean_response @ field.to_coefficients
-    return response > SEEN * response.max()
+    return field.directions[np.where(photo.reaches(field), best.radiance.mean(0), 0).argmax()]
 
 
 def most_explained(best: Solution, photo: Photograph) -> np.ndarray:
     """The direction (3,) of the lamp that explains most of what even light and the lamps that are there leave over."""
-    field = natural_field()
+    field = photo.fields[0]
     x = best.x
     candidates = field.to_coefficients.T  # a lamp from each direction, all channels alike
     r = -best.rows.residual(x)
@@ -469,4 +480,4 @@ def most_explained(best: Solution, photo: Photograph) -> np.ndarray:
     imitated = solve_triangular(best.factor, beside, lower=True)
     rest = np.maximum(own - np.square(imitated).sum(0), 1e-6 * own + 1e-300)
     gain = np.where(score > 0, score**2 / rest, 0.0)
-    return field.directions[np.where(reaches(photo, field), gain, 0.0).argmax()]
+    return field.directions[np.where(photo.reaches(field), gain, 0.0).argmax()]

@@ -31,12 +31,16 @@ from scipy.linalg import lapack
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
+from btfsep_engine.light.log_field import LogField, even_field, natural_field
 
 CHANNELS = ("red", "green", "blue")
 EVIDENCE = 500  # pixels: alpha of the coarsened posterior
 SMOOTH_ORDER = 4
 NEARLY_RIGHT = 0.08  # D, root mean square over the normals, of a material that is taken for another's
 NEGLIGIBLE = 1e-2  # an eigenvalue of A^T N^-1 A, where the prior of the light has variances of some 1
+SEEN = (
+    0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them could be as strong as it likes
+)
 CHUNK = 1 << 13  # pixels: the basis images of a large photo are never copied whole
 SINGLE = np.sqrt(4 * np.pi)  # the first coefficient of light of radiance 1
 
@@ -193,6 +197,26 @@ class Photograph:
         # at least 1 where the unit is the channel's mean; a channel that is black has no less noise for that
         self.mean_square = np.maximum(self.energies / np.maximum(self.count, 1e-300), 1.0)
         self._effective, self.effective = effective, 1.0 if effective is None else effective
+
+    @property
+    def fields(self) -> tuple[LogField, LogField]:
+        """The natural and the even field, with as many coefficients as the products are of."""
+        return natural_field(), even_field()
+
+    @property
+    def noise_unit(self) -> np.ndarray:
+        """(3,), what noises are relative to."""
+        return self.mean_square
+
+    @property
+    def noise_count(self) -> np.ndarray:
+        """(3,), how many numbers have each noise."""
+        return self.count
+
+    def reaches(self, field) -> np.ndarray:
+        """Which of a field's directions (n,) light the pixels well enough for a lamp to be seen from there."""
+        response = self.basis.mean_response @ field.to_coefficients
+        return response > SEEN * response.max()
 
     @property
     def coarsening(self) -> float:

@@ -102,8 +102,8 @@ def solve(
     rounds, steps : of the noise, and of the light at each
     """
     white = np.zeros(model.unknowns) if white is None else white
-    floor = FLOOR**2 * photo.mean_square
-    v = np.maximum(FIRST_NOISE**2 * photo.mean_square if v is None else v, floor)
+    floor = FLOOR**2 * photo.noise_unit
+    v = np.maximum(FIRST_NOISE**2 * photo.noise_unit if v is None else v, floor)
     all_steps = 0
     for left in reversed(range(rounds)):
         rows = photo.rows(v, discrepancy)
@@ -123,7 +123,7 @@ def solve(
         - 0.5 * rows.rest
         - float(np.log(np.diag(factor)).sum(dtype=np.float64))
         - rows.log_determinant
-        - 0.5 * float((photo.count * np.log(v)).sum()) / photo.coarsening
+        - 0.5 * float((photo.noise_count * np.log(v)).sum()) / photo.coarsening
         - LAMP_COST * model.found
         - BESIDE_COST * model.beside(white, BESIDE)
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)

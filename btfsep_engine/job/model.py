@@ -56,10 +56,12 @@ class Occluder:
     """Geometry that casts shadows and reflects light and is not fitted.
 
     ``surface`` : what it is made of, by numbers (one with an image has a mesh with ``corner_uv``), or None: not known.
+    ``evidence`` : whether its own pixels tell of the light.
     """
 
     mesh: TriangleMesh
     surface: Surface | None = None
+    evidence: bool = False
 
 
 @dataclass(frozen=True)

@@ -87,6 +87,7 @@ class OccluderSchema(Strict):
     mesh: RelativePath
     to_world: Matrix | None = None
     surface: SurfaceSchema | None = None
+    evidence: bool = False
 
 
 class KnownLampSchema(Strict):

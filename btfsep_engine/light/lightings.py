@@ -170,7 +170,7 @@ class EnvironmentMaps:
 
     def radiance(self, directions) -> np.ndarray:
         """As :class:`Lightings` says, bilinear between the pixels' centres."""
-        weights = _bilinear(np.asarray(directions, np.float64), *self.maps.shape[1:3])
+        weights = bilinear(np.asarray(directions, np.float64), *self.maps.shape[1:3])
         return (weights @ self._table).reshape(-1, self.count, 3)
 
     def cell_averages(self, directions) -> np.ndarray:
@@ -230,7 +230,7 @@ def _around(directions, samples):
     return indices, shares / shares.sum(-1, keepdims=True)
 
 
-def _bilinear(directions, h: int, w: int) -> csr_matrix:
+def bilinear(directions, h: int, w: int) -> csr_matrix:
     """Sparse (n, h * w) weights: around the seam, and at the poles the nearest row."""
     u, v = direction_to_equirect(directions)
     x, y = u * w - 0.5, np.clip((1 - v) * h - 0.5, 0, h - 1)

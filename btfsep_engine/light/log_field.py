@@ -17,6 +17,7 @@ The light's coefficients up to the fit's order are sums over directions of equal
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -50,6 +51,9 @@ class LogField:
     deviation : (k,) float64, s of every unknown: those of l, then those of c1, then those of c2
     mean : (k,) float64
     terms : of the light's coefficients
+    count : of the directions
+    beside : what else is asked of a light beside its coefficients: directions (…, 3) -> what a beam of irradiance 1
+        from there gives, (…, k); None: nothing
     """
 
     order: int
@@ -57,6 +61,8 @@ class LogField:
     deviation: np.ndarray
     mean: np.ndarray
     terms: int = sh.term_count(LARGEST_ORDER)
+    count: int = DIRECTIONS
+    beside: Callable | None = None
 
     @property
     def unknowns(self) -> int:
@@ -66,7 +72,7 @@ class LogField:
     @cached_property
     def directions(self) -> np.ndarray:
         """(n, 3) float64, unit, each for the solid angle 4 pi / n; one, where all are alike."""
-        return fibonacci_sphere(DIRECTIONS if max(self.order, self.chroma_order) else 1)
+        return fibonacci_sphere(self.count if max(self.order, self.chroma_order) else 1)
 
     @cached_property
     def to_coefficients(self) -> np.ndarray:
@@ -74,7 +80,16 @@ class LogField:
         y = sh.evaluate(sh.order_of(self.terms), self.directions)
         if len(y) == 1:
             y[:, 1:] = 0
+        if self.beside is not None:
+            places = self.directions if len(y) > 1 else fibonacci_sphere(self.count)
+            more = self.beside(places)
+            y = np.concatenate([y, more if len(y) > 1 else more.mean(0, keepdims=True)], 1)
         return y.T * (4 * np.pi / len(y))
+
+    def of_beam(self, directions) -> np.ndarray:
+        """Coefficients (…, terms) of light of irradiance 1 from one direction each (…, 3)."""
+        y = sh.evaluate(sh.order_of(self.terms), directions)
+        return y if self.beside is None else np.concatenate([y, self.beside(directions)], -1)
 
     @cached_property
     def _to_coefficients(self) -> dict:

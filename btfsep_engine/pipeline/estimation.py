@@ -23,6 +23,7 @@ from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
+from btfsep_engine.pipeline.refine.ground import ground
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.misplaced import misplaced
@@ -133,6 +134,7 @@ REFINEMENTS = (
     left_as_it_is,
     nearer_materials,
     near_lamps,
+    ground,
     key_lights,
     other_curves,
     surroundings,

@@ -93,10 +93,11 @@ class Follower:
     def _followed(self, model: Model, beside: Fit | None) -> SolvedLight | None:
         """The light of a model from the last one on, of whatever view; None where it does not stand still.
 
-        Nor is a lamp nearby followed, whose place is sought by other fits. ``beside`` : as of `fit_together`
+        Nor is a lamp nearby followed, whose place is sought by other fits, or a light that a ground is evidence of.
+        ``beside`` : as of `fit_together`
         """
         (problem,), solver = model.problems, light_solver(model.problems, model.settings)
-        if self._last.light.near:
+        if self._last.light.near or self._last.light.alone:
             return None
         with model.reporter.stage("fit"):
             before, b = self._last.light.fit, problem.radiance()

@@ -58,6 +58,7 @@ class PreparedScene:
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
         self.greys = None  # surroundings.Greys, where occluders were of an unknown grey and it is chosen
         self.mended_by = None  # alignment.Alignment, where the camera is not the job's
+        self.colours = {}  # number of an occluder -> (3,), of which the job does not say it and the photo does
         self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):
             beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]
@@ -83,12 +84,18 @@ class PreparedScene:
     @property
     def has_unknown(self) -> bool:
         """Whether there is an occluder of which the job does not say what it is made of."""
-        return any(o.surface is None for o in self.job.occluders)
+        return any(o.surface is None and k not in self.colours for k, o in enumerate(self.job.occluders))
 
     def with_grey(self, albedo: float) -> "PreparedScene":
         """The same scene with such occluders of this grey."""
         out = copy.copy(self)
         out.grey = albedo
+        return out
+
+    def with_colours(self, colours: dict) -> "PreparedScene":
+        """The same scene with occluders of these colours, {number: (3,)}."""
+        out = copy.copy(self)
+        out.colours = {**self.colours, **colours}
         return out
 
     @cached_property
@@ -98,7 +105,8 @@ class PreparedScene:
     @property
     def occluder_albedos(self) -> list:
         """Of each occluder (3,), or (n, n, 3) by its UVs: what it reflects of light from all sides."""
-        return [np.full(3, self.grey) if a is None else a for a in self._known_albedos]
+        grey = np.full(3, self.grey)
+        return [self.colours.get(k, grey) if a is None else a for k, a in enumerate(self._known_albedos)]
 
     @property
     def millimetres_per_unit(self) -> float:

@@ -34,6 +34,7 @@ class SolvedLight:
     exposures : of each photograph over the first's
     near : (direction, light.sun.Near) of each lamp that stands near
     suns : light.sun.Sun, the lamps that are told apart from the sky, the brightest first
+    alone : the fit of the objects alone, where ``fit`` is of what is seen of the ground, too; else None
     """
 
     fit: Fit
@@ -41,6 +42,12 @@ class SolvedLight:
     exposures: list
     near: tuple = ()
     suns: tuple = ()
+    alone: Fit | None = None
+
+    @property
+    def of_objects(self) -> Fit:
+        """The fit of the objects alone."""
+        return self.alone or self.fit
 
     @property
     def order(self) -> int:

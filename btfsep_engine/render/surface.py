@@ -128,10 +128,13 @@ def eroded(region) -> np.ndarray:
 
 
 def surface_points(view: View, job: Job, index: int, *, region=None) -> SurfacePoints:
-    """Surface points of object ``index`` in ``region`` ((h, w) bool; None: `object_region`)."""
+    """Surface points of object ``index`` in ``region`` ((h, w) bool; None: `object_region`).
+
+    Occluders are counted after the objects; of these the region has to be given.
+    """
     region = object_region(view, job, index) if region is None else region
     rows, columns = np.nonzero(region)
-    mesh, camera = job.objects[index].mesh, job.camera
+    mesh, camera = (*job.objects, *job.occluders)[index].mesh, job.camera
     face, weights = view.face[rows, columns], view.barycentric[rows, columns].astype(np.float64)
     # rounded to float32 they do not sum to one, and a position far from the origin would move
     weights[:, 0] = 1 - weights[:, 1] - weights[:, 2]

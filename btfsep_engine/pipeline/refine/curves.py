@@ -84,7 +84,7 @@ def curve_doubts(problems, light) -> list[str]:
     logs = []
     for curve in (LINEAR, SRGB):
         read = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
-        answer = light.solver.solve(light.radiance(read), weights=weights, start=light.fit)
+        answer = light.solver.solve(light.radiance(read), weights=weights, start=light.of_objects)
         logs.append(log_probability(answer, curve.log_slope(codes) - np.log(unit), weights))
     if logs[1 - coded] - logs[coded] < FAR:
         return []

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What surfaces beside the objects show of the light: a table or a floor, with the objects' shadows on it.
+
+The photograph of a ground of one colour, channel by channel and in the photo's own unit, is taken to be
+
+    t = G x + F a + n,    t = b / s,    n ~ N(0, h v I),    a ~ N(0, I),    F = (G x') (o) Y.
+
+G x is what a white ground shows under the light. Order 9 has neither the edges of shadows nor the darkness of what lies
+behind the ground, so G is of beams, from each pixel of a map of the sky; all that the ground can tell of them apart
+(`NULL`) stands beside the light's coefficients in the search (`LogField.beside`).
+
+s is the ground's colour, as a first light x' has it, and free: Y has a constant (`FREE`) for each surface, and what
+grounds vary by over the place, smoothly (`DRIFT`; over the normals, as with objects, there is nothing to vary). So
+nothing but the pattern counts: how deep a shadow is, and where. F goes by what x' predicts and not by the photo, else a
+ground that is all factor and no light would explain any photo. n is all else: texture, edges, the camera's noise; v is
+found as the objects' is, so that a ground that is not as the model has it counts for little. a is integrated out as in
+`fit.products`, and what a light has to explain of the ground is stacked on what it has to explain of the objects.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.linalg import block_diag, lapack, solve_triangular
+
+from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.products import NEGLIGIBLE, SEEN, Photograph, Rows
+from btfsep_engine.fit.search import FLOOR, Solution
+from btfsep_engine.light.lightings import bilinear
+from btfsep_engine.light.log_field import even_field, natural_field
+
+SKY = (30, 60)  # pixels of the map of beams: 6 degrees
+DIRECTIONS = 800  # of a field: 7 degrees apart
+EVIDENCE = 500  # places that count as such
+LEAST_NOISE = 0.02  # of the ground's root mean square: light between surfaces is known no better
+FREE, DRIFT = 1.0, 0.03  # of the ground's reflectance: its own; its deviation over the place
+SHADOWED = 0.1  # of the most light that a direction gives the ground: deviation between places that shows a lamp there
+NULL = 2e-3  # of the largest singular value of G
+
+
+@dataclass(frozen=True)
+class Ground:
+    """Places on surfaces beside the objects.
+
+    Attributes
+    ----------
+    response : (p, h w, 3) float32, the surface white: radiance under a beam of irradiance 1 from each pixel of a map of
+        `SKY`, averaged over the pixel
+    radiance : (p, 3) float64, b, linear
+    surface : (p,) int, which of the surfaces it is
+    at : (p, 2) float64, where on it, in the objects' radii
+    """
+
+    response: np.ndarray
+    radiance: np.ndarray
+    surface: np.ndarray
+    at: np.ndarray
+
+
+class WithGround:
+    """The products of a photograph with ground beside its objects, for `fit.search` in the place of a `Photograph`.
+
+    Noises v are (6,): the objects', then the ground's.
+
+    Parameters
+    ----------
+    photo : Photograph, of the objects
+    ground : Ground, in the photo's exposure
+    first : Solution for the objects alone
+    """
+
+    def __init__(self, photo: Photograph, ground: Ground, first: Solution):
+        self.photo, self.ground = photo, ground
+        self.basis, self.level, self.mean_square = photo.basis, photo.level, photo.mean_square
+        places, pixels = ground.response.shape[:2]
+        u, s, axes = np.linalg.svd(np.moveaxis(ground.response, 2, 0).reshape(-1, pixels), full_matrices=False)
+        kept = s > NULL * s[0]
+        self._columns = (u[:, kept] * s[kept]).astype(np.float64).reshape(3, places, -1)
+        beside = partial(_between, np.ascontiguousarray(axes[kept].T, np.float64))
+        self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in (natural_field(), even_field()))
+        self._drift, self._shown = _drift(ground), 0.0
+        field = self.fields[0 if first.model.field.order else 1]
+        self.learn_ground(LightModel(field, first.model.lamps).light(first.white)[0])
+
+    @property
+    def coarsening(self) -> float:
+        """Of the objects' pixels, in whose unit `noise_count` is."""
+        return self.photo.coarsening
+
+    @property
+    def effective(self) -> float:
+        """How many independent channels the objects' misfit has."""
+        return self.photo.effective
+
+    @property
+    def count(self) -> np.ndarray:
+        """(3,), of the objects."""
+        return self.photo.count
+
+    @property
+    def _stiffness(self) -> float:
+        return 3 / self.effective * (1 + len(self.ground.radiance) / EVIDENCE)
+
+    @property
+    def noise_unit(self) -> np.ndarray:
+        """(6,), as of `Photograph`; the ground's floor is another."""
+        return np.concatenate([self.mean_square, self.energy * (LEAST_NOISE / FLOOR) ** 2])
+
+    @property
+    def noise_count(self) -> np.ndarray:
+        """(6,), as of `Photograph`."""
+        return np.concatenate([self.count, np.full(3, len(self.ground.radiance) * self.coarsening / self._stiffness)])
+
+    def learn_from(self, x) -> None:
+        """As of `Photograph`: of the objects; of the ground all is said by the light of the objects alone."""
+        self.photo.learn_from(x[:, : self.basis.terms])
+
+    def learn_ground(self, x) -> float:
+        """Sets, from a light's coefficients x (3, terms), the surfaces' colours, and what they depart from them by.
+
+        Returns how much what a light predicts of the ground's pattern has changed, relative root mean square.
+        """
+        seen, departures, shown = [], [], []
+        for c, columns in enumerate(self._columns):
+            b, predicted = self.ground.radiance[:, c] / self.level[c], columns @ x[c, self.basis.terms :]
+            scale = np.ones(len(b))
+            for own in (self.ground.surface == i for i in range(self.ground.surface.max() + 1)):
+                energy = max(float(np.square(predicted[own]).sum()), 1e-300)
+                scale[own] = max(float(b[own] @ predicted[own]) / energy, 1e-6)
+            seen.append(b / scale)
+            shown.append(predicted * scale)
+            departures.append(predicted[:, None] * self._drift)
+        before, self._shown = self._shown, np.array(shown)
+        self._seen, self._departures = seen, departures
+        self.energy = np.array([np.square(t).mean() for t in seen])
+        return float(np.linalg.norm(self._shown - before) / np.linalg.norm(self._shown))
+
+    def rows(self, v, discrepancy: float) -> Rows:
+        """As of `Photograph`, of objects and ground."""
+        own = self.photo.rows(v[:3], discrepancy)
+        root, target, rest, log_determinant = [], [], own.rest, own.log_determinant
+        for c, columns in enumerate(self._columns):
+            w, f, t = 1 / (v[3 + c] * self._stiffness), self._departures[c], self._seen[c]
+            lower = np.linalg.cholesky(np.eye(f.shape[1]) + w * (f.T @ f))
+            fa, fb = (w * solve_triangular(lower, f.T @ values, lower=True) for values in (columns, t))
+            gram, moment = w * (columns.T @ columns) - fa.T @ fa, w * (columns.T @ t) - fa.T @ fb
+            log_determinant += float(np.log(np.diag(lower)).sum())
+            half, order, rank, _ = lapack.dpstrf(gram, lower=1, tol=NEGLIGIBLE)
+            half, order = np.tril(half)[:, :rank], order - 1
+            y = solve_triangular(half[:rank], moment[order[:rank]], lower=True)
+            rest += max(float(w * (t @ t) - fb @ fb - y @ y), 0.0)
+            root.append(block_diag(own.root[c], half.T[:, np.argsort(order)]))
+            target.append(np.concatenate([own.target[c], y]))
+        return Rows(root, target, rest, log_determinant)
+
+    def noise(self, x, v, discrepancy: float) -> np.ndarray:
+        """(6,), as of `Photograph`."""
+        out = []
+        for c, columns in enumerate(self._columns):
+            w, f = 1 / (v[3 + c] * self._stiffness), self._departures[c]
+            left = self._seen[c] - columns @ x[c, self.basis.terms :]
+            a = np.linalg.solve(np.eye(f.shape[1]) + w * (f.T @ f), w * (f.T @ left))
+            out.append(np.square(left - f @ a).mean())
+        return np.concatenate([self.photo.noise(x[:, : self.basis.terms], v[:3], discrepancy), out])
+
+    def misfit(self, x) -> np.ndarray:
+        """As of `Photograph`: of the objects."""
+        return self.photo.misfit(x[:, : self.basis.terms])
+
+    def scores(self, radiance, v, discrepancy: float) -> np.ndarray:
+        """As of `Photograph`: of the objects."""
+        return self.photo.scores(radiance, v[:3], discrepancy)
+
+    def shadowed(self, directions) -> np.ndarray:
+        """Whether the ground would show a lamp in each of the directions (n, 3): (n,) bool."""
+        seen = self._columns[1] @ self.fields[0].beside(directions).T
+        return seen.std(0) > SHADOWED * seen.mean(0).max()
+
+    def reaches(self, field) -> np.ndarray:
+        """Which of a field's directions (n,) light the objects well enough, or have a shadow on the ground."""
+        response = self.basis.mean_response @ field.to_coefficients[: self.basis.terms]
+        return (response > SEEN * response.max()) | self.shadowed(field.directions)
+
+
+def _between(axes, directions) -> np.ndarray:
+    """(…, k), ``axes`` (h w, k) of a map of `SKY` in directions (…, 3), bilinear."""
+    flat = np.reshape(directions, (-1, 3))
+    return (bilinear(flat, *SKY) @ axes).reshape(*np.shape(directions)[:-1], axes.shape[1])
+
+
+def _drift(ground: Ground) -> np.ndarray:
+    """Y: for each surface a constant, and what is linear and quadratic in the place: (p, 6 surfaces)."""
+    u, v = ground.at.T
+    smooth, out = np.stack([u, v, u * u, u * v, v * v], 1), []
+    for own in (ground.surface == i for i in range(ground.surface.max() + 1)):
+        each = smooth - smooth[own].mean(0)
+        each *= DRIFT / np.sqrt(each.shape[1]) / np.maximum(np.sqrt(np.square(each[own]).mean(0)), 1e-12)
+        out.append(own[:, None] * np.concatenate([np.full((len(u), 1), FREE), each], 1))
+    return np.concatenate(out, 1)

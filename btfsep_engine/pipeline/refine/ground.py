@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A table or floor that the photo shows is evidence of the light, where the job asks for it: its shadows, its colour.
+
+What the objects say stands: the ground's shadows are fitted beside them (`fit.ground`), light between surfaces counted,
+and the answer is taken unless it explains the objects far worse. A ground whose surface the job does not say has the
+colour that its pixels have under the objects' light.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine import kept, sh
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
+from btfsep_engine.fit.ground import SKY, Ground
+from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS
+from btfsep_engine.pipeline.settings import MODELLED_BOUNCES
+from btfsep_engine.pipeline.together import all_weights, fit_together
+from btfsep_engine.render.radiosity import diffuse_albedo
+from btfsep_engine.render.surface import SurfacePoints, eroded, surface_points, with_any_tangent
+
+PLACES = 400  # of all that is seen of a ground: means over as many blocks of pixels, about
+FEWEST = 40
+FULL = 0.5  # of a block that has to show the ground
+FINER = 2  # rays to each pixel of the sky's map, a side
+DARKEST, BRIGHTEST = 0.02, 0.95
+ROUNDS = 2  # of colours and the light that they are seen under
+WORSE = 1.3  # of the objects' residual: a ground that asks for so much more speaks of something else than their light
+NOISIEST = 0.15  # of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, checks 40 %
+WHITE = Lambertian("ground/white", np.ones(3))
+
+
+def used_as_evidence(job, settings) -> list[int]:
+    """Numbers of the occluders that are."""
+    if settings.evidence == "never":
+        return []
+    return [k for k, o in enumerate(job.occluders) if o.evidence or settings.evidence == "all"]
+
+
+def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
+    """Points in the middle of blocks of the pixels that show an occluder, and the photo's mean over each (p, 3).
+
+    None where too little of it is seen.
+    """
+    photo, index = scene.job.photo, len(scene.job.objects) + k
+    region = eroded(scene.view.mesh == index) & photo.usable
+    rows, columns = np.nonzero(region)
+    edge = max(1, int(np.sqrt(len(rows) / PLACES)))
+    block, number, count = np.unique(
+        rows // edge * region.shape[1] + columns // edge, return_inverse=True, return_counts=True
+    )
+
+    def mean(values):
+        return np.bincount(number, values) / count
+
+    middle = np.square(rows - mean(rows)[number]) + np.square(columns - mean(columns)[number])
+    first = np.lexsort((middle, number))[np.concatenate([[0], np.cumsum(count)[:-1]])] if len(block) else []
+    full = count >= FULL * edge * edge
+    if full.sum() < FEWEST:
+        return None
+    chosen = first[full]
+    shown = np.zeros_like(region)
+    shown[rows[chosen], columns[chosen]] = True
+    radiance = np.stack([mean(photo.radiance[rows, columns, c].astype(np.float64)) for c in range(3)], 1)[full]
+    points = with_any_tangent(surface_points(scene.view, scene.job, index, region=shown))
+    return points, radiance[np.lexsort((columns[chosen], rows[chosen]))]  # in the order of the points
+
+
+def white_response(scene, materials, points, settings) -> np.ndarray:
+    """`fit.ground.Ground.response` of a ground's points.
+
+    What objects and other surfaces send it is smooth: of the fit's order, and nowhere negative.
+    """
+
+    def found():
+        h, w = (FINER * n for n in SKY)
+        rays = pixel_directions(h, w).reshape(-1, 3)
+        seen = scene.tracer.visible(points.position, points.flat_normal, rays) * np.maximum(points.normal @ rays.T, 0)
+        straight = seen.reshape(-1, SKY[0], FINER, SKY[1], FINER).mean((2, 4)).reshape(len(points), -1, 1) / np.pi
+        indirect = scene.indirect(materials, SHBasis(settings.fit_order), settings, bounces=MODELLED_BOUNCES)
+        sent = indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), WHITE)
+        y = sh.evaluate(settings.fit_order, pixel_directions(*SKY).reshape(-1, 3)).astype(np.float32)
+        above = straight.any(0)[:, 0]  # what is behind the ground for all of it reaches nothing on it
+        between = np.maximum(np.einsum("ptc,nt->pnc", sent, y * above[:, None], optimize=True), 0)
+        return (straight + between).astype(np.float32)
+
+    albedos = [*map(diffuse_albedo, materials), *scene.occluder_albedos]
+    parts = [scene.tracer.key, points.position, albedos, settings.fit_order, settings.surface_samples, settings.seed]
+    return kept.recalled("ground", parts, found)
+
+
+def ground_of(problems, exposures, settings) -> Ground | None:
+    """What the photos show of the ground, in the first one's exposure; None where they show too little."""
+    parts, surface = [], 0
+    for problem, exposure in zip(problems, exposures, strict=True):
+        for k in used_as_evidence(problem.scene.job, settings):
+            seen = places_of(problem.scene, k)
+            if seen is None:
+                continue
+            points, radiance = seen
+            off = (points.position - points.position.mean(0)) / problem.scene.tracer.radius
+            at = off @ np.linalg.svd(off, full_matrices=False)[2][:2].T
+            response = white_response(problem.scene, problem.materials, points, settings)
+            parts.append((response, radiance / exposure, np.full(len(points), surface), at))
+            surface += 1
+    return Ground(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
+
+
+def seen_colours(problem, x, settings) -> dict:
+    """{number of an occluder: (3,)}, of evidence whose surface is not known: what it reflects, under a light x."""
+    out, scene, (h, w) = {}, problem.scene, SKY
+    area = np.repeat(pixel_solid_angles(h, w), w)[:, None]
+    sky = area * np.maximum(sh.series(x, pixel_directions(h, w).reshape(-1, 3)), 0)
+    for k in used_as_evidence(scene.job, settings):
+        seen = places_of(scene, k) if scene.job.occluders[k].surface is None else None
+        if seen is None:
+            continue
+        points, radiance = seen
+        white = np.einsum("pnc,nc->pc", white_response(scene, problem.materials, points, settings), sky)
+        colour = (radiance * white).sum(0) / np.maximum(np.square(white).sum(0), 1e-300)
+        out[k] = np.clip(colour, DARKEST, BRIGHTEST)
+    return out
+
+
+def by_own_pixels(straight, model, light, with_reflections):
+    """Models without and with light between surfaces, and the light: evidence of no known surface has its own colour.
+
+    Parameters
+    ----------
+    straight, model : Model without and with light between surfaces; light : SolvedLight of the second
+    with_reflections : Model -> the same with light between surfaces
+    """
+    for _ in range(ROUNDS if light.solver else 0):
+        seen = {id(p.scene): seen_colours(p, light.fit.shown, model.settings) for p in model.problems}
+        if not any(seen.values()):
+            break
+        of_straight = {id(p.scene): seen[id(q.scene)] for p, q in zip(straight.problems, model.problems, strict=True)}
+
+        def coloured(problem, known=of_straight):
+            return replace(problem, scene=problem.scene.with_colours(known[id(problem.scene)]))
+
+        straight = straight.changed(coloured)
+        model = with_reflections(straight)
+        settings = replace(model.modelled, order=light.order)
+        light = fit_together(model.problems, settings, beside=light.fit)
+    return straight, model, light
+
+
+def ground(model, light):
+    """The refinement: the light that objects and ground explain together."""
+    problems, settings = model.problems, model.modelled
+    if not any(used_as_evidence(p.scene.job, model.settings) for p in problems):
+        return model, light, {}
+    if settings.estimator != "map" or settings.transport != "kernel":
+        return model, light, {"ground": "not used as evidence: that needs --estimator map and --transport kernel"}
+    if light.near:
+        return model, light, {"ground": "not used as evidence: a lamp stands near"}
+    with model.reporter.stage("ground"):
+        shown = ground_of(problems, light.exposures, settings)
+        if shown is None:
+            return model, light, {"ground": "not used as evidence: the photo shows too little of it"}
+        fit = light.solver.beside_ground(light.radiance(problems), light.fit, shown, weights=all_weights(problems))
+    noise = float(np.sqrt(np.mean(fit.election.solution.v[3:] / fit.election.photo.energy)))
+    if noise > NOISIEST:
+        why = f"not used as evidence: it is not of one colour, or not matte ({100 * noise:.0f} % is not explained)"
+        return model, light, {"ground": why}
+    if fit.residual > WORSE * light.fit.residual:
+        model.reporter.warn(
+            "what is seen of the ground does not go with the objects: the light that explains its shadows explains "
+            "them far worse, so it was left out; it may not be matte, lie elsewhere, or show other things' shadows"
+        )
+        return model, light, {"ground": "not used as evidence: it speaks against the objects"}
+    why = f"used as evidence: the light explains what is seen of it but for {100 * noise:.0f} % (its colour is free)"
+    return model, replace(light, fit=fit, alone=light.fit), {"ground": why}

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a table that is seen tells of the light, on photographs by Cycles: with its pixels as evidence, and without.
+
+scripts/study ground FOLDER --make     photographs it, once
+scripts/study ground FOLDER
+
+The object's material is given; the table's colour is known to the job, or not. "Above" is the error of the light from
+above the table's plane alone, the estimate's and the true one's: what comes from below, nothing in such a photo shows.
+"Over without" is the error over that of the same job without its table's pixels. The set "tuned" is what constants of
+the estimator were looked at on; other objects and tables, and the studio's light turned otherwise, are "new".
+"""
+
+import json
+import time
+from dataclasses import replace
+from itertools import cycle, product
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from btfsep_engine import sh
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.images import write_exr
+from btfsep_engine.job.load import load_job
+from btfsep_engine.light.lightings import turned
+from btfsep_engine.light.maps import read_map
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from scripts.cycles.lights import light_path, true_lighting
+from scripts.studies import parser, photos, tables
+from scripts.studies.measures import judged, order2
+
+EDGE = 8.0  # of the table, in the object's radii
+FILL = 0.55  # of the frame by the object: the rest is table
+TABLES = {  # colour and how many checks a side
+    "grey": ([0.3] * 3, 0),
+    "orange": ([0.8, 0.25, 0.05], 0),
+    "checks": ([0.6, 0.5, 0.35], 24),
+    "light": ([0.6] * 3, 0),
+    "teal": ([0.08, 0.35, 0.35], 0),
+    "dark": ([0.12, 0.1, 0.09], 0),
+    "tiles": ([0.8, 0.7, 0.5], 16),
+}
+SETS = {  # objects, lights (a name, and by how many degrees it is turned), tables by turns
+    "tuned": (
+        (("suzanne", "white"), ("vase", "leather/brown-grain")),
+        ("studio", "studio-180", "courtyard", "night", "sunset"),
+        ("grey", "orange", "checks"),
+    ),
+    "new": (
+        (("blob", "fabric/denim-twill"), ("pebble", "white"), ("cushion", "wood/walnut-lacquered")),
+        ("studio-090", "studio-270", "city", "interior", "sunrise", "forest-090"),
+        ("light", "teal", "dark", "tiles"),
+    ),
+}
+KNOWN, UNKNOWN = "known", "not known"
+WITHOUT, WITH = "never", "all"
+GROUPS = {"studio": "the studio's lamps", "tiles": "a table of two colours", "checks": "a table of two colours"}
+_DIRECTIONS = fibonacci_sphere(8000)
+
+
+def light_of(folder: Path, light: str) -> str:
+    """A studio light's name, or the path of its map turned by as many degrees as its name ends in; made if need be."""
+    name, _, degrees = light.partition("-")
+    if not degrees:
+        return light
+    path = folder / "lights" / f"{light}.exr"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_exr(path, turned(read_map(light_path(name)), -float(degrees)))
+    return str(path)
+
+
+def make(folder: Path, which) -> None:
+    """Photographs all of it, a folder for each table; what is there stays."""
+    for name in which:
+        (objects, lights, tops), shots = SETS[name], []
+        for ((shape, material), light), kind in zip(product(objects, lights), cycle(tops), strict=False):
+            table = {"edge": EDGE, "colour": TABLES[kind][0], "checks": TABLES[kind][1]}
+            given = light_of(folder, light)
+            shots.append(photos.shot(folder / name / kind, shape, material, given, table=table, fill=FILL))
+        photos.take(shots, resolution=192, samples=64)
+
+
+def above(x) -> np.ndarray:
+    """Order 2 of what of a light (terms, 3) comes from above the horizon: (9, 3)."""
+    up = _DIRECTIONS[:, 2] > 0
+    y = sh.evaluate(sh.order_of(len(x)), _DIRECTIONS[up])
+    return y[:, :9].T @ (y @ x)
+
+
+def study(photo, folder: Path, kind: str, knows: str, evidence: str, library) -> dict:
+    """One estimate."""
+    job = load_job(photo.folder)
+    if knows == UNKNOWN:
+        job = replace(job, occluders=tuple(replace(o, surface=None) for o in job.occluders))
+    begun, truth = time.perf_counter(), true_lighting(light_of(folder, photo.light), 9)
+    found = estimate(PreparedScene(job, Reporter()), library, choose(evidence=evidence), material=photo.material)
+    row = {"object": photo.object, "light": photo.light, "table": kind, "knows": knows, "evidence": evidence}
+    row |= {"seconds": time.perf_counter() - begun, "choice": found.choice}
+    row |= {"above": order2(above(found.fit.all_coefficients), above(truth))}
+    row |= {"colour": [np.asarray(c) for c in found.scene.colours.values()]}
+    return row | judged(found.lighting, found.fit.samples, truth)
+
+
+HEADS = (
+    "photographs", "table", "its pixels", "error", "over without", "above", "over without", "direction", "stated",
+    "95 % range", "seconds",
+)  # fmt: skip
+
+
+def kinds_of(row) -> list[str]:
+    """The groups of photographs that one is in."""
+    by_light = GROUPS.get(row["light"].partition("-")[0], "other lights")
+    return ["all", by_light, *([GROUPS[row["table"]]] if row["table"] in GROUPS else [])]
+
+
+def lines(rows):
+    """A line for each group of photographs and way."""
+    without = {(r["object"], r["light"], r["knows"]): r for r in rows if r["evidence"] == WITHOUT}
+    for kind in dict.fromkeys(k for r in rows for k in kinds_of(r)):
+        inside = [r for r in rows if kind in kinds_of(r)]
+        for (knows, evidence), some in tables.groups(inside, lambda r: (r["knows"], r["evidence"]), every=None):
+            same = [without[r["object"], r["light"], r["knows"]] for r in some]
+            yield (
+                f"{kind} ({len(some)})",
+                knows,
+                "evidence" if evidence == WITH else "–",
+                *(
+                    tables.spread(values)
+                    for key in ("order2", "above")
+                    for values in ([r[key] for r in some], [r[key] / s[key] for r, s in zip(some, same, strict=True)])
+                ),
+                tables.spread([r["direction"] for r in some], "{:.1f}°"),
+                f"{np.median([r['stated2'] for r in some]):.2f}",
+                tables.percent([r["inside"] for r in some]),
+                f"{np.median([r['seconds'] for r in some]):.1f}",
+            )
+
+
+EACH = ("photograph", "error", "evidence", "above", "evidence", "stated", "evidence")
+
+
+def each(rows):
+    """A line for each photograph whose table is known."""
+    for name, some in tables.groups(rows, lambda r: (r["object"], r["light"], r["table"], r["knows"]), every=None):
+        both = {r["evidence"]: r for r in some}
+        pairs = [f"{both[e][key]:.2f}" for key in ("order2", "above", "stated2") for e in (WITHOUT, WITH)]
+        yield " ".join(name), *pairs
+
+
+def main(arguments) -> int:
+    options = parser("ground", __doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--make", action="store_true", help="photograph what the study is made of")
+    options.add_argument("--sets", nargs="+", choices=list(SETS), default=["new"])
+    options.add_argument("--knows", nargs="+", choices=(KNOWN, UNKNOWN), default=(KNOWN, UNKNOWN))
+    options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
+    given = options.parse_args(arguments)
+    folder = given.folder.resolve()
+    if given.make:
+        make(folder, given.sets)
+        return 0
+    library, rows = open_library(None), []
+    kinds = [path for name in given.sets for path in sorted((folder / name).iterdir())]
+    todo = [(p, k.name) for k in kinds for p in photos.photographs_in(k)]
+    for (photo, kind), knows, evidence in tqdm(list(product(todo, given.knows, (WITHOUT, WITH)))):
+        rows.append(study(photo, folder, kind, knows, evidence, library))
+    if given.numbers:
+        given.numbers.write_text(json.dumps(rows, default=lambda a: np.asarray(a).tolist()))
+    print(tables.table(HEADS, lines(rows)), end="\n\n")
+    print(tables.table(EACH, each(rows)))
+    return 0

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A ground with an object's shadow on it, as evidence beside the object: what it adds, and what it must not change."""
+
+import numpy as np
+import pytest
+
+from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
+from btfsep_engine.fit.ground import SKY, Ground, WithGround
+from btfsep_engine.fit.log_normal import LightSolver
+from tests.engine.half_sphere import SUN, even, half_sphere, lamp, off, shown
+
+BEHIND = np.array([0.25, 0.9, 0.35]) / np.linalg.norm([0.25, 0.9, 0.35])  # the ball is seen from -y
+FACING = 0.5  # cosine from which on pixels of the ball are used: none of them is lit from behind
+RAYS = pixel_directions(*SKY).reshape(-1, 3)
+
+
+def white_under(directions, at) -> np.ndarray:
+    """What a white ground z = -1 under the unit ball shows at places (p, 3) of beams from directions (n, 3): (p, n)."""
+    along = at @ directions.T
+    blocked = (along < 0) & (np.square(at).sum(1)[:, None] - along**2 < 1)
+    return np.where(blocked, 0, np.maximum(directions[:, 2], 0)) / np.pi
+
+
+def table(rng, light, *, colour=(0.5, 0.3, 0.2), noise=0.01, places=250) -> Ground:
+    """The ground in front of the ball under ``light``: (direction, irradiance) of lamps, and even light's radiance."""
+    beams, radiance = light
+    at = np.concatenate([rng.uniform([-4, -5], [4, 0.5], (places, 2)), np.full((places, 1), -1.0)], 1)
+    response = white_under(RAYS, at)
+    area = np.repeat(pixel_solid_angles(*SKY), SKY[1])
+    values = radiance * (response * area).sum(1)
+    for direction, irradiance in beams:
+        values = values + irradiance * white_under(direction[None], at)[:, 0]
+    b = values[:, None] * np.asarray(colour) * (1 + noise * rng.normal(size=(places, 3)))
+    return Ground(np.repeat(response[..., None], 3, 2).astype(np.float32), b, np.zeros(places, int), at[:, :2])
+
+
+@pytest.fixture
+def case(rng):
+    """A photograph of the ball under a lamp in front and one behind, solved alone; and the light's coefficients."""
+    light = ([(SUN, 2.0), (BEHIND, 3.0)], 0.1)
+    x = even((0.1,) * 3) + lamp(SUN, [2.0] * 3) + lamp(BEHIND, [3.0] * 3)
+    basis, normals, _ = half_sphere(rng, pixels=800, albedo=(0.5, 0.5, 0.5), gloss=0.0)
+    front = normals[:, 1] < -FACING
+    basis, normals = basis[front], normals[front]
+    solver = LightSolver(basis, normals=normals, order=4)
+    b = shown(basis, x, rng, 0.03)
+    return light, x, solver, b, solver.solve(b)
+
+
+def test_a_lamp_behind_the_object_is_found_by_its_shadow(case, rng):
+    light, x, solver, b, alone = case
+    fit = solver.beside_ground(b, alone, table(rng, light))
+    assert off(alone, x) > 0.3 and off(fit, x) < 0.12
+    nearest = max(lamp.direction @ BEHIND for lamp in fit.lamps)
+    assert np.degrees(np.arccos(nearest)) < 5
+    assert fit.all_coefficients.shape == alone.all_coefficients.shape and fit.samples.shape == alone.samples.shape
+
+
+def test_the_colour_of_the_ground_is_free(case, rng):
+    light, _, solver, b, alone = case
+    seeds = (np.random.default_rng(3) for _ in range(2))
+    one, other = (table(seed, light, colour=c) for seed, c in zip(seeds, ((0.5,) * 3, (0.9, 0.1, 0.02)), strict=True))
+    first, second = (solver.beside_ground(b, alone, g).all_coefficients for g in (one, other))
+    np.testing.assert_allclose(first, second, atol=1e-5 * np.abs(first).max())
+
+
+def test_through_a_texture_a_shadow_is_seen_and_a_ground_without_one_counts_for_little(case, rng):
+    light, x, solver, b, alone = case
+    ground = table(rng, light)
+    texture = rng.uniform(0.2, 1, (250, 1))
+    seen, unseen = (
+        solver.beside_ground(b, alone, Ground(ground.response, shown, ground.surface, ground.at))
+        for shown in (ground.radiance * texture, ground.radiance.mean() * np.repeat(texture, 3, 1))
+    )
+    assert off(seen, x) < 0.2 and off(unseen, x) < 1.1 * off(alone, x)
+
+
+def test_the_products_are_those_of_the_dense_model(case, rng):
+    light, _, _, _, alone = case
+    ground = table(rng, light, places=60)
+    photo = WithGround(alone.election.photo, ground, alone.election.solution)
+    v, x = np.array([2e-3, 3e-3, 4e-3, 1e-3, 2e-3, 3e-3]), rng.normal(size=(3, 100 + photo._columns.shape[2]))
+    rows, own = photo.rows(v, 0.08), alone.election.photo.rows(v[:3], 0.08)
+    wanted = np.square(own.residual(x[:, :100])).sum() + own.rest
+    logs = own.log_determinant
+    for c in range(3):
+        left = photo._seen[c] - photo._columns[c] @ x[c, 100:]
+        f, unit = photo._departures[c], v[3 + c] * photo._stiffness
+        covariance = unit * np.eye(60) + f @ f.T
+        wanted += left @ np.linalg.solve(covariance, left)
+        logs += 0.5 * (np.linalg.slogdet(covariance)[1] - 60 * np.log(unit))
+    assert np.square(rows.residual(x)).sum() + rows.rest == pytest.approx(wanted, rel=1e-3)
+    assert rows.log_determinant == pytest.approx(logs)
+
+
+def test_the_map_of_beams_is_the_ground_under_a_light(case, rng):
+    """Columns and axes of the decomposition, between the map's pixels, against the ground's own formula."""
+    light, _, _, _, alone = case
+    ground = table(rng, light)
+    photo = WithGround(alone.election.photo, ground, alone.election.solution)
+    found = photo._columns[0] @ photo.fields[0].of_beam(RAYS)[:, 100:].T
+    assert np.sqrt(np.square(found - ground.response[..., 0]).mean()) < 0.01 * found.max()
+    assert np.abs(found[:, RAYS[:, 2] < 0]).max() < 0.01 * found.max()  # nothing comes from behind it
+    assert photo.shadowed(np.array([BEHIND, [0, 0, -1.0]])).tolist() == [True, False]

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A table that the photo shows, as evidence: asked for by the job or the settings, its colour by its own pixels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine import sh
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.job.model import Occluder, Photo
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.refine.ground import places_of, seen_colours, used_as_evidence
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from tests.render.prepared import ball
+from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+
+COLOUR = np.array([0.7, 0.3, 0.1])
+DARK = Surface((0.05,) * 3, roughness=1.0, specular=0.0)  # a ball that sends next to nothing to the table
+
+
+def photographed(light, *, evidence: bool):
+    """The job of a dark ball on a table of `COLOUR` under a light (terms, 3), seen from above: direct light alone."""
+    plate = trimesh.creation.box([6, 6, 0.02]).apply_translation([0, 0, -1.02])
+    table = Occluder(as_mesh(plate, flat=True), None, evidence)
+    job = job_of([ball()], looking_down(), occluders=[table])
+    job = replace(job, objects=tuple(replace(o, surface=DARK) for o in job.objects))
+    scene, image = PreparedScene(job, Reporter()), np.zeros((96, 96, 3), np.float32)
+    rays = fibonacci_sphere(4000)
+    sky = sh.series(light, rays) * (4 / 4000)
+    for number, albedo in ((0, np.full(3, 0.05)), (1, COLOUR)):
+        rows, columns = np.nonzero(scene.view.mesh == number)
+        origins, directions = job.camera.rays(columns + 0.5, rows + 0.5)
+        at = origins + scene.view.distance[rows, columns, None] * directions
+        normal = at / np.linalg.norm(at, axis=1, keepdims=True) if number == 0 else np.tile([0, 0, 1.0], (len(at), 1))
+        seen = scene.tracer.visible(at, normal, rays) * np.maximum(normal @ rays.T, 0)
+        image[rows, columns] = albedo * (seen @ sky)
+    return replace(job, photo=Photo(image, np.ones((96, 96), bool), 0))
+
+
+def estimated(job, **told):
+    return estimate(PreparedScene(job, Reporter()), open_library(None), choose("draft", pixels=500, **told))
+
+
+def test_what_is_not_known_of_the_table_its_pixels_say():
+    light = positive_light(2)
+    found = estimated(photographed(light, evidence=True))
+    assert found.choice["ground"].startswith("used as evidence")
+    colours = seen_colours(found.model.problems[0], light, found.settings)
+    np.testing.assert_allclose(colours[0], COLOUR, rtol=0.03)
+    scene = found.scene.with_colours(colours)
+    assert np.array_equal(scene.occluder_albedos[0], colours[0]) and not scene.has_unknown and found.scene.has_unknown
+
+
+def test_a_ground_of_many_colours_is_left_out():
+    job = photographed(positive_light(2), evidence=True)
+    image = job.photo.radiance * np.where(np.indices((96, 96)).sum(0)[..., None] // 24 % 2, 1, 0.2).astype(np.float32)
+    image = np.where((PreparedScene(job, Reporter()).view.mesh == 1)[..., None], image, job.photo.radiance)
+    found = estimated(replace(job, photo=replace(job.photo, radiance=image)))
+    assert found.choice["ground"].startswith("not used as evidence: it is not of one colour")
+    assert found.light.alone is None and found.fit.all_coefficients.shape == (100, 3)
+
+
+def test_it_is_asked_for_and_else_changes_nothing():
+    light = positive_light(2)
+    asked, not_asked = (photographed(light, evidence=e) for e in (True, False))
+    never, plain = estimated(asked, evidence="never"), estimated(not_asked)
+    assert "ground" not in never.choice and "ground" not in plain.choice
+    assert np.array_equal(never.fit.samples, plain.fit.samples) and not plain.scene.colours
+    assert used_as_evidence(not_asked, choose(evidence="all")) == [0]
+
+
+def test_places_are_means_of_blocks_of_what_shows_the_table():
+    job = photographed(positive_light(2), evidence=True)
+    scene = PreparedScene(job, Reporter())
+    points, radiance = places_of(scene, 0)
+    assert 250 < len(points) < 900 and (points.position[:, 2] == pytest.approx(-1.01, abs=1e-6))
+    here = job.photo.radiance[tuple(points.pixels.T)]
+    assert np.abs(radiance / here - 1).mean() < 0.03
+    hidden = replace(job, photo=replace(job.photo, usable=scene.view.mesh == 0))
+    assert places_of(PreparedScene(hidden, Reporter()), 0) is None
