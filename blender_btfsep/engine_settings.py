@@ -80,8 +80,18 @@ HIGHEST = "The highest order of which the photo determines something. A sequence
 ORDER = Row("order", "Order", "Order of the harmonics of the light", 4, low=0, high=9, auto=HIGHEST, panel="light")
 PRESET = Row("preset", "Preset", "Speed against accuracy", "balanced", PRESETS, panel="light")
 TEXTURE = Row("appearance", "Texture", "How a material is compared with the photo", "auto", APPEARANCES, unsaid="auto")
+EVIDENCES = (
+    ("job", "As the Objects Say", "Those whose 'Use as Evidence' is on"),
+    ("all", "All", "All occluders that the photo shows"),
+    ("never", "Never", "None of them"),
+)
+EVIDENCE = Row("evidence", "Evidence", "Which occluders' own pixels tell of the light, too", items=EVIDENCES)
 PANEL = (PRESET, ORDER, replace(TEXTURE, panel="advanced"))
-COMMANDS = {"estimate": PANEL, "sequence": (PRESET, replace(ORDER, auto=""), TEXTURE), "recognise": (PRESET,)}
+COMMANDS = {
+    "estimate": (*PANEL, EVIDENCE),
+    "sequence": (PRESET, replace(ORDER, auto=""), TEXTURE),
+    "recognise": (PRESET,),
+}
 """Command of the engine -> the settings that it is told."""
 
 SQUARE = "What is measured, in millimetres: a square, UV 0 to 1, around the object's origin"

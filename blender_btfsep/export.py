@@ -145,6 +145,8 @@ def export_job(
             warn(f"occluder '{thing.name}': {error}: it is left out")
             continue
         given = {} if surface is None else {"surface": surface}
+        if getattr(thing, "btfsep_evidence", False):  # an export alone knows no panel
+            given["evidence"] = True
         casting.append({"mesh": _write(folder, names.of(thing.name), part), "to_world": None, **given})
     units = scene.unit_settings
     job = {

@@ -194,8 +194,10 @@ def _told(scene) -> tuple:
     camera = s.camera or scene.camera
     shape = [getattr(r, name) for name in SHAPE]
     suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known(scene)]
+    evidence = tuple(sorted(thing.session_uid for thing in scene.objects if thing.btfsep_evidence))
     shift = tuple(s.depth_shift)
-    own = (suns, s.occluders, s.mapping, s.exposure_ev, s.curve, shift, camera and camera.session_uid)
+    own = (suns, s.occluders, evidence, s.mapping, s.exposure_ev, s.curve, shift)
+    own += (camera and camera.session_uid,)
     return (*own, pictures, made, shape, engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s))
 
 

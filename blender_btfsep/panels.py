@@ -130,6 +130,9 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
                 row.operator("btfsep.new_mask", text="", icon="ADD")
             row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "mask"
         split.prop(settings, "occluders")
+        thing = context.object
+        if settings.occluders == "OTHERS" and request.may_be_evidence(settings, thing):
+            split.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
 
     def _made_of(self, context, layout, entry):
         split = layout.column()

@@ -265,6 +265,11 @@ _register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLAS
 def register():
     _register_classes()
     bpy.types.Scene.btfsep = PointerProperty(type=BTFSEP_PG_settings)
+    bpy.types.Object.btfsep_evidence = BoolProperty(
+        name="Use as Evidence",
+        description="What the photo shows of this table or floor tells of the light, too: the shadows on it. It should "
+        "be matte and of one colour, which need not be known",
+    )
     bpy.types.World.btfsep_kept = PointerProperty(type=BTFSEP_PG_kept)
     bpy.types.WindowManager.btfsep = PointerProperty(type=BTFSEP_PG_run)
 
@@ -272,5 +277,6 @@ def register():
 def unregister():
     del bpy.types.WindowManager.btfsep
     del bpy.types.World.btfsep_kept
+    del bpy.types.Object.btfsep_evidence
     del bpy.types.Scene.btfsep
     _unregister_classes()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_process, engine_settings, export, export_child, own_surface, preferences, reasons, runs
+from . import engine_process, engine_settings, export, export_child, meshes, own_surface, preferences, reasons, runs
 from .errors import InputError
 
 
@@ -25,6 +25,12 @@ def fitted(settings, ids=None) -> dict:
         return {export.SURFACE: settings.surface}
     names = {number: name for name, number in (ids or {}).items()}
     return {names.get(entry.object.session_uid, entry.object.name): entry for entry in listed(settings)}
+
+
+def may_be_evidence(settings, thing) -> bool:
+    """Whether an object (or None) stands beside what is fitted, and has a surface."""
+    listed_too = thing is not None and any(entry.object == thing for entry in listed(settings))
+    return thing is not None and meshes.has_surface(thing) and not (listed_too and settings.depth is None)
 
 
 def ids_of(settings) -> dict:

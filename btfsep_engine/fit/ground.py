@@ -23,7 +23,6 @@ from functools import partial
 import numpy as np
 from scipy.linalg import block_diag, lapack, solve_triangular
 
-from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEGLIGIBLE, SEEN, Photograph, Rows
 from btfsep_engine.fit.search import FLOOR, Solution
 from btfsep_engine.light.lightings import bilinear
@@ -80,7 +79,7 @@ class WithGround:
         self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in (natural_field(), even_field()))
         self._drift, self._shown = _drift(ground), 0.0
         field = self.fields[0 if first.model.field.order else 1]
-        self.learn_ground(LightModel(field, first.model.lamps).light(first.white)[0])
+        self.learn_ground(replace(first.model, field=field).light(first.white)[0])
 
     @property
     def coarsening(self) -> float:

@@ -36,7 +36,6 @@ from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.threads import one_thread
 
 MOST_LAMPS = 3
-SEEN = 0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them has any strength it likes
 HOPELESS = 30.0  # of the logarithm of the evidence: so far below a rich model, nothing more is tried of a plain one
 HIDDEN = 0.04  # of the same: a lamp that the photo could not know of
 HIDDEN_LAMPS = 0.5  # expected number of them over a whole sphere of such directions

@@ -38,9 +38,7 @@ EVIDENCE = 500  # pixels: alpha of the coarsened posterior
 SMOOTH_ORDER = 4
 NEARLY_RIGHT = 0.08  # D, root mean square over the normals, of a material that is taken for another's
 NEGLIGIBLE = 1e-2  # an eigenvalue of A^T N^-1 A, where the prior of the light has variances of some 1
-SEEN = (
-    0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them could be as strong as it likes
-)
+SEEN = 0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them has any strength it likes
 CHUNK = 1 << 13  # pixels: the basis images of a large photo are never copied whole
 SINGLE = np.sqrt(4 * np.pi)  # the first coefficient of light of radiance 1
 

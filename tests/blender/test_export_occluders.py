@@ -146,3 +146,22 @@ def test_the_render_decides_what_casts_shadows_not_the_viewport(scene, tmp_path,
     with pytest.raises(InputError, match="'excluded'; it has no faces, or the view layer excludes it"):
         export.export_job(scene, tmp_path / "no", image_path=photo, camera=camera, objects=[things["excluded"]])
     assert visibility(view_layer) == before
+
+
+def test_a_table_is_evidence_where_its_object_says_so(addon, scene, tmp_path, add_camera):
+    from blender_btfsep import request
+    from btfsep_engine.job.load import load_job
+
+    camera, thing = add_camera(scene, (0, -9, 0)), add_cube("Thing")
+    tables = [add_cube(f"Table {i}", location=(0, 0, -3 - 3 * i)) for i in range(2)]
+    tables[1].btfsep_evidence = thing.btfsep_evidence = True
+    photo = make_photo(tmp_path)
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    path = export.export_job(scene, tmp_path / "job", image_path=photo, camera=camera, objects=[thing])
+    job = json.loads(path.read_text())
+    assert [o.get("evidence") for o in job["occluders"]] == [None, True] and "evidence" not in job["objects"][0]
+    assert [o.evidence for o in load_job(path.parent).occluders] == [False, True]
+    scene.btfsep.objects.add().object = thing
+    assert [request.may_be_evidence(scene.btfsep, o) for o in (None, thing, camera, *tables)] == [False] * 3 + [
+        True
+    ] * 2
