@@ -64,6 +64,7 @@ def test_a_ground_of_many_colours_is_left_out():
     found = estimated(replace(job, photo=replace(job.photo, radiance=image)))
     assert found.choice["ground"].startswith("not used as evidence: it is not of one colour")
     assert found.light.alone is None and found.fit.all_coefficients.shape == (100, 3)
+    assert not seen_colours(found.model.problems[0], positive_light(2), found.settings)
 
 
 def test_it_is_asked_for_and_else_changes_nothing():

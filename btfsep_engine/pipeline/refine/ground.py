@@ -28,6 +28,7 @@ FINER = 2  # rays to each pixel of the sky's map, a side
 DARKEST, BRIGHTEST = 0.02, 0.95
 ROUNDS = 2  # of colours and the light that they are seen under
 WORSE = 1.3  # of the objects' residual: a ground that asks for so much more speaks of something else than their light
+PATTERNED = 0.3  # varies more than by shadows, as a rule: no one colour is its own
 NOISIEST = 0.15  # of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, checks 40 %
 WHITE = Lambertian("ground/white", np.ones(3))
 
@@ -108,6 +109,11 @@ def ground_of(problems, exposures, settings) -> Ground | None:
     return Ground(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
 
 
+def varies(radiance) -> float:
+    """The deviation of what is seen of a ground (p, 3) from its mean, over its root mean square."""
+    return float(np.sqrt(radiance.var(0).sum() / np.maximum(np.square(radiance).mean(0).sum(), 1e-300)))
+
+
 def seen_colours(problem, x, settings) -> dict:
     """{number of an occluder: (3,)}, of evidence whose surface is not known: what it reflects, under a light x."""
     out, scene, (h, w) = {}, problem.scene, SKY
@@ -118,6 +124,8 @@ def seen_colours(problem, x, settings) -> dict:
         if seen is None:
             continue
         points, radiance = seen
+        if varies(radiance) > PATTERNED:  # greys are tried then, as of what is no evidence
+            continue
         white = np.einsum("pnc,nc->pc", white_response(scene, problem.materials, points, settings), sky)
         colour = (radiance * white).sum(0) / np.maximum(np.square(white).sum(0), 1e-300)
         out[k] = np.clip(colour, DARKEST, BRIGHTEST)
