@@ -136,11 +136,11 @@ class LightModel:
         """Derivatives of the lamps' coefficients by their unknowns: (3, unknowns of lamps, terms)."""
         q = self.parts(white)[1]
         if not self.lamps:
-            return np.empty((3, 0, self.field.terms))
+            return np.empty((3, 0, len(self.field.to_coefficients)))
         moves = STEP * np.eye(OF_LAMP)[[2, 0, 1]]
         moves[0] = 0
         directions, irradiances = self.lamp(slice(None), q + moves[:, None])
         y, *moved = self.field.of_beam(directions)  # (lamps, terms)
         aside = [(there - y) / STEP for there in moved]
         each = [np.stack([*aside, *(share * y for share in shares)], 1) for shares in BY_CHANNEL.T]
-        return (irradiances[0].T[..., None, None] * np.stack(each)).reshape(3, -1, self.field.terms)
+        return (irradiances[0].T[..., None, None] * np.stack(each)).reshape(3, -1, len(self.field.to_coefficients))

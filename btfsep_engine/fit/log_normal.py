@@ -210,15 +210,15 @@ class LightSolver:
 
     def _sampled(self, best: Solution, rival: Solution | None, unit, tint, photo) -> Stated:
         random = np.random.default_rng(self.seed)
-        loose = self._loose(best)
-        model = loose.model
+        model = self._loose(best.model)
         shown = photo.shadowed if isinstance(photo, WithGround) else None
-        whites, lights = posterior_samples(loose, SAMPLES, random)
+        whites, lights = posterior_samples(best, SAMPLES, random, model=model)
         lights = lights[:, : self.basis.terms]
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
         own_light = lights[:, 0].copy()  # what the lamps are a share of: a rival's light has none of them
         if rival is not None:
-            lights[::2] = posterior_samples(self._loose(rival), len(lights[::2]), random)[1][:, : self.basis.terms]
+            others = posterior_samples(rival, len(lights[::2]), random, model=self._loose(rival.model))[1]
+            lights[::2] = others[:, : self.basis.terms]
         hidden = hidden_lamps(self.basis, SAMPLES, random, known=len(model.lamps), shown=shown)
         lights += hidden
         samples = lights * (unit * factors)[:, None]
@@ -238,12 +238,12 @@ class LightSolver:
         lamps = tuple(sorted(lamps, key=lambda lamp: -lamp.share))
         return stated_by(best.x.T[: self.basis.terms] * unit, samples, lamps)
 
-    def _loose(self, best: Solution) -> Solution:
+    def _loose(self, model: LightModel) -> LightModel:
         """The same with given directions as uncertain as is said: in samples they turn, and the rest follows."""
         if not self.given:
-            return best
+            return model
         turns = tuple(np.radians(degrees) / np.sqrt(2) / WIDER for _, degrees in self.given)
-        return replace(best, model=replace(best.model, given=turns))
+        return replace(model, given=turns)
 
     def smoother(self, fit: Fit):
         """A function of values (p, 3) that takes out what the light can imitate of them, about the fit's light.
@@ -309,15 +309,15 @@ class Election:
         return model.field.at(model.parts(self.solution.white)[0], np.asarray(directions)) * self.unit
 
 
-def posterior_samples(best: Solution, count: int, random) -> tuple[np.ndarray, np.ndarray]:
+def posterior_samples(best: Solution, count: int, random, *, model=None) -> tuple[np.ndarray, np.ndarray]:
     """Unknowns (count, unknowns) and lights (count, all terms, 3), as probable as the posterior has them.
 
     Laplace's samples theta + delta, moved until what they predict of the photo is what the linear model says they
     should, r + J delta, and no further than it takes: an exponential is brighter in the mean than at its middle, and
     the photo knows how bright it is (randomise, then optimise: Bardsley and others 2014, with the derivative at the
-    maximum for all).
+    maximum for all). ``model`` : whose lights they are, where it is not the solution's own.
     """
-    model, root = best.model, [r.astype(np.float32) for r in best.rows.root]
+    model, root = model or best.model, [r.astype(np.float32) for r in best.rows.root]
     jacobian, inverse = best.jacobian.astype(np.float32), best.inverse
     by_direction = model.field.by_direction(root, np.float32)
     delta = WIDER * solve_triangular(best.factor.T, random.standard_normal((len(best.white), count)), lower=False).T

@@ -129,7 +129,7 @@ class LogField:
             return radiance @ to
         by_channel = np.moveaxis(radiance, -2, 0)
         out = by_channel.reshape(-1, radiance.shape[-1]) @ to  # one product
-        return _channels_last_but_one(out.reshape(*by_channel.shape[:-1], self.terms))
+        return _channels_last_but_one(out.reshape(*by_channel.shape[:-1], -1))
 
     @cached_property
     def _harmonics(self) -> dict:
