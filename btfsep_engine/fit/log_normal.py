@@ -27,27 +27,19 @@ from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
+from btfsep_engine.fit.election import elect, follow, natural_light, next_lamp, one_lamp_more, onward, rough_light
 from btfsep_engine.fit.ground import Ground, WithGround
-from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
+from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.posterior import HIDDEN, WIDER, hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
-from btfsep_engine.fit.search import EXACT, EXACT_COST, ROUNDS, Solution, solve
+from btfsep_engine.fit.search import Solution
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.threads import one_thread
 
-MOST_LAMPS = 3
-HOPELESS = 30.0  # of the logarithm of the evidence: so far below a rich model, nothing more is tried of a plain one
-HIDDEN = 0.04  # of the same: a lamp that the photo could not know of
-HIDDEN_LAMPS = 0.5  # expected number of them over a whole sphere of such directions
-ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alone is taken
-FIRST_BRIGHTNESS = np.linspace(-1, 2, 31)  # of a new lamp, q3: a search begins at the best; from dimmer ones it creeps
 SAMPLES = 200
-WIDER = 1.4  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
 GROUND_ROUNDS = 3  # of what a ground departs by and the light that it goes by
 SAME_GROUND = 0.03  # change of what a light predicts of it
-CENTRINGS = 8  # steps by which samples are moved to what the photo says
-LONGEST = 1.0  # of any white unknown in one of them
-CENTRED = 0.5  # of chi^2: less is not worth a further step
 
 
 @dataclass(frozen=True)
@@ -181,7 +173,7 @@ class LightSolver:
         """The light of the same photograph by the same model and one lamp more, whatever its evidence says."""
         with one_thread():
             best, photo = fit.election.solution, fit.election.photo
-            return self._fit(photo, one_lamp_more(photo, best, place=_next_lamp(best)), fit.election.rival)
+            return self._fit(photo, one_lamp_more(photo, best, place=next_lamp(best)), fit.election.rival)
 
     def brightest_direction(self, fit: Fit) -> np.ndarray:
         """The direction (3,) of the brightest lamp that was found; where none was, that in which one would be put."""
@@ -190,7 +182,7 @@ class LightSolver:
             return max(lamps, key=lambda lamp: lamp[1].mean())[0]
         with one_thread():
             best = fit.election.solution
-            return _next_lamp(best)(best, fit.election.photo)
+            return next_lamp(best)(best, fit.election.photo)
 
     def shows(self, direction) -> bool:
         """Whether a lamp in that direction (3,) lights more of the pixels than one that the photo could not know of."""
@@ -307,176 +299,3 @@ class Election:
         """The field's radiance in ``directions : (m, 3)``, without lamps: (m, 3), positive."""
         model = self.solution.model
         return model.field.at(model.parts(self.solution.white)[0], np.asarray(directions)) * self.unit
-
-
-def posterior_samples(best: Solution, count: int, random, *, model=None) -> tuple[np.ndarray, np.ndarray]:
-    """Unknowns (count, unknowns) and lights (count, all terms, 3), as probable as the posterior has them.
-
-    Laplace's samples theta + delta, moved until what they predict of the photo is what the linear model says they
-    should, r + J delta, and no further than it takes: an exponential is brighter in the mean than at its middle, and
-    the photo knows how bright it is (randomise, then optimise: Bardsley and others 2014, with the derivative at the
-    maximum for all). ``model`` : whose lights they are, where it is not the solution's own.
-    """
-    model, root = model or best.model, [r.astype(np.float32) for r in best.rows.root]
-    jacobian, inverse = best.jacobian.astype(np.float32), best.inverse
-    by_direction = model.field.by_direction(root, np.float32)
-    delta = WIDER * solve_triangular(best.factor.T, random.standard_normal((len(best.white), count)), lower=False).T
-    asked = (best.white + delta).astype(np.float32)
-    # of the photo's own values y nothing is left but what they differ by from R x: small numbers, as single ones want
-    shown = np.concatenate([r @ x for r, x in zip(best.rows.root, best.x, strict=True)])
-    wanted = (shown + delta @ best.jacobian.T).astype(np.float32)
-    whites, left, moving = asked.copy(), model.seen(asked, root, by_direction) - wanted, np.arange(count)
-    for _ in range(CENTRINGS):
-        slope = left[moving] @ jacobian + whites[moving] - asked[moving]
-        step = slope @ inverse
-        worth = np.einsum("ij,ij->i", slope, step) > CENTRED  # what a whole step would gain of linear images
-        moving, step = moving[worth], step[worth]
-        if not len(moving):
-            break
-        trial = whites[moving] - step * (LONGEST / np.maximum(np.abs(step).max(1, keepdims=True), LONGEST))
-        left_there = model.seen(trial, root, by_direction) - wanted[moving]
-        here = np.square(left[moving]).sum(1) + np.square(whites[moving] - asked[moving]).sum(1)
-        gain = here - np.square(left_there).sum(1) - np.square(trial - asked[moving]).sum(1)
-        better = gain > 0
-        whites[moving[better]], left[moving[better]] = trial[better], left_there[better]
-        moving = moving[gain > CENTRED]
-    return whites, model.light(whites)[0].transpose(0, 2, 1)
-
-
-def hidden_lamps(basis: Basis, count: int, random, *, known: int, shown=None) -> np.ndarray:
-    """Lamps in the directions from which hardly a pixel is lit: (count, terms, 3), most of them none.
-
-    A field's logarithm is Gaussian, and has no lamps; those that the photo shows, ``known`` of them, have been found.
-    Of others, behind the object as a rule, nothing is known but that lamps are, and that they come in company: their
-    density is that of the known ones where they could be seen, under a Gamma prior of `HIDDEN_LAMPS` in one sphere.
-    ``shown`` says of directions (n, 3) in which of them something else than a pixel that is lit would show a lamp.
-    Each is as bright as `fit.light_model` takes lamps to be, or half of its spread from it.
-    """
-    field = natural_field()
-    response = basis.mean_response @ field.to_coefficients
-    places = field.directions[response < HIDDEN * response.max()]
-    if shown is not None:
-        places = places[~shown(places)]
-    out = np.zeros((count, basis.terms, 3))
-    share = len(places) / len(field.directions)
-    lit = random.random(count) < -np.expm1(-share * (HIDDEN_LAMPS + known) / (2 - share))
-    if lit.any():
-        d = places[random.integers(len(places), size=lit.sum())]
-        irradiance = 2 * np.pi * np.exp(BRIGHTNESS / 2 * random.standard_normal(len(d)))
-        out[lit] = (sh.evaluate(sh.order_of(basis.terms), d) * irradiance[:, None])[..., None]
-    return out
-
-
-def rough_light(photo: Photograph, **held) -> Solution:
-    """A field that is roughly probable; the photo learns from it what its misfit is a part of.
-
-    ``held`` : `LightModel.lamps` that are given, and `LightModel.given`
-    """
-    first = solve(photo, LightModel(photo.fields[0], **held), rounds=2, steps=ROUGHLY)
-    photo.learn_from(first.x)
-    return first
-
-
-def natural_light(photo: Photograph, *, rounds: int = ROUNDS, **held) -> Solution:
-    """The most probable field alone, or with lamps that are given (``held``, as of `rough_light`)."""
-    first = rough_light(photo, **held)
-    return solve(photo, first.model, white=first.white, v=first.v, rounds=rounds)
-
-
-def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
-    """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one.
-
-    ``held`` : as of `rough_light`
-    """
-    field = natural_light(photo, **held)
-    plain = with_lamps(photo, solve(photo, LightModel(photo.fields[1], **held)), place=most_explained)
-    rich = field
-    if plain.model.lamps and plain.evidence > field.evidence - HOPELESS:
-        model = replace(plain.model, field=photo.fields[0])
-        white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
-        rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
-    rich = with_lamps(photo, rich, place=brightest)
-    rich = exact_if_so(photo, rich)
-    if plain.evidence > rich.evidence - HOPELESS:
-        plain = exact_if_so(photo, plain, place=most_explained)
-    return (plain, rich) if plain.evidence > rich.evidence else (rich, None)
-
-
-def exact_if_so(photo: Photograph, best: Solution, *, place=None) -> Solution:
-    """The same model where the photo says that nothing is missing but light; with more lamps, if there is a ``place``.
-
-    A model that takes its materials for nearly right pays for what they might miss by its determinant, at most.
-    """
-    if best.rows.log_determinant < EXACT_COST:
-        return best
-    exact = solve(photo, best.model, white=best.white, v=best.v, discrepancy=EXACT)
-    return max(best, with_lamps(photo, exact, place=place) if place else exact, key=lambda s: s.evidence)
-
-
-def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
-    """The light of the models of an earlier election, from its lights on: what `elect` gives."""
-    photo.learn_from(before.x)
-    return onward(photo, before, rival)
-
-
-def onward(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
-    """The light of the models of earlier solutions, from their lights on."""
-    best, rival = (
-        s and solve(photo, s.model, white=s.white, v=s.v, discrepancy=s.discrepancy) for s in (before, rival)
-    )
-    return best, rival
-
-
-def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
-    """The solution with as many more lamps as its evidence asks for; ``place`` says where the next one may be."""
-    while best.model.found < MOST_LAMPS:
-        trial = one_lamp_more(photo, best, place=place)
-        if trial.evidence <= best.evidence:
-            break
-        best = trial
-    return best
-
-
-def one_lamp_more(photo: Photograph, best: Solution, *, place) -> Solution:
-    """The solution with one more lamp."""
-    direction = place(best, photo)
-    model = replace(best.model, lamps=(*best.model.lamps, direction))
-    lamp = best.model.field.of_beam(direction)
-    slope, curvature, answer = best.beside(np.concatenate([root @ lamp for root in best.rows.root]))
-    irradiance = 2 * np.pi * np.exp(BRIGHTNESS * FIRST_BRIGHTNESS)
-    i = (irradiance * (slope + 0.5 * irradiance * curvature) + 0.5 * FIRST_BRIGHTNESS**2).argmin()
-    answer = answer * irradiance[i]
-    answer *= LONGEST / max(np.abs(answer).max(initial=0.0), LONGEST)
-    white = np.concatenate([best.white + answer, [0, 0, FIRST_BRIGHTNESS[i], 0, 0]])
-    return solve(photo, model, white=white, v=best.v, discrepancy=best.discrepancy)
-
-
-def _next_lamp(best: Solution):
-    """What says where a model's next lamp may be."""
-    return most_explained if best.model.field.order == 0 else brightest
-
-
-def brightest(best: Solution, photo: Photograph) -> np.ndarray:
-    """The direction (3,) of the field's brightest place."""
-    field = best.model.field
-    return field.directions[np.where(photo.reaches(field), best.radiance.mean(0), 0).argmax()]
-
-
-def most_explained(best: Solution, photo: Photograph) -> np.ndarray:
-    """The direction (3,) of the lamp that explains most of what even light and the lamps that are there leave over."""
-    field = photo.fields[0]
-    x = best.x
-    candidates = field.to_coefficients.T  # a lamp from each direction, all channels alike
-    r = -best.rows.residual(x)
-    ends = np.cumsum([len(y) for y in best.rows.target])[:-1]
-    jacobian = np.split(best.model.jacobian(best.white, best.radiance, best.rows.root), ends)
-    score, own, beside = 0.0, 0.0, 0.0
-    for root, left, j in zip(best.rows.root, np.split(r, ends), jacobian, strict=True):
-        seen = root @ candidates.T  # (rows, n)
-        score = score + left @ seen
-        own = own + np.square(seen).sum(0)
-        beside = beside + j.T @ seen
-    imitated = solve_triangular(best.factor, beside, lower=True)
-    rest = np.maximum(own - np.square(imitated).sum(0), 1e-6 * own + 1e-300)
-    gain = np.where(score > 0, score**2 / rest, 0.0)
-    return field.directions[np.where(photo.reaches(field), gain, 0.0).argmax()]

@@ -32,6 +32,7 @@ LAMP_COST = 5.0  # of the logarithm of the evidence: how much less probable one 
 BESIDE_COST, BESIDE = 20.0, 15.0  # of it, of a lamp so near (degrees) to one whose direction is given: it is that one
 NEAR = 0.3  # of the same: after so small a gain,
 AGAIN = 3  # so many steps are made with the slopes that are there, and the gradient anew: a fifth of the cost
+LONGEST = 1.0  # of any white unknown, in a step that rests on slopes alone
 STIFFEST = 1e5  # of the damping
 
 

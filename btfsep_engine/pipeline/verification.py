@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine.fit.log_normal import natural_light
+from btfsep_engine.fit.election import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.light.lightings import FieldLighting, SHBasis
 from btfsep_engine.recognise.contrast import Contrast, contrast, unlike

@@ -6,7 +6,8 @@ import pytest
 
 from btfsep_engine.fit.colour import DYE
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.log_normal import SAMPLES, WIDER, LightSolver, posterior_samples
+from btfsep_engine.fit.log_normal import SAMPLES, LightSolver
+from btfsep_engine.fit.posterior import WIDER, posterior_samples
 from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.fit.search import solve
 from btfsep_engine.light.log_field import CHROMA, LogField, natural_field

@@ -4,9 +4,10 @@
 import numpy as np
 import pytest
 
-from btfsep_engine.fit import log_normal
+from btfsep_engine.fit import log_normal, posterior
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.log_normal import LightSolver, hidden_lamps
+from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.posterior import hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import NEARLY_RIGHT
 from btfsep_engine.fit.search import EXACT
 from btfsep_engine.light.log_field import natural_field, natural_spread
@@ -214,10 +215,9 @@ def test_what_light_can_imitate_is_the_fits_derivative(rng, light, tint):
 @pytest.mark.parametrize("bright", [0.0, 1e-9, 1e3])
 def test_a_lamps_share_is_of_the_light_that_it_is_in(rng, monkeypatch, bright):
     """Whatever the light of the rival is, which need not have the lamp."""
-    draw = log_normal.posterior_samples
 
-    def drawn(solution, count, random):
-        whites, lights = draw(solution, count, random)
+    def drawn(solution, count, random, *, model):
+        whites, lights = posterior_samples(solution, count, random)
         return whites, lights * bright if solution.model.field.order else lights
 
     monkeypatch.setattr(log_normal, "posterior_samples", drawn)
@@ -228,7 +228,7 @@ def test_a_lamps_share_is_of_the_light_that_it_is_in(rng, monkeypatch, bright):
 
 def test_samples_are_laplaces(rng, monkeypatch):
     """The lights' scatter about the most probable one is that of (I + J^T J)^-1, where it is small."""
-    monkeypatch.setattr(log_normal, "WIDER", SMALL := 0.3)
+    monkeypatch.setattr(posterior, "WIDER", SMALL := 0.3)
     basis, normals, _ = half_sphere(rng, pixels=2000, albedo=(0.5,) * 3)
     cap = normals @ [0.6, -0.6, 0.5] > 0.5  # a part of the sphere: its unknowns go together
     solver = LightSolver(basis[cap], normals=normals[cap], order=2)
@@ -242,7 +242,7 @@ def test_samples_are_laplaces(rng, monkeypatch):
     def ratios(lights):  # what pixels show over the level, so that scale and tint, which are not Laplace's, are gone
         return (lights @ solver.basis.images[::16, :, 1].T) / lights[:, :1]
 
-    found = ratios(log_normal.posterior_samples(best, 600, rng)[1][:, :, 1]).std(0) / ratios(by_hand).std(0)
+    found = ratios(posterior_samples(best, 600, rng)[1][:, :, 1]).std(0) / ratios(by_hand).std(0)
     assert np.median(found) == pytest.approx(1, abs=0.08) and np.max(found) < 1.15 and np.min(found) > 0.8
 
 
@@ -252,7 +252,7 @@ def test_no_sample_runs_away(rng):
     solver = LightSolver(basis, normals=normals, order=2)
     fit = solver.solve(shown(basis, lamp(SUN, [3.0, 3.0, 3.0]), rng, 0.6))
     for solution in filter(None, (fit.election.solution, fit.election.rival)):
-        whites, lights = log_normal.posterior_samples(solution, 400, rng)
+        whites, lights = posterior_samples(solution, 400, rng)
         size = lights[:, 0].mean(1)
         assert 0.3 * np.median(size) < size.min() and size.max() < 4 * np.median(size)
         assert np.abs(whites - solution.white).max() < 12

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which model a photograph asks for: the one of the largest evidence among a field, lamps, and a field with lamps."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
+from btfsep_engine.fit.products import Photograph
+from btfsep_engine.fit.search import EXACT, EXACT_COST, LONGEST, ROUNDS, Solution, solve
+
+MOST_LAMPS = 3
+HOPELESS = 30.0  # of the logarithm of the evidence: so far below a rich model, nothing more is tried of a plain one
+ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alone is taken
+FIRST_BRIGHTNESS = np.linspace(-1, 2, 31)  # of a new lamp, q3: a search begins at the best; from dimmer ones it creeps
+
+
+def rough_light(photo: Photograph, **held) -> Solution:
+    """A field that is roughly probable; the photo learns from it what its misfit is a part of.
+
+    ``held`` : `LightModel.lamps` that are given, and `LightModel.given`
+    """
+    first = solve(photo, LightModel(photo.fields[0], **held), rounds=2, steps=ROUGHLY)
+    photo.learn_from(first.x)
+    return first
+
+
+def natural_light(photo: Photograph, *, rounds: int = ROUNDS, **held) -> Solution:
+    """The most probable field alone, or with lamps that are given (``held``, as of `rough_light`)."""
+    first = rough_light(photo, **held)
+    return solve(photo, first.model, white=first.white, v=first.v, rounds=rounds)
+
+
+def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
+    """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one.
+
+    ``held`` : as of `rough_light`
+    """
+    field = natural_light(photo, **held)
+    plain = with_lamps(photo, solve(photo, LightModel(photo.fields[1], **held)), place=most_explained)
+    rich = field
+    if plain.model.lamps and plain.evidence > field.evidence - HOPELESS:
+        model = replace(plain.model, field=photo.fields[0])
+        white = np.concatenate([np.zeros(model.field.unknowns), plain.model.parts(plain.white)[1].ravel()])
+        rich = max(rich, solve(photo, model, white=white, v=plain.v), key=lambda s: s.evidence)
+    rich = with_lamps(photo, rich, place=brightest)
+    rich = exact_if_so(photo, rich)
+    if plain.evidence > rich.evidence - HOPELESS:
+        plain = exact_if_so(photo, plain, place=most_explained)
+    return (plain, rich) if plain.evidence > rich.evidence else (rich, None)
+
+
+def exact_if_so(photo: Photograph, best: Solution, *, place=None) -> Solution:
+    """The same model where the photo says that nothing is missing but light; with more lamps, if there is a ``place``.
+
+    A model that takes its materials for nearly right pays for what they might miss by its determinant, at most.
+    """
+    if best.rows.log_determinant < EXACT_COST:
+        return best
+    exact = solve(photo, best.model, white=best.white, v=best.v, discrepancy=EXACT)
+    return max(best, with_lamps(photo, exact, place=place) if place else exact, key=lambda s: s.evidence)
+
+
+def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
+    """The light of the models of an earlier election, from its lights on: what `elect` gives."""
+    photo.learn_from(before.x)
+    return onward(photo, before, rival)
+
+
+def onward(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
+    """The light of the models of earlier solutions, from their lights on."""
+    best, rival = (
+        s and solve(photo, s.model, white=s.white, v=s.v, discrepancy=s.discrepancy) for s in (before, rival)
+    )
+    return best, rival
+
+
+def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:
+    """The solution with as many more lamps as its evidence asks for; ``place`` says where the next one may be."""
+    while best.model.found < MOST_LAMPS:
+        trial = one_lamp_more(photo, best, place=place)
+        if trial.evidence <= best.evidence:
+            break
+        best = trial
+    return best
+
+
+def one_lamp_more(photo: Photograph, best: Solution, *, place) -> Solution:
+    """The solution with one more lamp."""
+    direction = place(best, photo)
+    model = replace(best.model, lamps=(*best.model.lamps, direction))
+    lamp = best.model.field.of_beam(direction)
+    slope, curvature, answer = best.beside(np.concatenate([root @ lamp for root in best.rows.root]))
+    irradiance = 2 * np.pi * np.exp(BRIGHTNESS * FIRST_BRIGHTNESS)
+    i = (irradiance * (slope + 0.5 * irradiance * curvature) + 0.5 * FIRST_BRIGHTNESS**2).argmin()
+    answer = answer * irradiance[i]
+    answer *= LONGEST / max(np.abs(answer).max(initial=0.0), LONGEST)
+    white = np.concatenate([best.white + answer, [0, 0, FIRST_BRIGHTNESS[i], 0, 0]])
+    return solve(photo, model, white=white, v=best.v, discrepancy=best.discrepancy)
+
+
+def next_lamp(best: Solution):
+    """What says where a model's next lamp may be."""
+    return most_explained if best.model.field.order == 0 else brightest
+
+
+def brightest(best: Solution, photo: Photograph) -> np.ndarray:
+    """The direction (3,) of the field's brightest place."""
+    field = best.model.field
+    return field.directions[np.where(photo.reaches(field), best.radiance.mean(0), 0).argmax()]
+
+
+def most_explained(best: Solution, photo: Photograph) -> np.ndarray:
+    """The direction (3,) of the lamp that explains most of what even light and the lamps that are there leave over."""
+    field = photo.fields[0]
+    x = best.x
+    candidates = field.to_coefficients.T  # a lamp from each direction, all channels alike
+    r = -best.rows.residual(x)
+    ends = np.cumsum([len(y) for y in best.rows.target])[:-1]
+    jacobian = np.split(best.model.jacobian(best.white, best.radiance, best.rows.root), ends)
+    score, own, beside = 0.0, 0.0, 0.0
+    for root, left, j in zip(best.rows.root, np.split(r, ends), jacobian, strict=True):
+        seen = root @ candidates.T  # (rows, n)
+        score = score + left @ seen
+        own = own + np.square(seen).sum(0)
+        beside = beside + j.T @ seen
+    imitated = solve_triangular(best.factor, beside, lower=True)
+    rest = np.maximum(own - np.square(imitated).sum(0), 1e-6 * own + 1e-300)
+    gain = np.where(score > 0, score**2 / rest, 0.0)
+    return field.directions[np.where(photo.reaches(field), gain, 0.0).argmax()]
