@@ -11,6 +11,7 @@ from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings
 from btfsep_engine.pipeline.verification import Verification
+from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.model_file import cached
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
@@ -163,7 +164,8 @@ def recognised(photo, region, window, recogniser: Recogniser, library, verificat
     if not verification and not calibrated:
         return recogniser.judged(vectors)
     names, cues = candidate_cues(radiance, vectors, recogniser, library, verification)
-    answer = judgements()["verified" if verification else "votes"].answer(names, cues)
+    model = "votes" if not verification else "spoilt" if spoilt(radiance, region[window]) else "verified"
+    answer = judgements()[model].answer(names, cues)
     if not calibrated:  # the order counts, but the sets are those of another classifier
         first = recogniser.judged(vectors)
         return replace(answer, likely=None, unknown=first.unknown, unknown_score=first.unknown_score)

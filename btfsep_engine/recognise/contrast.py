@@ -21,6 +21,9 @@ FEWEST = 500  # pixels: a smaller object keeps its border
 UNSEEN = 0.03  # log2 units: a contrast that noise might be
 LARGEST_SKEWNESS = 3.0
 GREY_WORLD = Settings(white_balance=1.0)
+SHARP = 0.45  # finest detail over that of the next octave: less is a photo out of focus, or smoothed
+BLOCK = 8  # pixels, of JPEG
+BLOCKS = 1.12  # steps between blocks over those within
 
 
 @dataclass(frozen=True)
@@ -76,3 +79,31 @@ def unlike(a: Contrast, b: Contrast) -> dict[str, float]:
         "correlation": apart.mean(),
     }
     return {name: float(value) for name, value in differences.items()}
+
+
+def spoilt(radiance, mask) -> bool:
+    """Whether a photo (h, w, 3), NaN where unusable, has lost its finest detail, by blur or by JPEG's blocks.
+
+    A texture's contrast is then that of the camera, and judged beside photographs like it. So are those of a surface that
+    has no fine detail to lose.
+    """
+    valid = mask & np.isfinite(radiance).all(-1)
+    image = np.ascontiguousarray(normalise(radiance, valid, settings=GREY_WORLD)[..., 0])
+    inside = cv2.erode(valid.astype(np.uint8), np.ones((BORDER, BORDER)), borderValue=0) > 0
+    if inside.sum() < FEWEST:
+        return False
+    corners = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6)
+    octave = cv2.GaussianBlur(image, (0, 0), SIGMAS[0]) - cv2.GaussianBlur(image, (0, 0), SIGMAS[1])
+    sharp = np.median(np.abs(corners[inside])) / max(np.median(np.abs(octave[inside])), 1e-4)
+    return bool(sharp < SHARP or max(_blocks(image, inside), _blocks(image.T, inside.T)) > BLOCKS)
+
+
+def _blocks(image, inside) -> float:
+    """The mean step between columns at the border of JPEG's blocks, wherever these begin, over that between others."""
+    both = inside[:, 1:] & inside[:, :-1]
+    count, total = both.sum(0), (np.abs(np.diff(image, axis=1)) * both).sum(0)
+    phase = np.arange(len(count)) % BLOCK
+    of_phase = np.array([[total[phase == k].sum(), count[phase == k].sum()] for k in range(BLOCK)])
+    rest = of_phase.sum(0) - of_phase
+    means = of_phase[:, 0] / np.maximum(of_phase[:, 1], 1), rest[:, 0] / np.maximum(rest[:, 1], 1)
+    return float((means[0] / np.maximum(means[1], 1e-6)).max())

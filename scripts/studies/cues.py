@@ -22,6 +22,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.verification import Verification
+from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.model_file import source_digest
 from scripts.studies.photos import Photograph
 
@@ -77,12 +78,21 @@ class View:
 
 @dataclass(frozen=True)
 class Seen:
-    """A photograph's cues with all materials, and without its own (None: the library never had it)."""
+    """A photograph's cues with all materials, and without its own (None: the library never had it).
+
+    ``spoilt`` : whether it is judged beside spoilt photographs (`recognise.contrast.spoilt`)
+    """
 
     photograph: Photograph
     flaw: str
     known: dict
     left_out: dict | None
+    spoilt: bool = False
+
+    @property
+    def model(self) -> str:
+        """Which of `judgement.judgements` it is judged by."""
+        return "spoilt" if self.spoilt else "verified"
 
 
 def flawed(radiance, region, flaw: str, random) -> np.ndarray:
@@ -128,8 +138,9 @@ def cues_of(
             known = photograph.material in view.recogniser.materials
             left_out = view.cues(radiance, without=photograph.material) if known else None
             kept = {"key": key, "known": view.cues(radiance), "left_out": left_out}
+            kept["spoilt"] = spoilt(radiance[view.window], view.region[view.window])
             write_text(path, json.dumps(kept))
-        out.append(Seen(photograph, flaw, kept["known"], kept["left_out"]))
+        out.append(Seen(photograph, flaw, kept["known"], kept["left_out"], kept["spoilt"]))
     return out
 
 

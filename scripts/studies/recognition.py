@@ -73,11 +73,12 @@ def calibration(confidence, right) -> tuple[float, list]:
     return float(sum(n * abs(c - r) for c, r, n in bins) / len(right)), bins
 
 
-def asked(seen, model) -> list[dict]:
-    """What is answered of photographs (cues.Seen)."""
+def asked(seen, model: str | None = None) -> list[dict]:
+    """What is answered of photographs (cues.Seen), by a model of the table; None: as an estimate chooses it."""
     out = []
     for s in seen:
-        truth, known = s.photograph.material, model.answer(s.known["names"], s.known["cues"])
+        judgement = judgements()[model or s.model]
+        truth, known = s.photograph.material, judgement.answer(s.known["names"], s.known["cues"])
         order = [name for name, _ in known.candidates]
         out.append(
             {
@@ -89,7 +90,7 @@ def asked(seen, model) -> list[dict]:
                 "confidence": known.candidates[0][1],
                 "likely": known.likely,
                 "strangeness": known.unknown_score,
-                "left_out": s.left_out and model.answer(s.left_out["names"], s.left_out["cues"]).unknown_score,
+                "left_out": s.left_out and judgement.answer(s.left_out["names"], s.left_out["cues"]).unknown_score,
             }
         )
     return out
@@ -227,10 +228,10 @@ def main(arguments) -> int:
         begun = time.perf_counter()
         seen = cues.cues_of(found, library, settings, reporter, flaw=flaw)
         print(f"{flaw}: {time.perf_counter() - begun:.0f} s")
-        answers_of[flaw] = asked(seen, judgements()["verified"])
+        answers_of[flaw] = asked(seen)
         rows.append(judge(answers_of[flaw], flaw))
         if flaw == "clean":
-            rows.append(judge(asked(seen, judgements()["votes"]), "clean, by the classifier alone"))
+            rows.append(judge(asked(seen, "votes"), "clean, by the classifier alone"))
     heads = list(rows[0])
     print("\n" + tables.table(heads, [[row.get(h, "–") for h in heads] for row in rows]))
     (given.folder / "answers.json").write_text(json.dumps(answers_of, indent=1))

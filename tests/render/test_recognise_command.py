@@ -115,12 +115,13 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
         radiance = scene.job.photo.radiance[window]
         vectors = recogniser.describe(radiance, region[window])
         names = (wrong, right, "reference/chrome")
-        cues = verification.cues(names, recogniser, radiance, vectors, library.load)
+        votes = {"classifier": np.array([-0.5, -1.0, -2.0])}
+        cues = verification.cues(names, votes, recogniser, radiance, vectors, library.load)
         for cue in SIMILARITIES:
             assert cues[cue][1] > cues[cue][0], cue
             # a mirror can look like anything: what it looks like counts neither for nor against it
             assert cues[cue][2] == pytest.approx(cues[cue][:2].mean())
         assert cues["texture"][1] > cues["texture"][0] + 0.1 and cues["contrast"][1] > -0.1
-        assert cues["evidence"].max() == 0
-        again = verification.cues(names, recogniser, 3 * radiance, vectors, library.load)
+        assert cues["evidence"].max() == 0 and cues["tint"][1] > -3
+        again = verification.cues(names, votes, recogniser, 3 * radiance, vectors, library.load)
         np.testing.assert_allclose(again["contrast"], cues["contrast"], atol=1e-3)  # whatever the exposure

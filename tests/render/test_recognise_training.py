@@ -148,7 +148,7 @@ def test_what_is_like_no_material_is_said_to_be_unknown_and_a_surface_by_numbers
     scene.job = replace(scene.job, photo=photographed(scene, library, FEW[2]))
     shipped = judgements()["verified"]
     asked = replace(shipped, strangeness=np.full(40, 1e-6 if strict else 50.0))
-    monkeypatch.setattr(recognition, "judgements", lambda: {"verified": asked})
+    monkeypatch.setattr(recognition, "judgements", lambda: dict.fromkeys(("verified", "spoilt", "explained"), asked))
     scene.reporter = Reporter()
     answer = recognise_object(scene, 0, without, settings)
     assert answer.unknown is strict and (answer.unknown_score > 1) is strict
@@ -162,7 +162,7 @@ def test_what_is_like_no_material_is_said_to_be_unknown_and_a_surface_by_numbers
 def test_what_the_photo_does_not_tell_apart_is_named_together(monkeypatch, scene, library, settings):
     scene.job = replace(scene.job, photo=photographed(scene, library, FEW[0]))
     lenient = replace(judgements()["verified"], strangeness=np.full(40, 50.0))
-    monkeypatch.setattr(recognition, "judgements", lambda: {"verified": lenient})
+    monkeypatch.setattr(recognition, "judgements", lambda: dict.fromkeys(("verified", "spoilt", "explained"), lenient))
     scene.reporter = Reporter()
     answer = recognise_object(scene, 0, library, settings)
     assert answer.likely[0] == answer.material == FEW[0] and set(answer.likely) > set(FEW)

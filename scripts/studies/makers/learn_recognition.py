@@ -9,8 +9,9 @@ of the library, each under a light of its own. No object and no light of theirs 
 eight studio lights, drawn by chance, each photograph with another turn of it; and draws from the prior of natural light
 (`light/log_field.py`) with up to two lamps.
 
-Three models: "verified", of all cues; "explained", which says what is worth a rendering; and "votes", of the
-classifier alone. The weights are those of the largest
+Four models: "verified", of all cues; "spoilt", the same of photographs that have lost their finest detail: each is
+blurred, made noisier and coded as JPEG once more; "explained", which says what is worth a rendering; and "votes", of
+the classifier alone. The weights are those of the largest
 likelihood (a multinomial logistic regression with a ridge), each photograph twice: with all materials, where its own is
 right, and without its own, where none is. The strangeness of each photograph's own material is that under weights which
 were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
@@ -48,9 +49,11 @@ LAMP_PIXELS = 2.0  # radius of a lamp's disc
 RESOLUTION, SAMPLES = 256, 64  # of a photograph
 MODELS = {
     "verified": ("classifier", *EXPLANATIONS, *SIMILARITIES),
+    "spoilt": ("classifier", *EXPLANATIONS, *SIMILARITIES),
     "explained": ("classifier", *EXPLANATIONS),
     "votes": ("classifier",),
 }
+FLAWS = ("clean", "all three")
 RIDGE = 0.5  # of weights of cues of deviation 1: strong, for 75 photographs have each material on one object alone
 LEFT_OUT = 0.1  # how much a photograph without its material counts beside one with it
 
@@ -163,19 +166,23 @@ def main(arguments) -> int:
         photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES, denoise=True)
     found = [cues.seen_in(given.folder, wanted)]
     found += [photos.photographs_in(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
-    seen = []
+    seen = {flaw: [] for flaw in FLAWS}
     for some in found:  # of one size each: an object's training is used for all of its photographs
         some.sort(key=lambda p: p.object)
-        seen += cues.cues_of(some, library, choose("balanced"), reporter, every=True)
-    data = examples(seen)
+        for flaw, into in seen.items():
+            into += cues.cues_of(some, library, choose("balanced"), reporter, flaw=flaw, every=True)
+    every = [s for some in seen.values() for s in some]
+    used = {"verified": [s for s in every if not s.spoilt], "spoilt": [s for s in every if s.spoilt]}
+    clean = seen[FLAWS[0]]
     table = {
-        "photographs": len(seen),
-        "objects": sorted({s.photograph.object for s in seen}),
-        "lights": len({d[-1] for d in data}),
+        "photographs": len(clean),
+        "objects": sorted({s.photograph.object for s in clean}),
+        "lights": len({d[-1] for d in examples(clean)}),
         "made_by": "scripts/study learn-recognition",
         "models": {},
     }
     for model, names in MODELS.items():
+        data = examples(used.get(model, clean))
         weights, none = learned(data, names)
         table["models"][model] = {"weights": weights, "none": none, "strangeness": strangeness(data, names)}
         print(model, weights, none)
