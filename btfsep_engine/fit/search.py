@@ -33,6 +33,7 @@ BESIDE_COST, BESIDE = 20.0, 15.0  # of it, of a lamp so near (degrees) to one wh
 NEAR = 0.3  # of the same: after so small a gain,
 AGAIN = 3  # so many steps are made with the slopes that are there, and the gradient anew: a fifth of the cost
 LONGEST = 1.0  # of any white unknown, in a step that rests on slopes alone
+SLOWER = 5  # such steps gain so many times less than is left
 STIFFEST = 1e5  # of the damping
 
 
@@ -182,7 +183,7 @@ def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction):
         gain = now - there
         white, x, radiance, r, now = moved, x_there, radiance_there, r_there, there
         unit = max(1.0, 0.01 * now)
-        if gain < GAIN * unit:
+        if gain < GAIN * unit / (SLOWER if again else 1):
             break
         again = again - 1 if again else AGAIN * (gain < NEAR * unit)
         if not again:
