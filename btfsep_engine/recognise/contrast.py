@@ -84,8 +84,8 @@ def unlike(a: Contrast, b: Contrast) -> dict[str, float]:
 def spoilt(radiance, mask) -> bool:
     """Whether a photo (h, w, 3), NaN where unusable, has lost its finest detail, by blur or by JPEG's blocks.
 
-    A texture's contrast is then that of the camera, and judged beside photographs like it. So are those of a surface that
-    has no fine detail to lose.
+    A texture's contrast is then that of the camera, and judged beside photographs like it. So is a surface that has no
+    fine detail to lose.
     """
     valid = mask & np.isfinite(radiance).all(-1)
     image = np.ascontiguousarray(normalise(radiance, valid, settings=GREY_WORLD)[..., 0])
