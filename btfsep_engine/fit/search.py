@@ -33,7 +33,7 @@ BESIDE_COST, BESIDE = 20.0, 15.0  # of it, of a lamp so near (degrees) to one wh
 NEAR = 0.3  # of the same: after so small a gain,
 AGAIN = 3  # so many steps are made with the slopes that are there, and the gradient anew: a fifth of the cost
 LONGEST = 1.0  # of any white unknown, in a step that rests on slopes alone
-SLOWER = 5  # such steps gain so many times less than is left
+SLOWER = 100  # their last gain is so many times less than a whole step's may be: they close in slowly
 STIFFEST = 1e5  # of the damping
 
 
