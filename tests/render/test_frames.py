@@ -170,8 +170,7 @@ def test_the_main_direction_is_still_on_a_still_scene(sphere_job_folder, capsys)
     alone = read_lighting(answer(capsys, "estimate", folder, "--no-report")["lighting"])
     off = (lights[followed[-1]].coefficients - alone.coefficients) / alone.stddev
     assert 0 < np.abs(off).max() < 0.03
-    ratio = lights[followed[-1]].stddev / alone.stddev
-    assert 0.85 < ratio.min() <= ratio.max() < 1.15, (ratio.min(), ratio.max())  # of 200 samples each
+    assert np.allclose(lights[followed[-1]].stddev, alone.stddev, rtol=0.08)
 
 
 def test_lights_are_smoothed_but_not_across_a_jump(sphere_job_folder, capsys):
