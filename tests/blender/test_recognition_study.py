@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import Judgement
@@ -67,6 +68,19 @@ def test_drawn_lights_are_lights():
     assert len({float(m.max()) for m in maps}) == 8
 
 
+def test_a_drawn_lights_mean_is_as_far_from_grey_as_natural_light_is():
+    """In two colour differences of log2 radiance; and its luminance stays."""
+    found = []
+    for seed in range(300):
+        rng = np.random.default_rng(1000 + seed)
+        radiance = np.broadcast_to(rng.uniform(0.1, 2, 3), (8, 16, 3))
+        there = (radiance * learn.tint_of(radiance, seed))[0, 0]
+        assert there @ REC709_LUMINANCE == pytest.approx(radiance[0, 0] @ REC709_LUMINANCE, rel=1e-4)
+        red, green, blue = np.log2(there)
+        found.append([red - blue, green - (red + blue) / 2])
+    np.testing.assert_allclose(np.std(found, axis=0), learn.TINT, rtol=0.15)
+
+
 def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, monkeypatch):
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
     shipped, reporter = open_library(), Reporter()
@@ -77,7 +91,9 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings, reporter)
     known, left_out = seen.known["names"], seen.left_out["names"]
     assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome"} == {*left_out, THREE[1]}
-    (answer,) = recognition.asked([seen], learned_by_hand())
+    models = dict.fromkeys(("verified", "spoilt"), learned_by_hand())
+    monkeypatch.setattr(recognition, "judgements", lambda: models)
+    (answer,) = recognition.asked([seen])
     assert answer["truth"] == THREE[1] and answer["left_out"] > answer["strangeness"]
     kept = json.loads((seen.photograph.folder / "cues-clean.json").read_text())
     monkeypatch.setattr(cues, "View", None)  # what is kept is not asked again
