@@ -6,13 +6,11 @@
 
 import difflib
 import json
-import os
 from typing import Annotated, Literal, TypeVar, get_args, get_origin
 
-from btfsep_engine.errors import InputError
-
-os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # none is ours, and to look for them takes longer than a job
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+
+from btfsep_engine.errors import InputError
 
 MAX_OBJECTS = 1000
 MAX_KNOWN_LAMPS = 8

@@ -78,31 +78,33 @@ class SHBasis:
         return self.radiance(directions)
 
 
-@dataclass(frozen=True)
-class SHLighting:
-    """One light given by its coefficients : ((L + 1)^2, 3), linear Rec.709; it may go negative."""
+class _SmoothLight:
+    """One light that hardly changes over a cell, as the basis."""
 
-    coefficients: np.ndarray
-    name: str = "light"
-
-    @property
-    def count(self) -> int:
-        return 1
+    count = 1
 
     @property
     def names(self) -> tuple[str, ...]:
         return (self.name,)
 
-    def radiance(self, directions) -> np.ndarray:
-        return sh.series(self.coefficients, directions)[:, None, :]
-
     def cell_averages(self, directions) -> np.ndarray:
-        """Point values, as of the basis."""
+        """Point values."""
         return self.radiance(directions)
 
 
 @dataclass(frozen=True)
-class FieldLighting:
+class SHLighting(_SmoothLight):
+    """One light given by its coefficients : ((L + 1)^2, 3), linear Rec.709; it may go negative."""
+
+    coefficients: np.ndarray
+    name: str = "light"
+
+    def radiance(self, directions) -> np.ndarray:
+        return sh.series(self.coefficients, directions)[:, None, :]
+
+
+@dataclass(frozen=True)
+class FieldLighting(_SmoothLight):
     """One light whose logarithm is a field (light.log_field.LogField) at its ``white`` unknowns: positive everywhere.
 
     ``level`` : (3,), what its radiance is multiplied by.
@@ -113,20 +115,8 @@ class FieldLighting:
     level: np.ndarray
     name: str = "light"
 
-    @property
-    def count(self) -> int:
-        return 1
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return (self.name,)
-
     def radiance(self, directions) -> np.ndarray:
         return (self.field.at(self.white, np.asarray(directions)) * self.level)[:, None, :]
-
-    def cell_averages(self, directions) -> np.ndarray:
-        """Point values: a field is smooth over a cell."""
-        return self.radiance(directions)
 
 
 @dataclass(frozen=True)
