@@ -47,6 +47,7 @@ class Place:
     lamp : its number in the fit's model; away : (3,), from the objects' middle, radii
     more : logarithm of how much brighter the lamp is than in the fit, whose free sky has taken a part of it for its own
     fit : of the photo as from afar; taken : (p, 3), the nearness of all lamps, which was taken off
+    impossible : nothing would be left of the photo, and ``fit`` is that of the place before
     """
 
     lamp: int
@@ -54,6 +55,7 @@ class Place:
     more: float
     fit: Fit
     taken: np.ndarray
+    impossible: bool = False
 
     @property
     def radii(self) -> float:
@@ -63,6 +65,8 @@ class Place:
     @property
     def evidence(self) -> float:
         """That can be compared with other places'."""
+        if self.impossible:
+            return -np.inf
         return self.fit.election.evidence_of_photo - 0.5 * ((self.more - MORE) / MORE_STDDEV) ** 2
 
 
@@ -94,6 +98,9 @@ class Photographed:
         fit, of_one = start, self.nearness(away)
         for _ in range(TURNS):
             taken = others + np.exp(more) * fit.election.lamps[lamp][1] * of_one
+            rest = self.photo - taken if self.weights is None else self.weights * (self.photo - taken)
+            if rest.sum(0).max() <= 0:
+                return Place(lamp, away, more, fit, taken, impossible=True)
             fit = self.solve(taken, fit)
         return Place(lamp, away, more, fit, taken)
 
