@@ -28,6 +28,7 @@ from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.near import near_lamps
+from btfsep_engine.pipeline.refine.outlines import near_outlines
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.surroundings import surroundings
 from btfsep_engine.pipeline.resume import estimate_key
@@ -133,6 +134,7 @@ REFINEMENTS = (
     light_between_surfaces,
     left_as_it_is,
     nearer_materials,
+    near_outlines,
     near_lamps,
     ground,
     key_lights,

@@ -10,6 +10,8 @@ from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
 from btfsep_engine.render.surface import SurfacePoints
 
+LEAST_LEFT = 0.2  # of an object's pixels
+
 
 def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured: bool) -> list[SurfacePoints]:
     """The points of each object that tell most of the light.
@@ -23,6 +25,8 @@ def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured
     sizes = np.array([r.sum() for r in scene.regions], np.float64)
     shares = [max(int(n), 1) for n in settings.pixels * sizes / sizes.sum()] if settings.pixels else [0] * len(sizes)
     out = []
+    if settings.estimator == "map":
+        regions = [without_outlines(scene, region) for region in regions]
     for index, (region, share) in enumerate(zip(regions, shares, strict=True)):
 
         def chosen(region=region, share=share, index=index):
@@ -35,6 +39,12 @@ def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured
         points = kept.recalled("points", parts, chosen)
         out.append(scene.laid(points, index, textured=textured))
     return out
+
+
+def without_outlines(scene: PreparedScene, region) -> np.ndarray:
+    """A region (h, w) bool without the pixels beside an outline, unless little would be left of it."""
+    inner = region & ~scene.outlines.beside(region.shape)
+    return inner if inner.sum() >= LEAST_LEFT * region.sum() else region
 
 
 def photographed_regions(scene: PreparedScene, settings: Settings) -> list:

@@ -63,6 +63,11 @@ class Problem:
         return np.concatenate([p.normal for p in self.points])
 
     @property
+    def rings(self) -> np.ndarray:
+        """(p,) int: how far each point lies from the next outline (`render.outlines`)."""
+        return self.scene.outlines.at(self.pixels)
+
+    @property
     def clipped(self) -> np.ndarray:
         """(p, 3) bool: channels of which the photograph says a lower bound only."""
         clipped = self.scene.job.photo.clipped

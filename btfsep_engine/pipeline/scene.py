@@ -14,6 +14,7 @@ from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.beams import beam_radiance, lamp_radiance
 from btfsep_engine.render.homogeneous import reflected_share
+from btfsep_engine.render.outlines import Outlines, outlines
 from btfsep_engine.render.radiosity import MOST, Indirect, diffuse_albedo
 from btfsep_engine.render.sampling import REGION, thinned
 from btfsep_engine.render.surface import (
@@ -80,6 +81,11 @@ class PreparedScene:
             return view, [object_region(view, job, i) for i in range(len(job.objects))]
 
         self.view, self.regions = kept.recalled("view", self.seen, looked)
+
+    @property
+    def outlines(self) -> Outlines:
+        """Where surfaces end in the picture."""
+        return kept.recalled("outlines", self.seen, lambda: outlines(self.view, self.job))
 
     @property
     def has_unknown(self) -> bool:

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pixels near outlines: where they lie, and that a photo a pixel out of line loses little by them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from btfsep_engine.render.outlines import outlines
+from btfsep_engine.render.surface import camera_view
+from btfsep_engine.render.tracer import Tracer
+from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
+
+WHITE = "reference/white-diffuse"
+
+
+def seen(shape, camera):
+    job = job_of([as_mesh(shape, flat=True)], camera)
+    view = camera_view(Tracer([job.objects[0].mesh]), job)
+    return view, outlines(view, job)
+
+
+def slab(z, *, half=0.5, at=(0.0, 0.0)):
+    box = trimesh.creation.box((2 * half, 2 * half, 0.02))
+    box.apply_translation([*at, z - 0.01])
+    return box
+
+
+def has_another_beside(image):
+    """Which pixels have one of another value among the eight around, in the picture."""
+    padded = np.pad(image, 1, mode="edge")
+    h, w = image.shape
+    around = [padded[i : i + h, j : j + w] for i in range(3) for j in range(3)]
+    return np.any([each != image for each in around], 0)
+
+
+def test_one_part_of_an_object_before_another_has_an_outline():
+    view, found = seen(trimesh.util.concatenate([slab(0.0), slab(0.4, half=0.2, at=(0.1, 0.05))]), looking_down())
+    rows, columns = np.nonzero(view.mesh >= 0)
+    heights = np.full(view.mesh.shape, -1.0)
+    origin, direction = np.array([0, 0, 4.0]), looking_down().rays(columns + 0.5, rows + 0.5)[1]
+    heights[rows, columns] = np.round((origin + direction * view.distance[rows, columns][:, None])[:, 2], 3)
+    assert set(np.unique(heights)) == {-1.0, 0.0, 0.4}
+    expected = has_another_beside(heights) & (heights >= 0)
+    np.testing.assert_array_equal(found.beside(view.mesh.shape) & (view.mesh >= 0), expected)
+    assert set(np.unique(found.at(np.argwhere(expected)))) == {0}
+    next_ones = has_another_beside(expected) & ~expected & (heights >= 0)
+    assert set(np.unique(found.at(np.argwhere(next_ones)))) == {1}
+
+
+@pytest.mark.parametrize("degrees", [0, 40, 60])
+def test_a_slanted_plane_and_a_ball_have_no_outline_within(degrees):
+    plane = slab(0.0, half=3.0 if degrees < 50 else 4.4)
+    plane.apply_transform(trimesh.transformations.rotation_matrix(np.radians(degrees), [1, 0.3, 0]))
+    view, found = seen(plane, looking_down())
+    assert (view.mesh == 0).all() and not found.beside(view.mesh.shape).any()
+    view, found = seen(trimesh.creation.icosphere(5, 0.7), looking_down())
+    inside = ~has_another_beside(view.mesh)
+    assert not (found.beside(view.mesh.shape) & inside & (view.mesh == 0)).any()
+
+
+def test_a_large_photo_is_looked_at_in_cells():
+    shape = trimesh.util.concatenate([slab(0.0), slab(0.4, half=0.2)])
+    view, found = seen(shape, looking_down(size=1200, focal=2500.0))
+    assert found.edge == 2 and max(found.rings.shape) <= 514
+    steps = has_another_beside(view.distance < 3.8) & (view.mesh == 0)
+    assert (found.at(np.argwhere(steps)) <= 1).all()
+    beside = found.beside(view.mesh.shape)
+    assert 0.9 < beside[steps].mean() and beside.sum() < 5 * has_another_beside(view.mesh + (view.distance < 3.8)).sum()
+
+
+@pytest.fixture(scope="module")
+def steps_of_white():
+    """A scene of balls before and behind each other under a positive light, its photo, and the light."""
+    random = np.random.default_rng(3)
+    places = [[0, 0, 0], [0.25, 0.2, 0.3], [-0.3, 0.1, 0.2], [0.05, -0.35, 0.25], [0.3, -0.25, -0.1]]
+    balls = [trimesh.creation.icosphere(4, random.uniform(0.2, 0.35)) for _ in places]
+    for ball, place in zip(balls, places, strict=True):
+        ball.apply_translation(place)
+    scene = PreparedScene(job_of([as_mesh(trimesh.util.concatenate(balls))], looking_down()), Reporter())
+    truth, material = positive_light(2, seed=4), open_library(None).load(WHITE)
+    image = np.zeros((96, 96, 3), np.float32)
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    image[tuple(points.pixels.T)] = scene.radiance(points, material, SHLighting(truth), directions=4096)[:, 0]
+    noise = random.normal(1, 0.05, image.shape).astype(np.float32)
+    return scene, image * noise, truth
+
+
+def found_of(scene, image, shift=(0, 0)):
+    photo = replace(scene.job.photo, radiance=np.roll(image, shift, (0, 1)))
+    return estimate(PreparedScene(replace(scene.job, photo=photo), Reporter()), open_library(None),
+                    choose("draft", bounces=1, directions=1024), material=WHITE)  # fmt: skip
+
+
+def test_a_photo_in_line_is_fitted_as_it_is(steps_of_white):
+    scene, image, truth = steps_of_white
+    found = found_of(scene, image)
+    assert found.model.problems[0].weights is None and "outlines" not in found.choice
+    assert found.model.problems[0].rings.min() > 0  # what mixes two surfaces is left out
+    assert off_as_seen(found.lighting.coefficients, truth) < 0.1
+
+
+def test_a_photo_two_pixels_out_of_line_loses_less(steps_of_white, monkeypatch):
+    scene, image, truth = steps_of_white
+    found = found_of(scene, image, (2, 1))
+    problem = found.model.problems[0]
+    near = problem.rings <= 2
+    assert (problem.weights[~near] == 1).all() and np.ptp(problem.weights[near]) == 0
+    assert problem.weights[near].max() < 0.5 and "times as badly" in found.choice["outlines"]
+    monkeypatch.setattr("btfsep_engine.pipeline.refine.outlines.ALIKE", 0.0)
+    alike = found_of(scene, image, (2, 1))
+    assert alike.model.problems[0].weights is None
+    assert off_as_seen(found.lighting.coefficients, truth) < 0.75 * off_as_seen(alike.lighting.coefficients, truth)
