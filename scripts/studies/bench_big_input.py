@@ -25,12 +25,11 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.sampling import spread
 from scripts.cycles import engine
 from scripts.studies import ROOT, parser
+from scripts.studies.estimates import scene_of
 from scripts.studies.measures import timed
 from scripts.studies.stage import looking_down, positive_light, waves, write_job
 
@@ -54,7 +53,7 @@ def make_job(folder: str, size: int, side: int, suffix: str) -> None:
     camera = looking_down(size, 1.55 * size)
     camera = replace(camera, to_world=aside @ camera.to_world)
     write_job(folder, ring(side), camera, image=f"photo.{suffix}", metres=METRES, material=MATERIAL)
-    scene = PreparedScene(load_job(folder, with_photo=False), Reporter())
+    scene = scene_of(load_job(folder, with_photo=False))
     region = scene.view.mesh == 0
     rows, columns = np.nonzero(region)
     some = np.zeros_like(region)

@@ -22,14 +22,9 @@ from scipy.ndimage import binary_dilation
 from tqdm import tqdm
 
 from btfsep_engine import images
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.studies import parser, photos, tables
-from scripts.studies.measures import judged
+from scripts.studies.estimates import estimated, scene_of, worth
 
 SOME = ("white", "leather-brown-grain")
 
@@ -101,39 +96,34 @@ def with_depth(folder: Path, depth, out: Path):
     return load_job(out)
 
 
-def study(photo, name: str, library) -> dict:
+def study(photo, name: str) -> dict:
     """One variant of one photograph."""
-    reporter, job = Reporter(), load_job(photo.folder)
+    job = load_job(photo.folder)
     with tempfile.TemporaryDirectory() as scratch:
         if VARIANTS[name] is not None:
-            depth = VARIANTS[name](z_depth(PreparedScene(job, Reporter())), np.random.default_rng(7))
+            depth = VARIANTS[name](z_depth(scene_of(job)), np.random.default_rng(7))
             job = with_depth(photo.folder, depth, Path(scratch))
         if name == OPEN:  # one side is all there is
             job = replace(job, objects=tuple(replace(o, unseen=None) for o in job.objects))
-        found = estimate(PreparedScene(job, reporter), library, choose(), material=photo.material)
+        scene = scene_of(job)
+        found = estimated(scene, photo.material)
+    warnings = "; ".join(scene.reporter.warnings)
     row = {"job": photo.folder.name, "material": photo.shown, "variant": name, "residual": found.fit.residual}
-    return row | judged(found.fit, found.fit.samples, photo.truth(9)) | {"warnings": "; ".join(reporter.warnings)}
+    row |= {"warned": bool(warnings), "not aligned": "line up" in warnings}
+    return row | worth(found, photo.truth(9))
 
 
-HEADS = (
-    "known", "order 1", "order 2", "expected", "over expected", "95 %", "95 % range", "residual", "warned",
-    "not aligned",
-)  # fmt: skip
-
-
-def lines(rows):
-    """A line a variant."""
-    for name, some in tables.groups(rows, "variant", every=None):
-        yield (
-            name,
-            *(tables.spread([r[key] for r in some]) for key in ("order1", "order2")),
-            f"{np.median([r['stated2'] for r in some]):.2f}",
-            tables.spread([r["order2"] / r["stated2"] for r in some]),
-            *(tables.percent([r[key] for r in some]) for key in ("within95", "inside")),
-            f"{np.median([r['residual'] for r in some]):.2f}",
-            tables.percent([bool(r["warnings"]) for r in some]),
-            tables.percent(["line up" in r["warnings"] for r in some]),
-        )
+COLUMNS = (
+    ("order 1", tables.spread_of("order1")),
+    ("order 2", tables.spread_of("order2")),
+    ("expected", tables.median_of("stated2")),
+    ("over expected", tables.spread_of("order2", over="stated2")),
+    ("95 %", tables.percent_of("within95")),
+    ("95 % range", tables.percent_of("inside")),
+    ("residual", tables.median_of("residual")),
+    ("warned", tables.percent_of("warned")),
+    ("not aligned", tables.percent_of("not aligned")),
+)
 
 
 def main(arguments) -> int:
@@ -144,8 +134,8 @@ def main(arguments) -> int:
     options.add_argument("--objects", nargs="+", help="some of the objects")
     given = options.parse_args(arguments)
     shown = photos.photographs_in(given.photos, objects=given.objects, materials=None if given.all else SOME)
-    library = open_library(None)
-    rows = [study(photo, name, library) for photo, name in tqdm(list(product(shown, given.only)))]
+    rows = [study(photo, name) for photo, name in tqdm(list(product(shown, given.only)))]
     for title, some in tables.groups(rows, "material", every="all"):
-        print(f"\n### {title} ({len({r['job'] for r in some})} photos)\n\n" + tables.table(HEADS, lines(some)))
+        text = tables.summary("known", COLUMNS, tables.groups(some, "variant", every=None))
+        print(f"\n### {title} ({len({r['job'] for r in some})} photos)\n\n{text}")
     return 0

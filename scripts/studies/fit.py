@@ -42,12 +42,11 @@ from btfsep_engine.pipeline.points import chosen_points, photographed_regions
 from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.order import cross_validated_order
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import light_solver
-from btfsep_engine.progress import Reporter
 from scripts.cycles.lights import light_path
 from scripts.studies import parser, photos, tables
+from scripts.studies.estimates import scene_of
 from scripts.studies.measures import errors, judged, timed
 
 SHIFTS = (1, 2, 4)
@@ -65,7 +64,7 @@ class View:
     """One object in one material, whatever the light: what is made of it once."""
 
     def __init__(self, shown: list, library):
-        self.scene, self.library, self.name = PreparedScene(load_job(shown[0].folder), Reporter()), library, shown[0]
+        self.scene, self.library, self.name = scene_of(shown[0].folder), library, shown[0]
         self.settings = choose("balanced")
         regions = photographed_regions(self.scene, self.settings)
         self.points = chosen_points(self.scene, self.settings, regions=regions, textured=False)[0]

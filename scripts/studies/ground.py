@@ -11,7 +11,6 @@ the estimator were looked at on; other objects and tables, and the studio's ligh
 """
 
 import json
-import time
 from dataclasses import replace
 from itertools import cycle, product
 from pathlib import Path
@@ -20,19 +19,15 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine import sh
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.images import write_exr
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import turned
 from btfsep_engine.light.maps import read_map
-from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.cycles.lights import light_path, true_lighting
 from scripts.studies import parser, photos, tables
-from scripts.studies.measures import judged, order2
+from scripts.studies.estimates import estimated, worth
+from scripts.studies.measures import order2, timed
 
 EDGE = 8.0  # of the table, in the object's radii
 FILL = 0.55  # of the frame by the object: the rest is table
@@ -93,24 +88,30 @@ def above(x) -> np.ndarray:
     return y[:, :9].T @ (y @ x)
 
 
-def study(photo, folder: Path, kind: str, knows: str, evidence: str, library) -> dict:
+def study(photo, folder: Path, kind: str, knows: str, evidence: str) -> dict:
     """One estimate."""
     job = load_job(photo.folder)
     if knows == UNKNOWN:
         job = replace(job, occluders=tuple(replace(o, surface=None) for o in job.occluders))
-    begun, truth = time.perf_counter(), true_lighting(light_of(folder, photo.light), 9)
-    found = estimate(PreparedScene(job, Reporter()), library, choose(evidence=evidence), material=photo.material)
+    truth = true_lighting(light_of(folder, photo.light), 9)
+    seconds, found = timed(lambda: estimated(job, photo.material, evidence=evidence))
     row = {"object": photo.object, "light": photo.light, "table": kind, "knows": knows, "evidence": evidence}
-    row |= {"seconds": time.perf_counter() - begun, "choice": found.choice}
+    row |= {"seconds": seconds[0], "choice": found.choice}
     row |= {"above": order2(above(found.fit.all_coefficients), above(truth))}
     row |= {"colour": [np.asarray(c) for c in found.scene.colours.values()]}
-    return row | judged(found.lighting, found.fit.samples, truth)
+    return row | worth(found, truth)
 
 
-HEADS = (
-    "photographs", "table", "its pixels", "error", "over without", "above", "over without", "direction", "stated",
-    "95 % range", "seconds",
-)  # fmt: skip
+COLUMNS = (
+    ("error", tables.spread_of("order2")),
+    ("over without", tables.spread_of("order2", over="without")),
+    ("above", tables.spread_of("above")),
+    ("over without", tables.spread_of("above", over="above without")),
+    ("direction", tables.spread_of("direction", "{:.1f}°")),
+    ("stated", tables.median_of("stated2")),
+    ("95 % range", tables.percent_of("inside")),
+    ("seconds", tables.median_of("seconds", "{:.1f}")),
+)
 
 
 def kinds_of(row) -> list[str]:
@@ -119,27 +120,12 @@ def kinds_of(row) -> list[str]:
     return ["all", by_light, *([GROUPS[row["table"]]] if row["table"] in GROUPS else [])]
 
 
-def lines(rows):
-    """A line for each group of photographs and way."""
-    without = {(r["object"], r["light"], r["knows"]): r for r in rows if r["evidence"] == WITHOUT}
+def groups(rows):
+    """Of photographs and ways: (what stands before the figures, rows)."""
     for kind in dict.fromkeys(k for r in rows for k in kinds_of(r)):
         inside = [r for r in rows if kind in kinds_of(r)]
-        for (knows, evidence), some in tables.groups(inside, lambda r: (r["knows"], r["evidence"]), every=None):
-            same = [without[r["object"], r["light"], r["knows"]] for r in some]
-            yield (
-                f"{kind} ({len(some)})",
-                knows,
-                "evidence" if evidence == WITH else "–",
-                *(
-                    tables.spread(values)
-                    for key in ("order2", "above")
-                    for values in ([r[key] for r in some], [r[key] / s[key] for r, s in zip(some, same, strict=True)])
-                ),
-                tables.spread([r["direction"] for r in some], "{:.1f}°"),
-                f"{np.median([r['stated2'] for r in some]):.2f}",
-                tables.percent([r["inside"] for r in some]),
-                f"{np.median([r['seconds'] for r in some]):.1f}",
-            )
+        for (knows, evidence), some in tables.groups(inside, ("knows", "evidence"), every=None):
+            yield (f"{kind} ({len(some)})", knows, "evidence" if evidence == WITH else "–"), some
 
 
 EACH = ("photograph", "error", "evidence", "above", "evidence", "stated", "evidence")
@@ -147,7 +133,7 @@ EACH = ("photograph", "error", "evidence", "above", "evidence", "stated", "evide
 
 def each(rows):
     """A line for each photograph whose table is known."""
-    for name, some in tables.groups(rows, lambda r: (r["object"], r["light"], r["table"], r["knows"]), every=None):
+    for name, some in tables.groups(rows, ("object", "light", "table", "knows"), every=None):
         both = {r["evidence"]: r for r in some}
         pairs = [f"{both[e][key]:.2f}" for key in ("order2", "above", "stated2") for e in (WITHOUT, WITH)]
         yield " ".join(name), *pairs
@@ -165,13 +151,16 @@ def main(arguments) -> int:
     if given.make:
         make(folder, given.sets)
         return 0
-    library, rows = open_library(None), []
     kinds = [path for name in given.sets for path in sorted((folder / name).iterdir())]
     todo = [(p, k.name) for k in kinds for p in photos.photographs_in(k)]
-    for (photo, kind), knows, evidence in tqdm(list(product(todo, given.knows, (WITHOUT, WITH)))):
-        rows.append(study(photo, folder, kind, knows, evidence, library))
+    todo = list(product(todo, given.knows, (WITHOUT, WITH)))
+    rows = [study(photo, folder, kind, *how) for (photo, kind), *how in tqdm(todo)]
+    without = {(r["object"], r["light"], r["knows"]): r for r in rows if r["evidence"] == WITHOUT}
+    for row in rows:
+        same = without[row["object"], row["light"], row["knows"]]
+        row |= {"without": same["order2"], "above without": same["above"]}
     if given.numbers:
         given.numbers.write_text(json.dumps(rows, default=lambda a: np.asarray(a).tolist()))
-    print(tables.table(HEADS, lines(rows)), end="\n\n")
+    print(tables.summary(("photographs", "table", "its pixels"), COLUMNS, groups(rows)), end="\n\n")
     print(tables.table(EACH, each(rows)))
     return 0

@@ -26,17 +26,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.fit.light_model import across
 from btfsep_engine.job.load import known_lamps, load_job
 from btfsep_engine.pipeline.checks import known_lamp_doubts
-from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.studies import parser, photos, tables
+from scripts.studies.estimates import estimated, worth
 from scripts.studies.lamps import truth_of
-from scripts.studies.measures import judged
 from scripts.studies.real import true_light
 
 WAYS = {"found": None, "known": 0.0, "off by 3°": 3.0, "off by 5°": 5.0, "off by 10°": 10.0, "off by 30°": 30.0}
@@ -59,41 +54,37 @@ def told(folder: Path, light: str) -> dict:
     return {"truth": truth, "directions": direction[None], "share": share, "free_scale": False}
 
 
-def study(folder: Path, light: str, material, library):
+def study(folder: Path, light: str, material):
     """A photograph's row for each way."""
     job, true, random = load_job(folder), told(folder, light), np.random.default_rng(len(folder.name))
     for way, degrees in WAYS.items():
         given = [] if degrees is None else [(turned(d, degrees, random), 1.0) for d in true["directions"]]
-        scene = PreparedScene(replace(job, known_lamps=known_lamps(given, way)), Reporter())
-        found = estimate(scene, library, choose(), material=material)
+        found = estimated(replace(job, known_lamps=known_lamps(given, way)), material)
         shares = [lamp.share for lamp in found.fit.lamps if lamp.given]
         yield {
             "light": light,
             "way": way,
             "share": sum(shares) / true["share"],
             "doubted": bool(known_lamp_doubts(found)),
-            **judged(found.lighting, found.fit.samples, true["truth"], free_scale=true["free_scale"]),
+            **worth(found, true["truth"], free_scale=true["free_scale"]),
         }
 
 
-HEADS = ("light", "direction", "photos", "order 1", "order 2", "stated", "over stated", "direction", "share", "doubted")
+def of_known(words):
+    """A column that says nothing of lamps that are not known."""
+    return lambda rows: "–" if rows[0]["way"] == "found" else words(rows)
 
 
-def lines(rows):
-    """Each light and way, and all."""
-    for light, some in tables.groups(rows, "light"):
-        for way, same in tables.groups(some, "way", every=None):
-            yield (
-                light,
-                way,
-                len(same),
-                *(tables.spread([r[key] for r in same]) for key in ("order1", "order2")),
-                f"{np.median([r['stated2'] for r in same]):.2f}",
-                tables.spread([r["order2"] / r["stated2"] for r in same]),
-                tables.spread([r["direction"] for r in same], "{:.1f}°"),
-                "–" if way == "found" else f"{np.median([r['share'] for r in same]):.2f}",
-                "–" if way == "found" else sum(r["doubted"] for r in same),
-            )
+COLUMNS = (
+    ("photos", len),
+    ("order 1", tables.spread_of("order1")),
+    ("order 2", tables.spread_of("order2")),
+    ("stated", tables.median_of("stated2")),
+    ("over stated", tables.spread_of("order2", over="stated2")),
+    ("direction", tables.spread_of("direction", "{:.1f}°")),
+    ("share", of_known(tables.median_of("share"))),
+    ("doubted", of_known(lambda rows: sum(r["doubted"] for r in rows))),
+)
 
 
 def jobs_in(folder: Path, lights, only: str) -> list:
@@ -110,7 +101,8 @@ def main(arguments) -> int:
     options.add_argument("--lights", nargs="+", help="some of the lights")
     options.add_argument("--only", default="*", metavar="GLOB", help="of the jobs' names")
     given = options.parse_args(arguments)
-    library, jobs = open_library(None), jobs_in(given.photos, given.lights, given.only)
-    rows = [row for job in tqdm(jobs) for row in study(*job, library)]
-    print(tables.table(HEADS, lines(rows)))
+    rows = [row for job in tqdm(jobs_in(given.photos, given.lights, given.only)) for row in study(*job)]
+    ways = [((light, way), r) for light, some in tables.groups(rows, "light")
+            for way, r in tables.groups(some, "way", every=None)]  # fmt: skip
+    print(tables.summary(("light", "direction"), COLUMNS, ways))
     return 0

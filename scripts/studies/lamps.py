@@ -25,18 +25,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
-from btfsep_engine.job.load import load_job
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.cycles.lights import light_path, true_lighting
 from scripts.studies import parser, photos, tables
-from scripts.studies.measures import judged
+from scripts.studies.estimates import estimated, worth
 
 MADE = (  # object, material
     ("suzanne", "white"),
@@ -86,42 +80,49 @@ def truth_of(folder: Path, light: str):
     return true_lighting(light, 9), brightest, float(power[lamp].sum() / power.sum())
 
 
-def study(photo, library) -> dict:
+def study(photo) -> dict:
     """One photograph."""
     truth, direction, share = truth_of(photo.folder, photo.light)
-    found = estimate(PreparedScene(load_job(photo.folder), Reporter()), library, choose(), material=photo.material)
+    found = estimated(photo.folder, photo.material)
     suns = found.lighting.suns
     off = [np.degrees(np.arccos(np.clip(sun.direction @ direction, -1, 1))) for sun in suns]
     near = int(np.argmin(off)) if off and min(off) < NEAR_DEGREES else None
     row = {"light": photo.light, "lamp": share, "found": near is not None, "elsewhere": len(off) - (near is not None)}
     if near is not None:
         row |= {"off": off[near], "off_stated": suns[near].direction_stddev_degrees, "share": suns[near].share / share}
-    return row | judged(found.lighting, found.fit.samples, truth)
+    return row | worth(found, truth)
 
 
-HEADS = (
-    "light", "photos", "lamp", "found", "direction: off, stated", "share", "elsewhere", "order 1", "order 2",
-    "over stated", "68 %", "95 %", "95 % range",
-)  # fmt: skip
+def of_found(words):
+    """A column of the photos in which the lamp is found."""
+
+    def cell(rows):
+        hits = [r for r in rows if r["found"]]
+        return words(hits) if hits else "–"
+
+    return cell
 
 
-def lines(rows):
-    """Each light, and all."""
-    for name, some in tables.groups(rows, "light"):
-        hits = [r for r in some if r["found"]]
-        off, stated, share = (np.array([r[key] for r in hits]) for key in ("off", "off_stated", "share"))
-        yield (
-            name,
-            len(some),
-            "" if name == "**all**" else f"{100 * some[0]['lamp']:.0f} %",
-            len(hits),
-            f"{tables.spread(off, '{:.1f}°')}, {np.median(stated):.1f}°" if hits else "–",
-            f"{np.median(share):.2f}" if hits else "–",
-            sum(r["elsewhere"] for r in some),
-            *(tables.spread([r[key] for r in some]) for key in ("order1", "order2")),
-            tables.spread([r["order2"] / r["stated2"] for r in some]),
-            *(tables.percent([r[key] for r in some]) for key in ("within68", "within95", "inside")),
-        )
+def lamp(rows) -> str:
+    """Of one light."""
+    return "" if len({r["light"] for r in rows}) > 1 else f"{100 * rows[0]['lamp']:.0f} %"
+
+
+OFF, STATED = tables.spread_of("off", "{:.1f}°"), tables.median_of("off_stated", "{:.1f}°")
+COLUMNS = (
+    ("photos", len),
+    ("lamp", lamp),
+    ("found", lambda rows: sum(r["found"] for r in rows)),
+    ("direction: off, stated", of_found(lambda hits: f"{OFF(hits)}, {STATED(hits)}")),
+    ("share", of_found(tables.median_of("share"))),
+    ("elsewhere", lambda rows: sum(r["elsewhere"] for r in rows)),
+    ("order 1", tables.spread_of("order1")),
+    ("order 2", tables.spread_of("order2")),
+    ("over stated", tables.spread_of("order2", over="stated2")),
+    ("68 %", tables.percent_of("within68")),
+    ("95 %", tables.percent_of("within95")),
+    ("95 % range", tables.percent_of("inside")),
+)
 
 
 def main(arguments) -> int:
@@ -134,8 +135,7 @@ def main(arguments) -> int:
         options.error("name folders of photos, or --make FOLDER")
     if given.make:
         make(given.make.resolve())
-    library = open_library(None)
     for root in [*([given.make] if given.make else []), *given.photos]:
-        shown = photos.photographs_in(root, lights=given.lights)
-        print(tables.table(HEADS, lines([study(p, library) for p in tqdm(shown)])) + "\n")
+        rows = [study(p) for p in tqdm(photos.photographs_in(root, lights=given.lights))]
+        print(tables.summary("light", COLUMNS, tables.groups(rows, "light")) + "\n")
     return 0

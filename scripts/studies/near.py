@@ -17,23 +17,17 @@ distance:
     order 2      the error, and the same where all light is taken to come from far away; stated: the expected error
 """
 
-import json
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine import atomic
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.refine import near
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.studies import parser, photos, tables
-from scripts.studies.measures import judged
+from scripts.studies.estimates import estimated, kept, worth
 from scripts.studies.stability import NOISE, scenes
 from scripts.studies.stability.axes import Setting, with_lamps
 from scripts.studies.stability.cases import undisturbed, write_job
@@ -41,10 +35,6 @@ from scripts.studies.stability.cases import undisturbed, write_job
 EDGE, SAMPLES = 160, 64  # of a photograph: the stability study's defaults
 SHARE = 0.5  # of all light, of the lamps together
 
-HEADS = (
-    "distance, radii", "photos", "believed", "distance, over the true one", "inside", "direction", "order 2",
-    "all far away", "over stated", "over stated, all far away", "95 % range",
-)  # fmt: skip
 FIRST, SECOND, FAR = scenes.LAMP_FROM, scenes.SECOND_FROM, scenes.SUNS[1]
 PAIRS = (
     ((1.5, FIRST), (2.2, SECOND)),
@@ -55,7 +45,7 @@ PAIRS = (
 SAME = 30.0  # degrees: a lamp that is believed in and stands no nearer to any is none of them
 
 
-def study(setting: Setting, lamps, library) -> dict:
+def study(setting: Setting, lamps) -> dict:
     """One photograph under lamps (distance in radii, or None: far away; direction), with and without places of them."""
     case = undisturbed(setting.work, setting.scene, setting.light)
     with_lamps(case, setting, lamps, SHARE)
@@ -67,8 +57,8 @@ def study(setting: Setting, lamps, library) -> dict:
     try:
         for name, speaks in (("", usual), ("far ", np.inf)):
             near.SPEAKS = speaks
-            found = estimate(PreparedScene(job, Reporter()), library, choose(), material=case.material)
-            row |= {name + k: v for k, v in judged(found.lighting, found.fit.samples, case.truth).items()}
+            found = estimated(job, case.material)
+            row |= {name + k: v for k, v in worth(found, case.truth).items()}
             row["lamps"] += [told(lamps, direction, how, job) for direction, how in found.light.near]
             row[name + "said"] = found.choice.get("near")
     finally:
@@ -88,28 +78,37 @@ def told(lamps, direction, how, job) -> dict:
     return {"of": which, "off": off[which], **away}
 
 
-def lines(rows):
-    """Each distance, and all."""
-    for name, some in tables.groups(rows, "radii"):
-        lamps = [lamp for r in some for lamp in r["lamps"]]
-        right = [lamp for lamp in lamps if lamp["of"] is not None]
-        ratios = np.array([lamp["ratio"] for lamp in right])
-        between = f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})" if len(right) else "–"
-        there = sum(word != "far" for r in some for word in r["radii"].split(" and "))
-        wrong = f", {len(lamps) - len(right)} elsewhere" if len(lamps) > len(right) else ""
-        yield (
-            name,
-            len(some),
-            f"{len(right)} of {there}{wrong}" if there > len(some) or wrong else len(right),
-            between,
-            sum(lamp["inside"] for lamp in right),
-            tables.spread([lamp["off"] for lamp in right], "{:.1f}°"),
-            tables.spread([r["order2"] for r in some]),
-            tables.spread([r["far order2"] for r in some]),
-            tables.spread([r["order2"] / r["stated2"] for r in some]),
-            tables.spread([r["far order2"] / r["far stated2"] for r in some]),
-            tables.percent([r["inside"] for r in some]),
-        )
+def right(rows) -> list:
+    """The lamps that are believed to stand near, and do."""
+    return [lamp for r in rows for lamp in r["lamps"] if lamp["of"] is not None]
+
+
+def believed(rows):
+    """How many lamps, of how many where there are more than photos, and those that stand nowhere near."""
+    wrong = sum(len(r["lamps"]) for r in rows) - len(right(rows))
+    there = sum(word != "far" for r in rows for word in r["radii"].split(" and "))
+    elsewhere = f", {wrong} elsewhere" if wrong else ""
+    return f"{len(right(rows))} of {there}{elsewhere}" if there > len(rows) or wrong else len(right(rows))
+
+
+def distance(rows) -> str:
+    """Over the true one, median (least to most)."""
+    ratios = np.array([lamp["ratio"] for lamp in right(rows)])
+    return f"{np.median(ratios):.2f} ({ratios.min():.2f} to {ratios.max():.2f})" if len(ratios) else "–"
+
+
+COLUMNS = (
+    ("photos", len),
+    ("believed", believed),
+    ("distance, over the true one", distance),
+    ("inside", lambda rows: sum(lamp["inside"] for lamp in right(rows))),
+    ("direction", lambda rows: tables.spread([lamp["off"] for lamp in right(rows)], "{:.1f}°")),
+    ("order 2", tables.spread_of("order2")),
+    ("all far away", tables.spread_of("far order2")),
+    ("over stated", tables.spread_of("order2", over="stated2")),
+    ("over stated, all far away", tables.spread_of("far order2", over="far stated2")),
+    ("95 % range", tables.percent_of("inside")),
+)
 
 
 def main(arguments) -> int:
@@ -126,15 +125,10 @@ def main(arguments) -> int:
         axes = ("near light", "second lamp", "sun")
         wanted = [shot for s in chosen for shot in scenes.shots(given.work, s, lights, axes, under=lights)]
         photos.take(wanted, resolution=EDGE, samples=SAMPLES, threads=2, noise=NOISE)
-    library, rows = open_library(None), []
+    rows = []
     settings = [Setting(given.work, s, light, scenes.LIGHTS) for s in chosen for light in lights]
     for lamps, setting in tqdm([(lamps, setting) for lamps in many for setting in settings]):
         name = "_".join([setting.scene.name, setting.light, *(scenes.lamp_name(lamp) for lamp in lamps)])
-        kept = given.keep / f"{name}.json" if given.keep else None
-        if kept is None or not kept.exists():
-            row = study(setting, lamps, library)
-            if kept is not None:
-                atomic.write_text(kept, json.dumps(row))
-        rows.append(json.loads(kept.read_text()) if kept else row)
-    print(tables.table(HEADS, lines(rows)))
+        rows.append(kept(given.keep, name, partial(study, setting, lamps)))
+    print(tables.summary("distance, radii", COLUMNS, tables.groups(rows, "radii")))
     return 0

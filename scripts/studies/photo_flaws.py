@@ -9,9 +9,8 @@ each object in two materials under one light (--all: in all, under two). --only 
 draws no chart. Every photo's numbers are kept in --work: a run that was stopped goes on where it was.
 """
 
-import json
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import cv2
@@ -19,7 +18,6 @@ import numpy as np
 from scipy.ndimage import distance_transform_cdt
 from tqdm import tqdm
 
-from btfsep_engine import atomic
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.censored import working_values
@@ -31,11 +29,10 @@ from btfsep_engine.images import linear_to_srgb, srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.real_photo import STIFF
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.sampling import spread
 from scripts.studies import ROOT, parser, photos, tables
+from scripts.studies.estimates import kept, scene_of
 from scripts.studies.measures import covered, errors, order2
 
 LIGHTS = ("courtyard", "sunset")
@@ -86,7 +83,7 @@ def view_of(shown: list, library) -> View:
     if material.has_texture:
         asked |= {k: (material, uv) for k, uv in TEXTURES.items()}
     for key, (used, uv) in asked.items():
-        scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv=uv or "mesh"),)), Reporter())
+        scene = scene_of(replace(job, objects=(replace(job.objects[0], uv=uv or "mesh"),)))
         region = scene.view.mesh == 0
         points = scene.points(0, region=region, textured=uv is not None)
         points = points.take(spread(points, PIXELS, seed=0))
@@ -289,18 +286,17 @@ def answers(views: list, library, given) -> dict:
     """{axis: [{estimator: [error at each severity]}]}, a dict for each photo, from --work where it is there."""
     out: dict = {name: [] for name in given.only}
     made = cache(lambda i: view_of(views[i], library))
+
+    def laid(name, light, view, other):
+        pair = (made(other),) if name in PAIRS else ()
+        return AXES[name][2](made(view), *pair, light, np.random.default_rng(5))
+
     for i, shown in enumerate(tqdm(views)):
         other = (i + 4) % len(views)  # the second object of a pair: another one under the same light
         lights = given.lights if given.all else [given.lights[i // 2 % len(given.lights)]]
         for photo in [p for p in shown if p.light in lights]:
             for name in given.only:
-                path = given.work / f"{name}_{photo.folder.name}.json"
-                if not path.exists():
-                    pair = (made(other),) if name in PAIRS else ()
-                    found = AXES[name][2](made(i), *pair, photo.light, np.random.default_rng(5))
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    atomic.write_text(path, json.dumps(found))
-                found = json.loads(path.read_text())
+                found = kept(given.work, f"{name}_{photo.folder.name}", partial(laid, name, photo.light, i, other))
                 out[name] += [found] if found is not None else []
     return out
 

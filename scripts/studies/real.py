@@ -26,15 +26,11 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine import sh
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.errors import InputError
-from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.studies import ROOT, parser, tables
-from scripts.studies.measures import ERROR_ORDER, TERMS, errors, judged
+from scripts.studies.estimates import estimated, scene_of, worth
+from scripts.studies.measures import ERROR_ORDER, TERMS, errors
 
 FACING = 0.15  # cosine to the camera: beyond, a pixel holds too many normals
 LIT = 0.15  # of the 99th percentile of the object's brightness
@@ -76,12 +72,10 @@ def plain_fits(normal, b) -> dict:
     return fits
 
 
-def study(folder: Path, library) -> dict:
+def study(folder: Path) -> dict:
     """One photograph: ours and the plain fits against the truth."""
-    truth, reporter = true_light(folder), Reporter()
-    scene = PreparedScene(load_job(folder), reporter)
-    found = estimate(scene, library, choose())
-    ours = judged(found.lighting, found.fit.samples, truth, free_scale=True)
+    truth, scene = true_light(folder), scene_of(folder)
+    ours, warnings = worth(estimated(scene), truth, free_scale=True), scene.reporter.warnings
     row = {
         "job": folder.name,
         "ours_error": ours["order2"],
@@ -89,8 +83,8 @@ def study(folder: Path, library) -> dict:
         "stated": ours["stated2"],
         "over": ours["order2"] / ours["stated2"],
         **{key: 100 * ours[key] for key in MEANS},
-        "warned": len(reporter.warnings),
-        "warnings": reporter.warnings,
+        "warned": len(warnings),
+        "warnings": warnings,
     }
     for name, grey in plain_fits(*facing(scene)).items():
         off = errors(np.repeat(grey[:, None], 3, 1), truth)
@@ -110,26 +104,20 @@ COLUMNS = {  # what of a row, and its form
     **{f"{k}_{what}": (f"{PLAIN[k]}: {what}", form) for k in PLAIN for what, form in (
         ("error", "{:.2f}"), ("angle", "{:.1f}°"))},
 }  # fmt: skip
-HEADS = [words for words, _ in COLUMNS.values()]
 MEANS = ("within68", "within95", "inside")  # of shares the mean and the least; of all else the median and the most
 
 
 def by_job(rows: list) -> str:
     """A line a job."""
     lines = [[row["job"], *(form.format(row[key]) for key, (_, form) in COLUMNS.items())] for row in rows]
-    return tables.table(["job", *HEADS], lines)
+    return tables.table(["job", *(words for words, _ in COLUMNS.values())], lines)
 
 
 def summary(rows: list) -> str:
     """Medians and worst by kind, and of all."""
-    lines = []
-    for name, some in tables.groups(rows, lambda r: r["job"].split("_")[0]):
-        cells = []
-        for key, (_, form) in COLUMNS.items():
-            how = {"middle": np.mean, "far": np.min} if key in MEANS else {}
-            cells.append(tables.spread([r[key] for r in some], form, **how))
-        lines.append([name, len(some), *cells])
-    return tables.table(["", "jobs", *HEADS], lines)
+    how = {key: {"middle": np.mean, "far": np.min} if key in MEANS else {} for key in COLUMNS}
+    columns = [(head, tables.spread_of(key, form, **how[key])) for key, (head, form) in COLUMNS.items()]
+    return tables.summary("", [("jobs", len), *columns], tables.groups(rows, lambda r: r["job"].split("_")[0]))
 
 
 def draw(path: Path, rows: list) -> None:
@@ -169,8 +157,7 @@ def main(arguments) -> int:
     folders = sorted(p.parent for p in truths if (p.parent / "job.json").exists())
     if not folders:
         options.error(f"{given.folder} has no jobs with a truth.json")
-    library = open_library(None)
-    rows = [study(folder, library) for folder in tqdm(folders)]
+    rows = [study(folder) for folder in tqdm(folders)]
     print(by_job(rows) + "\n\nMedians (worst); of shares means (least):\n\n" + summary(rows))
     said = Counter(words for r in rows for words in {kind(w) for w in r["warnings"]})
     print("\nWarned of, numbers left out:\n")

@@ -27,13 +27,12 @@ from btfsep_engine.light.maps import natural_amplitude
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import Problem, make_problem
 from btfsep_engine.pipeline.refine.interreflection import own_light, with_own_light
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, choose
 from btfsep_engine.pipeline.together import fit_together, light_solver
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render import sampling
 from scripts.cycles.lights import true_lighting
 from scripts.studies import ROOT, parser, photos, stage, tables
+from scripts.studies.estimates import scene_of
 from scripts.studies.measures import order2
 from scripts.studies.photos import LIGHTS, MATERIALS, OBJECTS
 
@@ -144,7 +143,7 @@ class Study:
         whole = trimesh.util.concatenate([table, ball])
         normals = np.concatenate([np.repeat(table.face_normals[:, None], 3, 1), ball.vertex_normals[ball.faces]])
         mesh = TriangleMesh(np.asarray(whole.vertices), np.asarray(whole.faces, np.int32), normals.astype(np.float32))
-        scene = PreparedScene(stage.job_of([mesh], stage.looking_down(256, 480.0), metres_per_unit=0.05), Reporter())
+        scene = scene_of(stage.job_of([mesh], stage.looking_down(256, 480.0), metres_per_unit=0.05))
         points = scene.points(0, textured=False)
         pool = make_problem(scene, [Lambertian("white", np.full(3, 0.8))], [points], self.settings)
         rng, views = np.random.default_rng(0), []
@@ -248,7 +247,7 @@ def main(arguments) -> int:
         pairs = [(job.photo.radiance, true_lighting(s.light, 4)) for job, s in zip(jobs, shots, strict=True)]
         name, material = shots[0].object, shots[0].material
         told = library.load(photos.library_name(material)).mean_material()
-        study.scene(name, material, pairs, PreparedScene(jobs[0], Reporter()), told)
+        study.scene(name, material, pairs, scene_of(jobs[0]), told)
     study.table_with_ball()
     print("\n" + printed(study))
     draw(given.out, study)

@@ -34,11 +34,11 @@ from btfsep_engine.job.poses import posed_jobs
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.sequence import run_sequence
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.studies import parser, photos, tables
+from scripts.studies.estimates import scene_of
 
 NOISE = 0.01  # of a photo's mean
 TURN = np.radians(2)
@@ -63,7 +63,7 @@ def moving(shown, library, schemas, random):
     light, material = SHLighting(shown.truth(9)), library.load(shown.material)
     for schema in schemas:
         job = load_job(shown.folder, with_photo=False, schema=schema)
-        scene = PreparedScene(job, Reporter())
+        scene = scene_of(job)
         points = scene.points(0, textured=False)
         image = np.zeros((job.camera.height, job.camera.width, 3))
         image[tuple(points.pixels.T)] = scene.radiance(points, material.mean_material(), light, directions=512)[:, 0]
@@ -92,7 +92,7 @@ def poses_of(job, frames) -> dict:
 
 def alone(job, path, library, settings, material):
     """The light of a frame by the whole way of an estimate, and its milliseconds."""
-    scene = PreparedScene(replace(job, photo=read_photo(path, job.camera)), Reporter())
+    scene = scene_of(replace(job, photo=read_photo(path, job.camera)))
     begun = time.perf_counter()
     found = estimate(scene, library, settings, material=material)
     return found.lighting, 1000 * (time.perf_counter() - begun)

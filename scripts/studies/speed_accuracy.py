@@ -10,22 +10,18 @@ draws docs/results/images/speed-accuracy.png. Every way of one photo is timed in
 of seconds and errors are of the same photo and process; they and the means are geometric.
 """
 
-import json
 import random
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine import atomic
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.chart import write_chart
-from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.tradeoff import measure, pareto_front
-from btfsep_engine.progress import Reporter
 from scripts.studies import ROOT, parser, photos, tables
+from scripts.studies.estimates import kept, library, scene_of
 
 BALANCED, SAME = ("preset", "balanced"), ("preset", "paper")  # SAME: the paper's estimator by the kernel
 TRACED = (8, 16, 32, 64)  # paths a pixel and basis light of the paper's way
@@ -191,13 +187,14 @@ def page(points, equal, *, count: int, total: int, lights, paper: int) -> str:
     return "\n\n".join(out)
 
 
-def measured(photo, library, warm_up: bool, traced, given) -> list[dict]:
-    """Every way of one photograph, and the paper's with each number of paths."""
-    scene, truth = PreparedScene(load_job(photo.folder), Reporter()), photo.truth(4)
+def measured(photo, warm: set, traced, given) -> list[dict]:
+    """Every way of one photograph, and the paper's with each number of paths; ``warm``: the materials that were met."""
+    scene, truth, warm_up = scene_of(photo.folder), photo.truth(4), photo.shown not in warm
+    warm.add(photo.shown)
     told = {"material": photo.material, "truth": truth, "quick": given.quick}
     runs = [{"paper_samples": 0, "repeats": 1, "warm_up": warm_up}]
     runs += [{"only": (), "paper_samples": n} for n in traced]
-    points = [p for run in runs for p in measure(scene, library, **told, **run)["points"]]
+    points = [p for run in runs for p in measure(scene, library(), **told, **run)["points"]]
     return [
         {"axis": p.axis, "name": p.name, "seconds": p.seconds, "error": p.error, "direction": p.direction}
         for p in points
@@ -214,18 +211,13 @@ def main(arguments) -> int:
     options.add_argument("--quick", action="store_true", help="fewer settings")
     options.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "speed-accuracy.md")
     given = options.parse_args(arguments)
-    library, warm, found, shown = open_library(None), set(), [], photos.photographs_in(given.photos)
+    warm, found, shown = set(), [], photos.photographs_in(given.photos)
     total = len(shown)
     random.Random(0).shuffle(shown)
     shown = shown[: given.count]
     for number, photo in enumerate(tqdm(shown)):
-        path = given.work / f"{photo.folder.name}.json"
-        if not path.exists():
-            traced = given.traced if number < given.paper else ()
-            path.parent.mkdir(parents=True, exist_ok=True)
-            atomic.write_text(path, json.dumps(measured(photo, library, photo.shown not in warm, traced, given)))
-            warm.add(photo.shown)
-        found.append(json.loads(path.read_text()))
+        traced = given.traced if number < given.paper else ()
+        found.append(kept(given.work, photo.folder.name, partial(measured, photo, warm, traced, given)))
     points, equal = summed_up(found), at_equal_error(found)
     picture = given.out.parent / "images" / "speed-accuracy.png"
     picture.parent.mkdir(parents=True, exist_ok=True)

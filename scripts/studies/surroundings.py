@@ -12,23 +12,17 @@ error over that of the same object under the same light without a table, "stated
 """
 
 import json
-import time
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.studies import parser, photos, tables
-from scripts.studies.measures import judged
+from scripts.studies.estimates import estimated, worth
+from scripts.studies.measures import timed
 
 OBJECTS = (("suzanne", "white"), ("blob", "leather/brown-grain"))
 LIGHTS = ("city", "sunset")
@@ -62,32 +56,23 @@ def as_told(job, way: str):
     return replace(job, occluders=tuple(replace(o, surface=changed(o.surface)) for o in job.occluders))
 
 
-def study(photo, kind: str, way: str, library) -> dict:
+def study(photo, kind: str, way: str) -> dict:
     """One estimate."""
     job = as_told(load_job(photo.folder), way)
-    begun = time.perf_counter()
-    found = estimate(PreparedScene(job, Reporter()), library, choose(), material=photo.material)
+    seconds, found = timed(lambda: estimated(job, photo.material))
     row = {"object": photo.object, "light": photo.light, "table": kind, "way": way if kind != "alone" else "–"}
-    row |= {"seconds": time.perf_counter() - begun, "choice": found.choice}
-    return row | judged(found.lighting, found.fit.samples, photo.truth(9))
+    return row | {"seconds": seconds[0], "choice": found.choice} | worth(found, photo.truth(9))
 
 
-HEADS = ("table", "way", "error", "over alone", "direction", "stated", "68 %", "95 % range", "seconds")
-
-
-def lines(rows):
-    """A line for each table and way."""
-    alone = {(r["object"], r["light"]): r["order2"] for r in rows if r["table"] == "alone"}
-    for name, some in tables.groups(rows, lambda r: (r["table"], r["way"]), every=None):
-        yield (
-            *name,
-            tables.spread([r["order2"] for r in some]),
-            tables.spread([r["order2"] / alone[r["object"], r["light"]] for r in some]),
-            tables.spread([r["direction"] for r in some], "{:.1f}°"),
-            f"{np.median([r['stated2'] for r in some]):.2f}",
-            *(tables.percent([r[key] for r in some]) for key in ("within68", "inside")),
-            f"{np.median([r['seconds'] for r in some]):.1f}",
-        )
+COLUMNS = (
+    ("error", tables.spread_of("order2")),
+    ("over alone", tables.spread_of("order2", over="alone")),
+    ("direction", tables.spread_of("direction", "{:.1f}°")),
+    ("stated", tables.median_of("stated2")),
+    ("68 %", tables.percent_of("within68")),
+    ("95 % range", tables.percent_of("inside")),
+    ("seconds", tables.median_of("seconds", "{:.1f}")),
+)
 
 
 def main(arguments) -> int:
@@ -103,11 +88,11 @@ def main(arguments) -> int:
     if given.make:
         make(given.folder.resolve())
         return 0
-    library, rows = open_library(None), []
     todo = [(p, k, w) for k in given.tables for p in photos.photographs_in(given.folder / k) for w in given.ways]
-    for photo, kind, way in tqdm([(p, k, w) for p, k, w in todo if k != "alone" or w == given.ways[0]]):
-        rows.append(study(photo, kind, way, library))
+    rows = [study(*each) for each in tqdm([(p, k, w) for p, k, w in todo if k != "alone" or w == given.ways[0]])]
+    alone = {(r["object"], r["light"]): r["order2"] for r in rows if r["table"] == "alone"}
+    rows = [r | {"alone": alone[r["object"], r["light"]]} for r in rows]
     if given.numbers:
         given.numbers.write_text(json.dumps(rows, default=float))
-    print(tables.table(HEADS, lines(rows)))
+    print(tables.summary(("table", "way"), COLUMNS, tables.groups(rows, ("table", "way"), every=None)))
     return 0

@@ -3,6 +3,7 @@
 
 import csv
 import io
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +35,42 @@ def percent(values) -> str:
 
 
 def groups(rows, key, *, every: str | None = "**all**") -> list:
-    """(name, rows) of each value of a key (a name, or a function of a row), and of all."""
-    of = key if callable(key) else lambda row: row[key]
+    """(name, rows) of each value of a key (a name, several, or a function of a row), and of all."""
+    if isinstance(key, tuple):
+        of = operator.itemgetter(*key)
+    else:
+        of = key if callable(key) else operator.itemgetter(key)
     out = [(name, [r for r in rows if of(r) == name]) for name in dict.fromkeys(map(of, rows))]
     return [*out, (every, rows)] if every else out
+
+
+def spread_of(key: str, form: str = "{:.2f}", *, over: str | None = None, **how):
+    """A column of `summary`: the `spread` of a key of the rows, or of what it is over another."""
+    return lambda rows: spread([r[key] / r[over] if over else r[key] for r in rows], form, **how)
+
+
+def median_of(key: str, form: str = "{:.2f}"):
+    """A column of `summary`: the median of a key."""
+    return lambda rows: form.format(np.median([r[key] for r in rows]))
+
+
+def percent_of(key: str):
+    """A column of `summary`: the mean of a key's shares, or in how many rows it is true."""
+    return lambda rows: percent([r[key] for r in rows])
+
+
+def summary(heads, columns, grouped) -> str:
+    """A table with a line for each of some groups of rows.
+
+    Parameters
+    ----------
+    heads : what the groups are named by, a word or several
+    columns : (head, function of a group's rows that gives its cell)
+    grouped : of `groups`
+    """
+    heads = (heads,) if isinstance(heads, str) else heads
+    lines = (((n,) if isinstance(n, str) else n, some) for n, some in grouped)
+    return table([*heads, *(h for h, _ in columns)], [(*name, *(f(some) for _, f in columns)) for name, some in lines])
 
 
 def fill(page: Path, part: str, text: str) -> None:

@@ -16,11 +16,10 @@ from tqdm import tqdm
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.model import TriangleMesh
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render import parametrise
 from scripts.cycles.lights import light_path
 from scripts.studies import ROOT, parser, photos, tables
+from scripts.studies.estimates import scene_of
 from scripts.studies.parametrisation import light
 from scripts.studies.parametrisation.quality import Quality, quality
 
@@ -140,7 +139,7 @@ def draw(path, meshes) -> None:
 
 def striped(mesh, uv) -> np.ndarray:
     """(h, w, 3) uint8: dark and light stripes that run along u, warm and cool squares along them, lit from the eye."""
-    scene = PreparedScene(light.job_with(mesh, uv, size=PICTURE), Reporter())
+    scene = scene_of(light.job_with(mesh, uv, size=PICTURE))
     points = scene.points(0, region=scene.view.mesh == 0, textured=True)
     shade = 0.25 + 0.75 * np.clip((points.normal * points.to_eye).sum(1), 0, 1)[:, None]
     across = (np.floor(points.uv[:, 1] / (STRIPE / 2)) % 2)[:, None]

@@ -13,9 +13,9 @@ from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.reference import Reference
 from scripts.studies import stage
+from scripts.studies.estimates import scene_of
 from scripts.studies.measures import order2
 from scripts.studies.parametrisation.quality import borders
 
@@ -68,7 +68,7 @@ def losses(mesh: TriangleMesh, mappings: dict, material, lights) -> dict:
     have the textured BTF; away, near: relative root mean square difference of the mean ABRDF's radiance from that with
     the true grain, over the pixels more than `NEAR` from a border, and the others (nan: there are none)
     """
-    scenes = {name: PreparedScene(job_with(mesh, uv), Reporter()) for name, uv in mappings.items()}
+    scenes = {name: scene_of(job_with(mesh, uv)) for name, uv in mappings.items()}
     maps = [EnvironmentMaps(read_map(path)[None], ("light",)) for path in lights]
     true = scenes["own"]
     points = true.points(0, textured=True)
@@ -99,7 +99,7 @@ def losses(mesh: TriangleMesh, mappings: dict, material, lights) -> dict:
             held = SimpleNamespace(load=lambda _, kind=kind: mean if kind == "frames" else material)
             errors[kind] = []
             for light, photo in zip(maps, taken, strict=True):
-                posed = PreparedScene(replace(scene.job, photo=photo), Reporter())
+                posed = scene_of(replace(scene.job, photo=photo))
                 found = estimate(posed, held, settings, material=material.name).lighting.coefficients
                 errors[kind].append(order2(found, light.coefficients(2)[0]))
         out[name] = *parts, errors

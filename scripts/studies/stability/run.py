@@ -14,13 +14,11 @@ from tqdm import tqdm
 from btfsep_engine.atomic import write_text
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.fit import compare
-from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.commands import psnr
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.sampling import spread
+from scripts.studies.estimates import scene_of
 from scripts.studies.measures import TERMS, covered, errors
 from scripts.studies.stability import cases, methods, scenes
 from scripts.studies.stability.axes import AXES, Setting
@@ -156,7 +154,7 @@ def measure(found, truth, pixels) -> dict:
 
 @lru_cache(maxsize=64)
 def _basis(folder: Path, material: str):
-    scene = PreparedScene(load_job(folder), Reporter())
+    scene = scene_of(folder)
     points = scene.points(0, textured=False)
     points = points.take(spread(points, RERENDER_PIXELS))
     told, lights = open_library().load(material).mean_material(), SHBasis(scenes.ORDER)

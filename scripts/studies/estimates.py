@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whole estimates as studies make them, by the shipped library, and what is kept of a photograph from run to run."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+from btfsep_engine import atomic
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.job.load import load_job
+from btfsep_engine.job.model import Job
+from btfsep_engine.pipeline.estimation import Estimate, estimate
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from scripts.studies.measures import judged
+
+library = cache(open_library)
+
+
+def scene_of(job) -> PreparedScene:
+    """A job, or that of a folder, in the ray tracer; its ``reporter`` has the warnings."""
+    return PreparedScene(job if isinstance(job, Job) else load_job(job), Reporter())
+
+
+def estimated(job, material: str | None = None, *, preset: str = "balanced", **changes) -> Estimate:
+    """The estimate of a job, of a folder's, or of a scene; ``material`` is that of all objects, None: as the job says.
+
+    ``changes`` : of the preset's settings
+    """
+    scene = job if isinstance(job, PreparedScene) else scene_of(job)
+    return estimate(scene, library(), choose(preset, **changes), material=material)
+
+
+def worth(found: Estimate, truth, **how) -> dict:
+    """What an estimate's light is worth against true coefficients: `measures.judged`."""
+    return judged(found.lighting, found.fit.samples, truth, **how)
+
+
+def kept(folder: Path | None, name: str, make):
+    """What ``make()`` gives, as JSON has it; where a folder is given, from there, if an earlier run has left it."""
+    if folder is None:
+        return make()
+    path = folder / f"{name}.json"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        atomic.write_text(path, json.dumps(make()))
+    return json.loads(path.read_text())
