@@ -33,10 +33,7 @@ def apply_pose(scene, before: dict, after: dict, *, camera, objects=None) -> Non
     camera : its focal length, or orthographic scale, changes in either case
     objects : what moves instead; those that hang on one another move once
 
-    Raises
-    ------
-    InputError
-        Where constraints, keyframes or drivers hold what is to be moved; nothing is changed then.
+    Raises InputError where constraints, keyframes or drivers hold what is to be moved; nothing is changed then.
     """
     move = np.array(after["to_world"]) @ np.linalg.inv(before["to_world"])
     things = [camera]

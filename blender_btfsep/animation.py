@@ -30,10 +30,7 @@ def apply_sequence(scene, frames, *, clamp: bool = True, interpolation: str = "L
     -------
     bpy.types.World
 
-    Raises
-    ------
-    InputError
-        When there are none, or their orders differ. The World is then as it was.
+    Raises InputError when there are none, or their orders differ. The World is then as it was.
     """
     if not frames:
         raise InputError("the sequence", "it has no frame", "choose the photos again")

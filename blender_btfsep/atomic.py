@@ -14,10 +14,7 @@ def replacing(path):
 
     On any error the scratch file is removed and an older ``path`` is left as it was.
 
-    Raises
-    ------
-    InputError
-        When it cannot be written; Blender's own RuntimeError counts as that.
+    Raises InputError when it cannot be written; Blender's own RuntimeError counts as that.
     """
     path = Path(path)
     scratch = path.with_name(f".writing-{path.name}")

@@ -58,10 +58,7 @@ def bake_material(
     uv_names : of the UV maps that the material may name
     scale : of the object; displacement in the object's space grows with it
 
-    Raises
-    ------
-    InputError
-        No node tree, no Principled BSDF at its output, a displacement that is no height.
+    Raises InputError: no node tree, no Principled BSDF at its output, a displacement that is no height.
     """
     warnings = []
     with _stage(material, size, resolution, uv_names) as stage:

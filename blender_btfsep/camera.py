@@ -39,10 +39,7 @@ def intrinsics(scene, camera, width: float, height: float) -> dict:
     the centre of the first pixel is (0.5, 0.5). Of an orthographic camera "projection" says so, and "fx" and "fy" are
     pixels in a world unit.
 
-    Raises
-    ------
-    InputError
-        When the camera is of another type.
+    Raises InputError when the camera is of another type.
     """
     data = camera.data
     if data.type not in TYPES:

@@ -92,10 +92,7 @@ def find_engine(preference: str = "") -> Engine:
     ``.venv`` of the source checkout that this add-on lies in; the wheels that came with the extension, run with
     Blender's own Python; ``btfsep`` on the PATH.
 
-    Raises
-    ------
-    InputError
-        When there is none.
+    Raises InputError when there is none.
     """
     if preference:
         return _chosen(Path(preference).expanduser())
@@ -199,10 +196,7 @@ class EngineProcess:
     engine : Engine
     arguments : list of str, as on the command line, without ``--json``
 
-    Raises
-    ------
-    InputError
-        When it cannot be started.
+    Raises InputError when it cannot be started.
     """
 
     stdin = subprocess.DEVNULL

@@ -62,9 +62,7 @@ def export_job(
     -------
     Path of ``job.json``.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     scene = context_or_scene if isinstance(context_or_scene, bpy.types.Scene) else context_or_scene.scene
     view_layer = getattr(context_or_scene, "view_layer", None) or scene.view_layers[0]

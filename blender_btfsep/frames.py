@@ -24,10 +24,7 @@ def split(name: str) -> tuple[str, int, str] | None:
 def family(path) -> list[Path]:
     """The files of the sequence that ``path`` is one of, in the order of their numbers.
 
-    Raises
-    ------
-    InputError
-        When its name has no number, or it is not there.
+    Raises InputError when its name has no number, or it is not there.
     """
     path = Path(path)
     if not path.is_file():
@@ -48,10 +45,7 @@ def family(path) -> list[Path]:
 def matching(pattern) -> list[Path]:
     """The files of a pattern like ``frames/*.exr``, or of a folder, in the engine's order: by their names and numbers.
 
-    Raises
-    ------
-    InputError
-        When there are none.
+    Raises InputError when there are none.
     """
     path = Path(pattern)
     folder, name = (path, "*") if path.is_dir() else (path.parent, path.name)

@@ -27,9 +27,7 @@ def read(path) -> dict:
     (3 floats >= 0) and "size_degrees", and "near" (its "distance" from "centre") of one nearby, and of "sky", the
     coefficients without them)
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     path = Path(path)
     name = path.name

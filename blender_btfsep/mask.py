@@ -27,10 +27,7 @@ def seen(scene, view_layer, thing, size) -> np.ndarray:
     -------
     (height, width) bool, the top row first
 
-    Raises
-    ------
-    InputError
-        When photo and camera do not go together.
+    Raises InputError when photo and camera do not go together.
     """
     settings = scene.btfsep
     things = [entry.object for entry in request.listed(settings)]

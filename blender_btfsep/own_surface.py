@@ -39,10 +39,7 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
     mapping : of `export.export_job`
     warn : called with a sentence about what is left out
 
-    Raises
-    ------
-    InputError
-        The object's own material cannot be read, or light goes through it.
+    Raises InputError: the object's own material cannot be read, or light goes through it.
     """
     wanted = (surfaces or {}).get(name)
     if wanted != BLENDER:

@@ -29,10 +29,7 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
     -------
     name of the file in ``folder``; "auto" or "linear" for the job's ``image_colorspace``; (width, height)
 
-    Raises
-    ------
-    InputError
-        When there is no picture.
+    Raises InputError when there is no picture.
     """
     if isinstance(source, bpy.types.Image):
         return _put_one_of(source, Path(folder)) if source.source == "SEQUENCE" else _put_image(source, Path(folder))

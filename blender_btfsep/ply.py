@@ -20,10 +20,7 @@ def write(path, corner_positions, corner_normals, corner_vertex, *, corner_uv=No
     -------
     Number of vertices in the file.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be written.
+    Raises InputError when the file cannot be written.
     """
     faces = len(corner_vertex)
     positions = np.asarray(corner_positions, np.float32).reshape(-1, 3)

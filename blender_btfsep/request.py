@@ -86,9 +86,7 @@ def write_job(
     What else is given stands in the place of the panel's: as of `export.export_job`, but ``occluders`` is "OTHERS" or
     "NONE", and ``material`` and ``masks`` have what is given of each object by its name.
 
-    Raises
-    ------
-    InputError
+    Raises InputError.
     """
     scene = context_or_scene if isinstance(context_or_scene, bpy.types.Scene) else context_or_scene.scene
     settings = scene.btfsep

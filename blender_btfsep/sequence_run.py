@@ -25,10 +25,8 @@ def is_sequence(image) -> bool:
 def files_of(image) -> list[Path]:
     """The files of an image sequence, in the order of their numbers.
 
-    Raises
-    ------
-    InputError
-        When it is no sequence of files, or the engine would take their colours for others than Blender does.
+    Raises InputError when it is no sequence of files, or the engine would take their colours for others than Blender
+    does.
     """
     if image is None:
         raise InputError("the photos", "none are chosen", "open an image sequence as the photo")
@@ -80,10 +78,7 @@ def write_world(scene, result: dict, files, start, *, apply: bool, interpolation
     apply : whether the World is changed
     interpolation : of `animation.apply_sequence`
 
-    Raises
-    ------
-    InputError
-        When a lighting cannot be read. The World is then as it was.
+    Raises InputError when a lighting cannot be read. The World is then as it was.
     """
     folder = Path(result["out"])
     at = dict(zip([p.name for p in files], frames.numbers([p.name for p in files], start=start), strict=True))

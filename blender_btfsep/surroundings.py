@@ -32,10 +32,7 @@ def surface_of(areas: dict, warn) -> dict | None:
     -------
     as in a job; None where none of the materials can be read
 
-    Raises
-    ------
-    Clear
-        Light goes through all of it.
+    Raises Clear: light goes through all of it.
     """
     read, clear = [], ""
     for material, area in areas.items():

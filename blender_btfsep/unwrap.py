@@ -23,10 +23,7 @@ def angle_based(positions, vertex, name: str) -> np.ndarray:
     -------
     (f, 3, 2) float32, all charts at one scale
 
-    Raises
-    ------
-    InputError
-        When Blender cannot unwrap it.
+    Raises InputError when Blender cannot unwrap it.
     """
     faces = len(vertex)
     _, first, index = np.unique(vertex, return_index=True, return_inverse=True)

@@ -46,10 +46,7 @@ def apply_lighting(
     -------
     bpy.types.World
 
-    Raises
-    ------
-    InputError
-        When the order is too high for nodes.
+    Raises InputError when the order is too high for nodes.
     """
     suns = lighting.get("suns") if lamp else None
     coefficients = np.asarray(suns["sky"] if suns else lighting["coefficients"], np.float64)
@@ -91,10 +88,7 @@ def restore_previous(scene):
     -------
     The World that is back, or None if there was none.
 
-    Raises
-    ------
-    InputError
-        When the scene's World is not one of ours.
+    Raises InputError when the scene's World is not one of ours.
     """
     if not is_ours(scene.world):
         raise InputError("the World", "it was not made by BTFsep", "there is nothing to restore")

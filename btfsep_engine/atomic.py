@@ -22,10 +22,7 @@ def replacing(path, *, synced: bool = False):
     On any error the scratch file is removed and an older ``path`` is left as it was. ``synced`` : the content is on the
     disk before it has the name, and the name before this returns.
 
-    Raises
-    ------
-    InputError
-        When the folder cannot be written or the disk is full.
+    Raises InputError when the folder cannot be written or the disk is full.
     """
     path = Path(path)
     scratch = None
@@ -119,10 +116,7 @@ def digest(path) -> str:
 def read_bytes(path, name: str | None = None) -> bytes:
     """What is in a file, which an error calls ``name``; None: by its own name.
 
-    Raises
-    ------
-    InputError
-        It is missing, empty, or cannot be read.
+    Raises InputError: it is missing, empty, or cannot be read.
     """
     path = Path(path)
     name = name or path.name

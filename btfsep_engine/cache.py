@@ -80,10 +80,7 @@ def _fits(arrays: dict, shapes: dict) -> bool:
 def write(path, arrays: dict) -> None:
     """Puts the entry there, in the place of whatever was, and sees to it that it outlives a crash of the machine.
 
-    Raises
-    ------
-    InputError
-        When it cannot be written: the caller goes on without.
+    Raises InputError when it cannot be written: the caller goes on without.
     """
     path = Path(path)
     if path.is_dir() and not path.is_symlink():

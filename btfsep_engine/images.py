@@ -82,10 +82,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb" or "linear"
     max_pixels : refuse larger images, and those that do not say their size, before anything is decoded
 
-    Raises
-    ------
-    InputError
-        The file is missing, unreadable, truncated, no image, of no size or of an absurd one.
+    Raises InputError: the file is missing, unreadable, truncated, no image, of no size or of an absurd one.
     """
     if colorspace not in COLORSPACES:
         raise ValueError(colorspace)
@@ -109,10 +106,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
 def declared_size(path) -> tuple[int, int] | None:
     """(width, height) that an image claims, before any of its pixels is decoded; None where it does not say.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or claims an absurd size.
+    Raises InputError: the file cannot be read, or claims an absurd size.
     """
     path = Path(path)
     data = atomic.read_bytes(path)
@@ -139,10 +133,7 @@ def read_mask(path) -> np.ndarray:
 def read_depth(path) -> np.ndarray:
     """Reads the depth channel of an EXR: (h, w) float32, as stored (Z, depth, V, Y, or an only channel).
 
-    Raises
-    ------
-    InputError
-        As :func:`read_linear`, or no channel looks like depth.
+    Raises InputError as :func:`read_linear`, or no channel looks like depth.
     """
     path = Path(path)
     if not atomic.read_bytes(path).startswith(_EXR):

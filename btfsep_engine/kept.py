@@ -101,10 +101,7 @@ def content(part) -> str:
 
     That of a read-only array and of a frozen dataclass is found once.
 
-    Raises
-    ------
-    TypeError
-        Of anything else.
+    Raises TypeError of anything else.
     """
     known = _known.get(id(part))
     if known is not None and known[0]() is part:

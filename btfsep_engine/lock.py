@@ -35,10 +35,8 @@ else:
 def locked(folder, patience: float = PATIENCE, *, name: str = "library"):
     """Holds the lock of ``folder`` (made if it is not there) during the block; ``name``: what an error calls it.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or another process holds the lock for longer than ``patience`` seconds.
+    Raises InputError: the folder cannot be written, or another process holds the lock for longer than ``patience``
+    seconds.
     """
     folder = Path(folder)
     try:

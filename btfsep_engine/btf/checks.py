@@ -20,10 +20,7 @@ def check(library: Library, name: str) -> dict:
         directional-hemispherical reflectance of the mean ABRDF), ``reciprocity_error``, ``cosine`` (what the header
         says and what reciprocity says)
 
-    Raises
-    ------
-    InputError
-        The library has no material of this name.
+    Raises InputError: the library has no material of this name.
     """
     problems, facts = [], {}
     if name not in library.entries:

@@ -97,10 +97,7 @@ class StreamingFactoriser:
     def restore(self, state: dict) -> None:
         """Goes on after the blocks that :meth:`state` gave, in a factoriser made alike; bit by bit the same factors.
 
-        Raises
-        ------
-        ValueError
-            They do not follow on what is here.
+        Raises ValueError: they do not follow on what is here.
         """
         if int(state["start"]) != len(self.means):
             raise ValueError(f"blocks from number {int(state['start'])} on, after {len(self.means)} blocks")

@@ -66,10 +66,7 @@ def read_source(
     gamma, scale, flip_v : as in :func:`import_images`; scale is for images only
     reporter : told the progress
 
-    Raises
-    ------
-    InputError
-        Whatever is wrong with the source, or a size that is neither in it nor given.
+    Raises InputError: whatever is wrong with the source, or a size that is neither in it nor given.
     """
     source, reporter = Path(source), reporter or Reporter()
     if cosine not in linear.COSINE:
@@ -144,10 +141,7 @@ def _texel_mm(width: int, texel_mm, size_mm, pixels_per_mm) -> float:
 def full_name(name: str, material_class: str) -> str:
     """ "class/name", checked.
 
-    Raises
-    ------
-    InputError
-        Names that an index cannot hold, or of a class that is the engine's own.
+    Raises InputError: names that an index cannot hold, or of a class that is the engine's own.
     """
     full = name if name.startswith(material_class + "/") else f"{material_class}/{name}"
     if not re.fullmatch(NAME, full) or len(full) > 100:
@@ -171,10 +165,7 @@ def import_material(folder, source, *, name: str, material_class: str, replace_o
     dict : name, file, size, kind, cosine, reciprocity, texels, texel_mm, components, directions, albedo,
         relative_error
 
-    Raises
-    ------
-    InputError
-        As :func:`read_source` and :func:`add`.
+    Raises InputError as :func:`read_source` and :func:`add`.
     """
     full = full_name(name, material_class)
     name_is_free(Path(folder), full, replace_old)

@@ -89,10 +89,8 @@ class Library:
     def load(self, name: str) -> Material:
         """The material called ``name``.
 
-        Raises
-        ------
-        InputError
-            An unknown name (the nearest is suggested); a file that is missing or not the one in the index.
+        Raises InputError: an unknown name (the nearest is suggested); a file that is missing or not the one in the
+        index.
         """
         if name in self.entries:
             return self._load_file(self.entries[name])
@@ -158,10 +156,7 @@ class Library:
 def open_library(path=None) -> Library:
     """Opens a library folder; None: the one that is shipped.
 
-    Raises
-    ------
-    InputError
-        No such folder, no index in it, or an index that is not valid.
+    Raises InputError: no such folder, no index in it, or an index that is not valid.
     """
     folder = Path(str(resources.files("btfsep_engine") / "data" / "library")) if path is None else Path(path)
     index_path = folder / INDEX

@@ -39,10 +39,7 @@ def read(path, data=None, **options) -> Tabulated:
     data : its bytes, where they are mapped already
     options : name, material_class, cosine, components, flip_v, reporter of :func:`to_material_and_error`
 
-    Raises
-    ------
-    InputError
-        Not such a file, cut short, inconsistent, not finite, or of a kind that is not supported.
+    Raises InputError: not such a file, cut short, inconsistent, not finite, or of a kind that is not supported.
     """
     return to_material_and_error(open_btf(path, data), **options)[0]
 
@@ -69,10 +66,7 @@ def to_material_and_error(
     flip_v : turns the rows of texels over (files with row 0 at the largest v)
     reporter : told the progress, and where "auto" overrules the header
 
-    Raises
-    ------
-    InputError
-        Values that are not finite; more texels than can be decoded.
+    Raises InputError: values that are not finite; more texels than can be decoded.
     """
     header, reporter = file.header, reporter or Reporter()
     included = cosine_included(file, cosine, reporter=reporter)

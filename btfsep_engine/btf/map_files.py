@@ -76,10 +76,8 @@ def find_maps(folder, *, normal_convention: str = "auto") -> MapFiles:
     folder : with the maps, and possibly other files
     normal_convention : "auto", "opengl" or "directx"; decides between two normal maps
 
-    Raises
-    ------
-    InputError
-        No such folder; base colour, roughness (or gloss), or height and normal both missing; two files of a kind.
+    Raises InputError: no such folder; base colour, roughness (or gloss), or height and normal both missing; two files
+    of a kind.
     """
     folder = Path(folder)
     if normal_convention not in CONVENTIONS:

@@ -33,10 +33,7 @@ def slopes(pixels, name: str) -> np.ndarray:
     -------
     (h, w, 2) float64, dh/du and dh/dv
 
-    Raises
-    ------
-    InputError
-        The picture is no tangent-space normal map.
+    Raises InputError: the picture is no tangent-space normal map.
     """
     n = np.asarray(pixels, np.float64)
     if n.min() >= -0.01:

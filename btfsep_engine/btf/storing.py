@@ -34,10 +34,7 @@ def add(
     source, relative_error, made_by : for the index
     overwrite : whether a material of this name is replaced
 
-    Raises
-    ------
-    InputError
-        A name that is taken; values that a file cannot hold; a folder that cannot be written.
+    Raises InputError: a name that is taken; values that a file cannot hold; a folder that cannot be written.
     """
     folder = Path(folder)
     name_is_free(folder, material.name, overwrite)  # before the work; again under the lock
@@ -92,10 +89,7 @@ def add(
 def remove(folder, name: str) -> None:
     """Takes a material out of a library folder: index first, then file.
 
-    Raises
-    ------
-    InputError
-        No such material in the folder; a folder that cannot be written.
+    Raises InputError: no such material in the folder; a folder that cannot be written.
     """
     folder = Path(folder)
     _entry(open_library(folder).entries, name, folder)  # before the lock, which makes the folder

@@ -70,10 +70,7 @@ def read_maps(
     normal_convention : "auto" (by name, else by the curl of the slopes), "opengl", "directx"
     reporter : warned of seams, of values out of range, of maps that disagree
 
-    Raises
-    ------
-    InputError
-        Maps missing, ambiguous, unreadable, not finite, of different shapes; numbers out of range.
+    Raises InputError: maps missing, ambiguous, unreadable, not finite, of different shapes; numbers out of range.
     """
     reporter = reporter or Reporter()
     files = find_maps(folder, normal_convention=normal_convention)

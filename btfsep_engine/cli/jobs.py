@@ -20,10 +20,7 @@ def find_jobs(places, list_file=None) -> list[Path]:
     A place that is no job, and holds none, stays in the list: it fails when its turn comes, and the shares of a farm's
     tasks are the same whether it is there or not.
 
-    Raises
-    ------
-    InputError
-        Where there is no job at all.
+    Raises InputError where there is no job at all.
     """
     places = [Path(p) for p in places]
     if list_file is not None:
@@ -82,10 +79,8 @@ def shard_of(jobs, shard: str | None) -> list[Path]:
 def result_folders(jobs, out) -> list[Path]:
     """Where each job's results go: JOB/result, or OUT/<name of the job folder>.
 
-    Raises
-    ------
-    InputError
-        Where two would go to one place; of all jobs, not of a share of them: another machine may have the other.
+    Raises InputError where two would go to one place; of all jobs, not of a share of them: another machine may have the
+    other.
     """
     if out is None:
         return [job / RESULT for job in jobs]

@@ -27,10 +27,7 @@ def run_scheduled(
 ) -> Iterator[tuple[int, Outcome]]:
     """Does tasks on the workers of a scheduler; arguments and what it yields are those of `run_all`.
 
-    Raises
-    ------
-    InputError
-        Dask is not installed, there is no scheduler at ``address``, or it is lost.
+    Raises InputError: Dask is not installed, there is no scheduler at ``address``, or it is lost.
     """
     try:
         from distributed import Client, as_completed

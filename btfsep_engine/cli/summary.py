@@ -107,10 +107,7 @@ def write_summary(path: Path, entries: Iterable[dict], **facts) -> None:
 def read_entries(path: Path) -> tuple[dict, Iterator[dict]]:
     """The facts of a summary, or of the journal of a batch that was stopped, and its entries.
 
-    Raises
-    ------
-    InputError
-        When it is neither.
+    Raises InputError when it is neither.
     """
     wrong = InputError(f"{path}", "it is no summary of a batch", "give batch.json files, or the .jsonl of stopped ones")
     try:

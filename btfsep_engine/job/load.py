@@ -39,10 +39,7 @@ def load_job(
     -------
     Job; ``warnings`` has, in words, what was left out on the way
 
-    Raises
-    ------
-    InputError
-        The first thing that is wrong, in one sentence.
+    Raises InputError: the first thing that is wrong, in one sentence.
     """
     reader = _Folder(job_folder(folder))
     schema = schema or _schema(reader)
@@ -231,10 +228,7 @@ def _no_photo(camera: Camera) -> Photo:
 def read_photo(path, camera: Camera, *, colorspace: str = "auto", notes: list | None = None) -> Photo:
     """A photograph that ``camera`` took, which no job names; ``notes`` : takes, in words, what of it is left out.
 
-    Raises
-    ------
-    InputError
-        When it cannot be read, or is not of the camera's size.
+    Raises InputError when it cannot be read, or is not of the camera's size.
     """
     return _read(path, Path(path).name, colorspace, camera, [] if notes is None else notes)
 

@@ -31,10 +31,8 @@ def load_mesh(path, *, to_world=None, name: str | None = None) -> tuple[Triangle
     mesh : TriangleMesh, corner normals those of the file, else smoothed where faces meet under 30 degrees
     dropped : number of triangles without area that were left out
 
-    Raises
-    ------
-    InputError
-        Unreadable, damaged, no faces, vertices that are not finite, faces that name vertices that are not there.
+    Raises InputError: unreadable, damaged, no faces, vertices that are not finite, faces that name vertices that are
+    not there.
     """
     name = name or Path(path).name
     data = atomic.read_bytes(path, name)

@@ -48,10 +48,7 @@ class Polygons:
 def read_ply(name: str, data: bytes) -> Polygons:
     """Reads a PLY: ascii, binary little- or big-endian; normals nx ny nz; uv per vertex or ``texcoord`` per face.
 
-    Raises
-    ------
-    InputError
-        ``name`` is truncated, damaged, or has no vertices or no faces.
+    Raises InputError: ``name`` is truncated, damaged, or has no vertices or no faces.
     """
     end = re.search(rb"end_header[ \t]*\r?\n", data[:65536])
     if end is None:
@@ -193,10 +190,7 @@ def _ply_ragged(name: str, body: bytes, at: int, order: str, count: int, propert
 def read_obj(name: str, data: bytes) -> Polygons:
     """Reads an OBJ: v, vt, vn and f lines of all objects and groups; the rest, materials included, is not looked at.
 
-    Raises
-    ------
-    InputError
-        A line of ``name`` cannot be understood, or there are absurdly many.
+    Raises InputError: a line of ``name`` cannot be understood, or there are absurdly many.
     """
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\\\n", b" ")
     rows = _obj_rows(name, data)

@@ -12,10 +12,7 @@ from btfsep_engine.job.schema import CameraSchema, JobSchema, PoseSchema, PosesS
 def posed_jobs(path, folder) -> dict[str, JobSchema]:
     """Name of a frame -> what the ``job.json`` of ``folder`` would say of it; all of the file is checked.
 
-    Raises
-    ------
-    InputError
-        The first thing that is wrong, in one sentence; a job that cannot move.
+    Raises InputError: the first thing that is wrong, in one sentence; a job that cannot move.
     """
     path, job = Path(path), job_schema(folder)
     poses = parse(PosesSchema, path.name, atomic.read_bytes(path, path.name), kind="a BTFsep file of poses")

@@ -157,10 +157,7 @@ def parse(model: type[Model], name: str, data: bytes, *, kind: str) -> Model:
     data : the file
     kind : the file in words, "a BTFsep job"
 
-    Raises
-    ------
-    InputError
-        No JSON, another format or version, or the first thing in it that is wrong, in words.
+    Raises InputError: no JSON, another format or version, or the first thing in it that is wrong, in words.
     """
     if len(data) > MAX_BYTES:
         raise InputError(name, f"the file has {len(data) // 2**20} MB", f"check that this is {kind}")

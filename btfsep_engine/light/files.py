@@ -142,10 +142,7 @@ class LightingSchema(Strict):
 def read_lighting(path) -> Lighting:
     """Reads a ``lighting.json``. Without ``stddev`` it counts as exact, without ``determined`` as determined.
 
-    Raises
-    ------
-    InputError
-        Missing, no lighting of BTFsep, or wrong in itself, in words.
+    Raises InputError: missing, no lighting of BTFsep, or wrong in itself, in words.
     """
     path = Path(path)
     schema = parse(LightingSchema, path.name, atomic.read_bytes(path), kind="a BTFsep lighting")
@@ -217,10 +214,7 @@ def _near(told: BeamSchema) -> Near | None:
 def write_lighting(path, lighting: Lighting) -> None:
     """Writes a ``lighting.json``, one coefficient a line, whole or not at all.
 
-    Raises
-    ------
-    ValueError
-        Something in it is not finite (a bug: nothing that is not finite is ever stored).
+    Raises ValueError: something in it is not finite (a bug: nothing that is not finite is ever stored).
     """
     arrays = (lighting.coefficients, lighting.stddev, 0.0 if lighting.interval is None else lighting.interval)
     if not all(np.isfinite(each).all() for each in arrays):

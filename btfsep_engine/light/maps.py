@@ -22,10 +22,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "data" / "lights"
 def normalised(radiance) -> np.ndarray:
     """An environment map (h, w, 3) scaled so that its mean luminance over the sphere is 1 / pi; float64.
 
-    Raises
-    ------
-    ValueError
-        The map is black.
+    Raises ValueError: the map is black.
     """
     a = np.asarray(radiance, np.float64)
     weight = pixel_solid_angles(*a.shape[:2])[:, None] / (4 * np.pi)
@@ -38,10 +35,8 @@ def normalised(radiance) -> np.ndarray:
 def read_map(path) -> np.ndarray:
     """Reads an environment map: (h, w, 3) float32, linear Rec.709.
 
-    Raises
-    ------
-    InputError
-        As :func:`images.read_linear`; or the image is not twice as wide as high, or has pixels that are not finite.
+    Raises InputError as :func:`images.read_linear`; or the image is not twice as wide as high, or has pixels that are
+    not finite.
     """
     path = Path(path)
     pixels = images.read_linear(path).pixels

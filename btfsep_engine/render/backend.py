@@ -125,10 +125,7 @@ def kernel_home() -> str:
 
     Dr.Jit ends the process where it cannot make that folder.
 
-    Raises
-    ------
-    InputError
-        No folder at all can be written.
+    Raises InputError: no folder at all can be written.
     """
     home = os.environ.get("HOME", "")
     if os.name == "nt":  # there it is another, which is always made
@@ -169,10 +166,7 @@ def _fingerprint() -> str:
 def choose_backend() -> Backend:
     """The newest libLLVM that renders (or CUDA, where a driver is present and BTFSEP_VARIANT does not say otherwise).
 
-    Raises
-    ------
-    InputError
-        When nothing on this machine can render; it names what was tried and how to mend it.
+    Raises InputError when nothing on this machine can render; it names what was tried and how to mend it.
     """
     fingerprint = _fingerprint()
     names = [field.name for field in fields(Backend)]

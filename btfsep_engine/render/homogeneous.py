@@ -48,10 +48,7 @@ def homogeneous(surface: Surface, name: str) -> Tabulated:
 def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per_unit: float) -> Tabulated:
     """The material of a surface with an image of base colours, laid by the mesh's own UVs.
 
-    Raises
-    ------
-    InputError
-        When the UVs have no area.
+    Raises InputError when the UVs have no area.
     """
     texels, angular = _factors(surface, surface.image[::-1])  # row 0 is the smallest v
     directions = ubo2014_directions()

@@ -64,10 +64,7 @@ def made(properties):
 def material_of(properties) -> Tabulated:
     """The material that a plugin's properties name.
 
-    Raises
-    ------
-    InputError
-        Neither or both of ``filename`` and ``material``, an unknown name, a file that cannot be read.
+    Raises InputError: neither or both of ``filename`` and ``material``, an unknown name, a file that cannot be read.
     """
     named, filed = "material" in properties, "filename" in properties
     if named == filed:

@@ -35,10 +35,7 @@ def physical_uv(mesh: TriangleMesh, method: str, *, millimetres_per_unit: float,
     -------
     (f, 3, 2) float32, millimetres
 
-    Raises
-    ------
-    InputError
-        When ``method`` is "mesh" and the file has no usable UVs.
+    Raises InputError when ``method`` is "mesh" and the file has no usable UVs.
     """
     parts = [mesh, method, float(millimetres_per_unit)]
     uv, warning = kept.recalled("uv", parts, lambda: _physical_uv(mesh, method, millimetres_per_unit))
@@ -71,10 +68,7 @@ def _physical_uv(mesh: TriangleMesh, method: str, millimetres_per_unit: float):
 def mean_scale(mesh: TriangleMesh, uv) -> float:
     """World units in a unit of the texture coordinates ``uv : (f, 3, 2)``, over the whole mesh.
 
-    Raises
-    ------
-    InputError
-        When they have no area.
+    Raises InputError when they have no area.
     """
     surface, chart = _areas(mesh.vertices[mesh.faces]), np.abs(_uv_areas(np.asarray(uv, np.float64)))
     if not np.isfinite(uv).all() or chart.sum() <= 0:

@@ -90,10 +90,7 @@ def camera_view(tracer: Tracer, job: Job) -> View:
 def object_region(view: View, job: Job, index: int) -> np.ndarray:
     """Pixels (h, w) bool that show object ``index`` alone: its mask, away from silhouettes and mask edges.
 
-    Raises
-    ------
-    InputError
-        When no pixel shows the object.
+    Raises InputError when no pixel shows the object.
     """
     obj = job.objects[index]
     seen = view.mesh == index

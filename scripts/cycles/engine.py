@@ -25,9 +25,7 @@ def measured(*arguments, **environment):
     -------
     the result of the last line, and (seconds by the clock, seconds of processor, gigabytes resident at most)
 
-    Raises
-    ------
-    EngineFailed
+    Raises EngineFailed.
     """
     command = [sys.executable, "-P", "-m", "btfsep_engine", *map(str, arguments), "--json"]
     with tempfile.TemporaryFile("w+") as complaints:

@@ -110,10 +110,7 @@ def in_blender(module: str, task) -> None:
 def photographs_in(folder: Path, *, objects=None, materials=None, lights=None) -> list[Photograph]:
     """The photographs in a folder, some of the objects, materials (as folders are named) and lights.
 
-    Raises
-    ------
-    InputError
-        Where there are none.
+    Raises InputError where there are none.
     """
     names = [p for p in sorted(Path(folder).iterdir()) if (p / "job.json").exists() and p.name.count("_") == 2]
     every = [Photograph(p, *p.name.split("_")) for p in names]

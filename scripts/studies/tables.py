@@ -78,10 +78,7 @@ def fill(page: Path, part: str, text: str) -> None:
 
     A page that is not there is made of that part alone.
 
-    Raises
-    ------
-    ValueError
-        Where the page lacks one of the lines, or has it twice.
+    Raises ValueError where the page lacks one of the lines, or has it twice.
     """
     before, after = f"<!-- {part} -->", f"<!-- end of {part} -->"
     old = page.read_text(encoding="utf-8") if page.exists() else f"{before}\n{after}\n"

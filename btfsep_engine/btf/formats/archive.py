@@ -49,10 +49,8 @@ def scratch_folder():
 class Members:
     """The files of ``source``, a folder or a zip. Zips are never unpacked; a member becomes one scratch file.
 
-    Raises
-    ------
-    InputError
-        No such folder or zip; a zip that is damaged, or that claims more than its size allows; names that lead out.
+    Raises InputError: no such folder or zip; a zip that is damaged, or that claims more than its size allows; names
+    that lead out.
     """
 
     def __init__(self, source):

@@ -53,10 +53,7 @@ class Header:
 def read_common(cursor: Cursor) -> Header:
     """The :class:`Header` of the file that ``cursor`` is at the beginning of; the cursor then stands at the payload.
 
-    Raises
-    ------
-    InputError
-        Another kind of file, one that is cut short, or one that contradicts itself.
+    Raises InputError: another kind of file, one that is cut short, or one that contradicts itself.
     """
     start = bytes(cursor.data[:10])
     signature = next((s for s in FMF_SIGNATURES + DFMF_SIGNATURES if start.startswith(s)), None)

@@ -65,10 +65,7 @@ def direction_index(theta: int, phi: int) -> int | None:
 def find_images(members: Members) -> dict:
     """(view, light) -> name of the member.
 
-    Raises
-    ------
-    InputError
-        Directions that are not in the list, two images of one pair, pairs without an image.
+    Raises InputError: directions that are not in the list, two images of one pair, pairs without an image.
     """
     found = {}
     for name in members.names:
@@ -129,10 +126,7 @@ def import_images(
     flip_v : the images have the smallest v at the top
     reporter : told the progress as stage "import"
 
-    Raises
-    ------
-    InputError
-        Images that are missing, unreadable, of different sizes or too large; values that are not finite.
+    Raises InputError: images that are missing, unreadable, of different sizes or too large; values that are not finite.
     """
     reporter, directions = reporter or Reporter(), ubo2003_directions()
     if not 0 < scale < np.inf or not (gamma is None or 0.1 <= gamma <= 10):

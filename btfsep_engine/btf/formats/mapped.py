@@ -17,10 +17,7 @@ EXPORT = "export or download the file again"
 def map_file(path) -> memoryview | mmap.mmap:
     """The bytes of ``path``, mapped; only what is read is loaded.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is larger than any ``.btf`` file.
+    Raises InputError: the file cannot be read, or is larger than any ``.btf`` file.
     """
     path = Path(path)
     try:

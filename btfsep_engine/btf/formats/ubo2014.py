@@ -93,10 +93,7 @@ class BtfFile:
         -------
         (texels, pairs, 3) float32, linear RGB
 
-        Raises
-        ------
-        InputError
-            Some of these values are not finite.
+        Raises InputError: some of these values are not finite.
         """
         planes, spatial = [], None
         with np.errstate(over="ignore", invalid="ignore"):
@@ -125,10 +122,7 @@ def open_btf(path, data=None) -> BtfFile:
     path : path of the file
     data : its bytes, where they are mapped already
 
-    Raises
-    ------
-    InputError
-        No such file, another kind, cut short, or one whose parts do not fit.
+    Raises InputError: no such file, another kind, cut short, or one whose parts do not fit.
     """
     path = Path(path)
     cursor = Cursor(map_file(path) if data is None else data, path)

@@ -25,10 +25,7 @@ def write(
     layout : "fmf" (``!FMF12FCER``, one spatial factor) or "dfmf" (``!DFMF08FCR``, one a channel)
     cosine : multiply cos(theta_i) in, and set the flag (as the public data are)
 
-    Raises
-    ------
-    InputError
-        Values that are not finite or beyond half floats; a folder that cannot be written.
+    Raises InputError: values that are not finite or beyond half floats; a folder that cannot be written.
     """
     angular = np.asarray(material.angular, np.float32)
     n_views, n_lights, channels, k = angular.shape

@@ -120,10 +120,7 @@ def maps(name: str, resolution: int = 256, *, variation: int = 0) -> Maps:
     variation : 0 is the instance in the library; any other number is another instance of the same material,
         laid out anew and of slightly different colour (about 4 % a channel)
 
-    Raises
-    ------
-    InputError
-        An unknown name.
+    Raises InputError: an unknown name.
     """
     if name not in RECIPES:
         near = difflib.get_close_matches(name, NAMES, 1, 0.0)[0]
@@ -159,10 +156,7 @@ def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -
     -------
     Maps : what was written, with size_mm and f0
 
-    Raises
-    ------
-    InputError
-        An unknown name; a folder that cannot be written.
+    Raises InputError: an unknown name; a folder that cannot be written.
     """
     made = maps(name, resolution, variation=variation)
     for file, values in (("basecolor", made.base_colour), ("height", made.height_mm), ("roughness", made.roughness)):
