@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import colour
+from . import colour, pixels
 from .errors import InputError
 from .scratch import save_exr, scratch
 
@@ -150,10 +150,7 @@ class _Stage:
         shown |= {"selected_objects": [self.thing], "selected_editable_objects": [self.thing]}
         with bpy.context.temp_override(**shown):
             bpy.ops.object.bake(type="EMIT", margin=0, use_clear=True, target="IMAGE_TEXTURES", save_mode="INTERNAL")
-        n = self.image.size[0]
-        flat = np.empty(n * n * 4, np.float32)
-        self.image.pixels.foreach_get(flat)
-        return flat.reshape(n, n, 4)
+        return pixels.read(self.image)
 
     def combined(self, operation: str, *inputs):
         """The output of a new node ``operation`` of sockets (their sources or values) and numbers."""
@@ -286,10 +283,5 @@ def _normals(stage, source) -> np.ndarray:
 
 def _write_exr(path: Path, values) -> None:
     """``values : (n, n) or (n, n, 3)`` as they are, float32, row 0 at the bottom."""
-    n = len(values)
-    rgba = np.ones((n, n, 4), np.float32)
-    rgba[..., :3] = values if values.ndim == 3 else values[..., None]
     with scratch() as own:
-        image = own(bpy.data.images.new(path.stem, n, n, float_buffer=True, is_data=True))
-        image.pixels.foreach_set(rgba.ravel())
-        save_exr(image, path, raw=True)
+        save_exr(own(pixels.new(path.stem, values)), path, raw=True)

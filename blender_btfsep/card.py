@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from .advice import MATERIAL, advice, worst
-from .harmonics import LUMINANCE
+from .harmonics import LUMINANCE, evaluate, order_of
 from .light_words import (
     EVEN,
     ONE_SIDED,
@@ -115,8 +115,6 @@ def _key_and_fill(result: dict, lighting: dict, to_world, metres_per_unit: float
 
 def _beam(direction, terms: int) -> np.ndarray:
     """(terms, 1) coefficients of a beam of irradiance one."""
-    from .harmonics import evaluate, order_of
-
     return evaluate(order_of(terms), direction)[:, None]
 
 

@@ -6,12 +6,13 @@ from pathlib import Path
 import bpy
 
 from . import light_picture, runs, use_photo
+from .errors import InputError
 
 FILE = Path(__file__).with_name("example.blend")  # made by scripts/cycles/example.py
 SCENE = "BTFsep Example"
 
 
-class BTFSEP_OT_open_example(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_open_example(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Open a photo with its camera, object and material, ready to be estimated, as a new scene of this file"""
 
     bl_idname = "btfsep.open_example"
@@ -22,19 +23,17 @@ class BTFSEP_OT_open_example(runs.Greyed, bpy.types.Operator):
     def reason(context) -> str:
         return runs.RUNNING if runs.is_running() else "" if context.window else "There is no window to open it in"
 
-    def execute(self, context):
+    def do(self, context):
         try:
             with bpy.data.libraries.load(str(FILE), link=False) as (_, wanted):
                 wanted.scenes = [SCENE]
         except OSError as error:
-            self.report({"ERROR"}, f"the example {FILE.name}; {error}; install the extension again")
-            return {"CANCELLED"}
+            raise InputError(f"the example {FILE.name}", str(error), "install the extension again") from None
         scene = context.window.scene = wanted.scenes[0]
         light_picture.small(scene.btfsep.image)
         for space in use_photo.views(context):
             use_photo.through(space, scene.camera)
-        self.report({"INFO"}, f"Scene '{scene.name}': press Estimate Light. Your own scene is in the list above right")
-        return {"FINISHED"}
+        return f"Scene '{scene.name}': press Estimate Light. Your own scene is in the list above right"
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_open_example,))

@@ -89,6 +89,20 @@ def evaluate(order: int, directions) -> np.ndarray:
     return out
 
 
+def map_directions(height: int, width: int) -> np.ndarray:
+    """(height, width, 3) unit: where each pixel of an environment map lies, row 0 up (``docs/conventions.md``)."""
+    azimuth = 2 * np.pi * (0.5 - (np.arange(width) + 0.5) / width)
+    elevation = np.pi * (0.5 - (np.arange(height) + 0.5) / height)[:, None]
+    c = np.cos(elevation)
+    return np.stack([c * np.cos(azimuth), c * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], -1)
+
+
+def row_heights(height: int) -> np.ndarray:
+    """(height, 1): the share of 4 pi that each row of such a map has, times 2."""
+    edges = np.sin(np.pi * (0.5 - np.arange(height + 1) / height))
+    return (edges[:-1] - edges[1:])[:, None]
+
+
 def to_map(coefficients, height: int, width: int) -> np.ndarray:
     """The environment map of ``coefficients : ((L + 1)^2, n)``; may be negative.
 
@@ -97,14 +111,12 @@ def to_map(coefficients, height: int, width: int) -> np.ndarray:
     (height, width, n) float64, equirectangular as Blender reads it, u = 1/2 - atan2(y, x) / 2 pi, row 0 is **up**
     """
     coefficients = np.asarray(coefficients, np.float64)
-    azimuth = 2 * np.pi * (0.5 - (np.arange(width) + 0.5) / width)
-    elevation = np.pi * (0.5 - (np.arange(height) + 0.5) / height)
+    directions = map_directions(height, width)
     out = np.empty((height, width, coefficients.shape[1]))
     step = max(1, BLOCK // (width * len(coefficients)))
     for start in range(0, height, step):
-        c, s = (f(elevation[start : start + step])[:, None] for f in (np.cos, np.sin))
-        directions = np.stack([c * np.cos(azimuth), c * np.sin(azimuth), s + 0 * azimuth], -1)
-        out[start : start + step] = evaluate(order_of(len(coefficients)), directions) @ coefficients
+        rows = slice(start, start + step)
+        out[rows] = evaluate(order_of(len(coefficients)), directions[rows]) @ coefficients
     return out
 
 
@@ -123,8 +135,7 @@ def positive_share(coefficients) -> tuple[float, float]:
     if not negative.any():
         return 0.0, 1.0
     positive = _positive(series, windowed)
-    edges = np.sin(np.pi * (0.5 - np.arange(height + 1) / height))
-    area = (edges[:-1] - edges[1:])[:, None]
+    area = row_heights(height)
     whole, other = ((area * (values @ LUMINANCE)).sum() for values in (series, positive))
     gain = max(whole, 0.0) / max(other, 1e-300)
     depth = -series[negative]

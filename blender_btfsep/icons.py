@@ -6,6 +6,8 @@ import hashlib
 import bpy.utils.previews
 import numpy as np
 
+from . import pixels
+
 LIGHTS = {"GREEN": (0.25, 0.75, 0.3), "AMBER": (1.0, 0.65, 0.1), "RED": (0.9, 0.22, 0.2), "NONE": (0.45, 0.45, 0.45)}
 SIDE = 32  # pixels of a traffic light
 
@@ -29,9 +31,7 @@ def of_image(image) -> int:
     """The icon of a packed image, made anew where the image is another one."""
     key = "image " + hashlib.sha256(image.packed_file.data if image.packed_file else image.name.encode()).hexdigest()
     if key not in _previews:
-        flat = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-        image.pixels.foreach_get(flat)
-        _put(_previews.new(key), flat.reshape(image.size[1], image.size[0], image.channels))
+        _put(_previews.new(key), pixels.read(image))
     return _previews[key].icon_id
 
 

@@ -7,7 +7,6 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from . import light_files, runs, sh_nodes, world
 from .answer import apply_light
-from .errors import InputError
 from .properties import WORLD_MODES
 
 SUFFIXES = (
@@ -24,7 +23,7 @@ SUFFIXES = (
 )
 
 
-class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
+class BTFSEP_OT_import_lighting(runs.AtOnce, bpy.types.Operator, ImportHelper):
     """Make a light in a file the World of the scene: BTFsep's own, an environment map, or cmgen's harmonics"""
 
     bl_idname = "btfsep.import_lighting"
@@ -54,18 +53,12 @@ class BTFSEP_OT_import_lighting(bpy.types.Operator, ImportHelper):
             return self.execute(context)
         return super().invoke(context, event)
 
-    def execute(self, context):
-        try:
-            lighting = light_files.read(bpy.path.abspath(self.filepath), self.order)
-            sentence = apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, sentence)
-        return {"FINISHED"}
+    def do(self, context):
+        lighting = light_files.read(bpy.path.abspath(self.filepath), self.order)
+        return apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
 
 
-class BTFSEP_OT_export_lighting(runs.Greyed, bpy.types.Operator, ExportHelper):
+class BTFSEP_OT_export_lighting(runs.Greyed, runs.AtOnce, bpy.types.Operator, ExportHelper):
     """Write the light as World and Sun lamps have it now, with all that was changed of it"""
 
     bl_idname = "btfsep.export_lighting"
@@ -82,17 +75,12 @@ class BTFSEP_OT_export_lighting(runs.Greyed, bpy.types.Operator, ExportHelper):
     def reason(context) -> str:
         return "" if world.is_ours(context.scene.world) else "The World is none of BTFsep's"
 
-    def execute(self, context):
+    def do(self, context):
         path = bpy.path.abspath(self.filepath)
         if not any(path.lower().endswith(suffix) for suffix, *_ in SUFFIXES):
             path += self.format
-        try:
-            light_files.write(path, context.scene, self.order)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"wrote {path}")
-        return {"FINISHED"}
+        light_files.write(path, context.scene, self.order)
+        return f"wrote {path}"
 
 
 class BTFSEP_FH_lighting(bpy.types.FileHandler):

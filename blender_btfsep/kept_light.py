@@ -9,10 +9,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from . import camera as pinhole
-from . import light_picture, lighting_file
+from . import light_picture, lighting_file, pixels
 from .card import card_of
 from .errors import InputError
 
@@ -38,7 +37,9 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
     light.text = json.dumps({"lighting": lighting_file.as_data(lighting), "card": card})
     out = Path(str((result or {}).get("out") or ""))
     sky, report = (out / name if (out / name).is_file() else None for name in ("lighting.exr", "report.png"))
-    _replace(light, "picture", _image(PICTURE, light_picture.picture_of(scene, lighting, to_world, map_file=sky)))
+    picture = pixels.new(PICTURE, light_picture.picture_of(scene, lighting, to_world, map_file=sky)[::-1], floats=False)
+    picture.pack()
+    _replace(light, "picture", picture)
     _replace(light, "report", report and _packed(report))
 
 
@@ -96,18 +97,6 @@ def _replace(light, name: str, image) -> None:
     setattr(light, name, image)
     if old is not None and old != image and old.users == 0:
         bpy.data.images.remove(old)
-
-
-def _image(name: str, pixels):
-    """An image of ``pixels`` : (h, w, 3) in 0 to 1, sRGB-coded, the top row first, packed."""
-    height, width = pixels.shape[:2]
-    image = bpy.data.images.new(name, width, height, alpha=False)
-    rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., :3] = pixels[::-1]
-    image.pixels.foreach_set(rgba.ravel())
-    image.update()
-    image.pack()
-    return image
 
 
 def _packed(path: Path):

@@ -5,12 +5,13 @@ import bpy
 from bpy.props import StringProperty
 
 from . import runs
+from .errors import InputError
 from .sun_lamp import known
 
 MOST = 8  # that a job may name
 
 
-class _OfSun(runs.Greyed):
+class _OfSun(runs.Greyed, runs.AtOnce):
     """What the buttons of a sun share."""
 
     bl_options = {"REGISTER", "UNDO"}
@@ -21,11 +22,11 @@ class _OfSun(runs.Greyed):
         return runs.RUNNING if runs.is_running() else ""
 
     def sun(self, context):
-        """The lamp that is meant, or None, which is said."""
+        """The lamp that is meant. Raises InputError."""
         lamp = context.scene.objects.get(self.name) if self.name else context.object
         if lamp is None or lamp.type != "LIGHT" or lamp.data.type != "SUN":
-            self.report({"ERROR"}, f"'{self.name}'; it is no Sun lamp of the scene; choose one")
-            return None
+            what = f"'{self.name}'" if self.name else "the active object"
+            raise InputError(what, "it is no Sun lamp of the scene", "choose one")
         return lamp
 
 
@@ -35,17 +36,13 @@ class BTFSEP_OT_freeze_sun(_OfSun, bpy.types.Operator):
     bl_idname = "btfsep.freeze_sun"
     bl_label = "Freeze Sun"
 
-    def execute(self, context):
+    def do(self, context):
         lamp, scene = self.sun(context), context.scene
-        if lamp is None:
-            return {"CANCELLED"}
         if lamp in known(scene):
-            return {"FINISHED"}
+            return
         if len(known(scene)) == MOST:
-            self.report({"ERROR"}, f"the known suns; there are {MOST}; free one of them first")
-            return {"CANCELLED"}
+            raise InputError("the known suns", f"there are {MOST}", "free one of them first")
         scene.btfsep.known_suns.add().object = lamp
-        return {"FINISHED"}
 
 
 class BTFSEP_OT_free_sun(_OfSun, bpy.types.Operator):
@@ -54,17 +51,11 @@ class BTFSEP_OT_free_sun(_OfSun, bpy.types.Operator):
     bl_idname = "btfsep.free_sun"
     bl_label = "Free Sun"
 
-    def execute(self, context):
+    def do(self, context):
         lamp, entries = self.sun(context), context.scene.btfsep.known_suns
-        if lamp is None:
-            return {"CANCELLED"}
         for number in reversed(range(len(entries))):
             if entries[number].object in (lamp, None):
                 entries.remove(number)
-        return {"FINISHED"}
 
 
-CLASSES = (BTFSEP_OT_freeze_sun, BTFSEP_OT_free_sun)
-
-
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_freeze_sun, BTFSEP_OT_free_sun))

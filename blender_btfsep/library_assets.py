@@ -39,7 +39,7 @@ def make(item):
     return asset
 
 
-class BTFSEP_OT_library_assets(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_library_assets(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Add the library's materials to this file as assets; an object that has one and is as in Blender is made of it"""
 
     bl_idname = "btfsep.library_assets"
@@ -50,11 +50,10 @@ class BTFSEP_OT_library_assets(runs.Greyed, bpy.types.Operator):
     def reason(context) -> str:
         return "" if runs.run_state().library else "Read the library first"
 
-    def execute(self, context):
+    def do(self, context):
         for item in runs.run_state().library:
             make(item)
-        self.report({"INFO"}, f"{len(runs.run_state().library)} materials are in the Asset Browser, Current File")
-        return {"FINISHED"}
+        return f"{len(runs.run_state().library)} materials are in the Asset Browser, Current File"
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_library_assets,))

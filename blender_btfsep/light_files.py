@@ -9,13 +9,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from . import atomic, colour, harmonics, lighting_file, sh_nodes, sun_lamp, world
+from . import atomic, colour, harmonics, lighting_file, pixels, sh_nodes, sun_lamp, world
 from .errors import InputError
 from .scratch import scratch
 
 OWN, MAPS, TEXT, USD = {".json", ".btfsep"}, {".exr", ".hdr"}, {".txt"}, {".usda", ".usd", ".usdc"}
 SUMMED = 256  # rows of a map that is projected: enough for all orders that nodes have
 LEAST_RADIUS = 0.01  # of a lamp nearby in USD, of its distance: one without an area has no radiance
+MAP = "BTFsep map"
 DISC = 3.0  # pixels of a key light in a map, at least
 _LINE = re.compile(r"\(\s*(\S+)\s*,\s*(\S+)\s*,\s*(\S+?)\s*\)\s*;?\s*//\s*L(\d+?)(-?\d+)\b(.*)")
 _COSINE = {0: 1.0, 1: 2 / 3, 2: 1 / 4}  # of the orders, over pi: what light is to a matte surface
@@ -53,10 +54,7 @@ def _read_map(path: Path) -> np.ndarray:
         if not width or width != 2 * height:
             got = f"it is {width} x {height}" if width else "it has no pixels"
             raise InputError(path.name, got, "choose an environment map, twice as wide as high")
-        flat = np.empty(width * height * image.channels, np.float32)
-        image.pixels.foreach_get(flat)
-        radiance = flat.reshape(height, width, -1)[::-1]
-        radiance = radiance[..., :3] if radiance.shape[2] > 2 else np.repeat(radiance[..., :1], 3, 2)
+        radiance = pixels.colours(image)[::-1]
         if not np.isfinite(radiance).all():
             raise InputError(path.name, "it has pixels that are no numbers", "export it again")
         return np.maximum(colour.to_rec709(radiance), 0)
@@ -99,18 +97,9 @@ def _turned(coefficients, frame) -> np.ndarray:
     return np.linalg.lstsq(harmonics.evaluate(order, d), seen, rcond=None)[0]
 
 
-def directions(height: int) -> np.ndarray:
-    """(height, 2 height, 3) unit: where each pixel of an environment map lies (``docs/conventions.md``)."""
-    azimuth = 2 * np.pi * (0.5 - (np.arange(2 * height) + 0.5) / (2 * height))
-    elevation = np.pi * (0.5 - (np.arange(height) + 0.5) / height)[:, None]
-    c = np.cos(elevation)
-    return np.stack([c * np.cos(azimuth), c * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], -1)
-
-
 def solid_angles(height: int) -> np.ndarray:
-    """(height, 1) of a pixel in each row of such a map, exact."""
-    edges = np.sin(np.pi * (0.5 - np.arange(height + 1) / height))
-    return ((edges[:-1] - edges[1:]) * np.pi / height)[:, None]
+    """(height, 1) of a pixel in each row of an environment map (height, 2 height), exact."""
+    return harmonics.row_heights(height) * np.pi / height
 
 
 def project(radiance, order: int) -> np.ndarray:
@@ -119,7 +108,7 @@ def project(radiance, order: int) -> np.ndarray:
     step = max(n for n in range(1, max(height // SUMMED, 1) + 1) if height % n == 0)
     rows = height // step
     weighted = (radiance * solid_angles(height)[..., None]).reshape(rows, step, 2 * rows, step, 3).sum((1, 3))
-    return np.einsum("hwk,hwc->kc", harmonics.evaluate(order, directions(rows)), weighted)
+    return np.einsum("hwk,hwc->kc", harmonics.evaluate(order, harmonics.map_directions(rows, 2 * rows)), weighted)
 
 
 # ---------------------------------------------------------------------- what a World is now
@@ -137,9 +126,7 @@ def of_world(scene, height: int = 256) -> tuple[np.ndarray, list]:
     value = {socket.name: socket.default_value for socket in node.inputs}
     image = sh_nodes.map_of(node.node_tree)
     if image is not None:
-        flat = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-        image.pixels.foreach_get(flat)
-        radiance = flat.reshape(image.size[1], image.size[0], -1)[::-1, :, :3].astype(np.float64)
+        radiance = pixels.colours(image)[::-1].astype(np.float64)
         height = len(radiance)
     else:
         named = [name for name in value if name.startswith("Y ")]
@@ -172,7 +159,7 @@ def _lamp(lamp) -> dict:
 def with_lamps(radiance, lamps) -> np.ndarray:
     """The map with each lamp as a disc of its irradiance."""
     height = len(radiance)
-    d, area, out = directions(height), solid_angles(height), np.array(radiance)
+    d, area, out = harmonics.map_directions(height, 2 * height), solid_angles(height), np.array(radiance)
     for lamp in lamps:
         half = max(math.radians(lamp["size_degrees"]), DISC * np.pi / height) / 2
         cosine = d @ lamp["direction"]
@@ -216,19 +203,9 @@ def write(path, scene, order: int = 4) -> None:
         atomic.write_bytes(path, "".join(lines).encode())
     elif suffix in MAPS:
         with scratch() as own, atomic.replacing(path) as file:
-            _save_map(own(_image(with_lamps(radiance, lamps))), file)
+            _save_map(own(pixels.new(MAP, with_lamps(radiance, lamps)[::-1])), file)
     else:
         _write_usd(path, radiance, lamps)
-
-
-def _image(radiance):
-    height, width = radiance.shape[:2]
-    image = bpy.data.images.new("BTFsep map", width, height, float_buffer=True, alpha=False, is_data=True)
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = radiance[::-1]  # numbers of Rec.709, which is_data keeps as they are
-    image.pixels.foreach_set(pixels.ravel())
-    image.update()
-    return image
 
 
 def _save_map(image, file: Path) -> None:
@@ -241,7 +218,7 @@ def _write_usd(path: Path, radiance, lamps) -> None:
     if not bpy.app.build_options.usd:
         raise InputError(path.name, "this Blender was built without USD", "write an .exr, or take another Blender")
     with scratch() as own:
-        image = own(_image(radiance))
+        image = own(pixels.new(MAP, radiance[::-1]))
         beside = path.with_name(f"{path.stem}_light.exr")
         _save_map(image, beside)
         stage, plain = own(bpy.data.scenes.new("BTFsep light")), own(bpy.data.worlds.new("BTFsep light"))

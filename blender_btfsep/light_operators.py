@@ -6,11 +6,10 @@ from bpy.props import EnumProperty
 
 from . import kept_light, runs, world
 from .answer import apply_light
-from .errors import InputError
 from .properties import WORLD_MODES
 
 
-class BTFSEP_OT_apply(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_apply(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Make the light that the card describes the World again, as the settings above say"""
 
     bl_idname = "btfsep.apply"
@@ -23,21 +22,15 @@ class BTFSEP_OT_apply(runs.Greyed, bpy.types.Operator):
         there = kept_light.kept(context.scene) is not None
         return "" if there else "Estimate the light first, or import a lighting (File > Import)"
 
-    def execute(self, context):
+    def do(self, context):
         settings = context.scene.btfsep
         mode = self.mode
         if not self.properties.is_property_set("mode") and settings.world_mode != "NONE":
             mode = settings.world_mode
-        try:
-            sentence = apply_light(context.scene, kept_light.lighting_of(kept_light.kept(context.scene)), mode=mode)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, sentence)
-        return {"FINISHED"}
+        return apply_light(context.scene, kept_light.lighting_of(kept_light.kept(context.scene)), mode=mode)
 
 
-class BTFSEP_OT_restore_world(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_restore_world(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Put the World back that the scene had before BTFsep, without the Sun lamps of BTFsep"""
 
     bl_idname = "btfsep.restore_world"
@@ -48,15 +41,8 @@ class BTFSEP_OT_restore_world(runs.Greyed, bpy.types.Operator):
     def reason(context) -> str:
         return "" if world.is_ours(context.scene.world) else "The World was not made by BTFsep"
 
-    def execute(self, context):
+    def do(self, context):
         world.restore_previous(context.scene)
-        return {"FINISHED"}
 
 
-CLASSES = (
-    BTFSEP_OT_apply,
-    BTFSEP_OT_restore_world,
-)
-
-
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_apply, BTFSEP_OT_restore_world))

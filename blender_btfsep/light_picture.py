@@ -8,7 +8,7 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from . import harmonics
+from . import harmonics, pixels
 from .light_words import irradiance
 
 HALF = 128  # pixels of the ball and of the map's height
@@ -60,9 +60,7 @@ def _map_of(file) -> np.ndarray:
     image = bpy.data.images.load(str(file), check_existing=False)
     try:
         image.scale(2 * HALF, HALF)
-        flat = np.empty(2 * HALF * HALF * image.channels, np.float32)
-        image.pixels.foreach_get(flat)
-        return np.maximum(flat.reshape(HALF, 2 * HALF, -1)[::-1, :, :3], 0).astype(float)
+        return np.maximum(pixels.colours(image)[::-1], 0).astype(float)
     finally:
         bpy.data.images.remove(image)
 
@@ -70,10 +68,7 @@ def _map_of(file) -> np.ndarray:
 def _map(sky, lamps) -> np.ndarray:
     """(HALF, 2 HALF, 3): the environment map, each key light a disc of its irradiance."""
     out = harmonics.positive_map(sky, HALF, 2 * HALF)
-    azimuth = 2 * np.pi * (0.5 - (np.arange(2 * HALF) + 0.5) / (2 * HALF))
-    elevation = np.pi * (0.5 - (np.arange(HALF) + 0.5) / HALF)[:, None]
-    c = np.cos(elevation)
-    d = np.stack([c * np.cos(azimuth), c * np.sin(azimuth), np.sin(elevation) + 0 * azimuth], -1)
+    d = harmonics.map_directions(HALF, 2 * HALF)
     for lamp in lamps:
         edge = math.cos(math.radians(max(lamp["size_degrees"], SUN) / 2))
         disc = d @ np.array(lamp["direction"]) > edge
@@ -87,16 +82,16 @@ def _object(scene) -> np.ndarray:
     image, camera = scene.btfsep.image, scene.btfsep.camera or scene.camera
     if image is None or not (image.size[0] and image.size[1]):
         return dark
-    pixels = small(image)
-    if pixels is None:
+    shown = small(image)
+    if shown is None:
         return dark
-    height, width = pixels.shape[:2]
+    height, width = shown.shape[:2]
     u, v, radius = _middle(scene, camera)
     side = min(radius * 2 * width, width, height)
     # Blender's rows begin below
     left = int(np.clip(u * width - side / 2, 0, width - side))
     low = int(np.clip(v * height - side / 2, 0, height - side))
-    part = pixels[low : low + max(int(side), 1), left : left + max(int(side), 1)][::-1]
+    part = shown[low : low + max(int(side), 1), left : left + max(int(side), 1)][::-1]
     rows, columns = ((np.arange(HALF) * n // HALF).clip(0, n - 1) for n in part.shape[:2])
     part = part[rows][:, columns]
     if image.is_float:
@@ -121,9 +116,8 @@ def small(image):
 
 def _read_small(image):
     if image.is_dirty or image.source == "GENERATED":
-        pixels = _pixels(image)  # a copy would not have what was painted
-        step = -(-max(image.size) // LARGEST)
-        return None if pixels is None else pixels[::step, ::step]
+        found, step = _pixels(image), -(-max(image.size) // LARGEST)  # a copy would not have what was painted
+        return None if found is None else found[::step, ::step]
     copy = image.copy()
     try:
         if copy.source == "SEQUENCE":
@@ -138,13 +132,7 @@ def _read_small(image):
 
 def _pixels(image):
     """(h, w, 3) of an image, its lowest row first; None where it has none."""
-    width, height, channels = *image.size, image.channels
-    if not (width and height and channels):
-        return None
-    flat = np.empty(width * height * channels, np.float32)
-    image.pixels.foreach_get(flat)
-    pixels = flat.reshape(height, width, channels)
-    return pixels[..., :3] if channels > 2 else np.repeat(pixels[..., :1], 3, -1)
+    return pixels.colours(image) if all(image.size) and image.channels else None
 
 
 def _middle(scene, camera) -> tuple[float, float, float]:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A light in an artist's words: from where, how hard, how warm. No bpy in this file."""
 
+import colorsys
 import math
 
 import numpy as np
 
-from .harmonics import LUMINANCE
+from .harmonics import LUMINANCE, evaluate
 
 HARD, SOFT = 1.5, 8.0  # degrees: the width of a lamp whose shadows are sharp, and of one whose shadows have no edge
 EVEN, ONE_SIDED = 0.3, 1.0  # how much brighter than the mean the brighter side is
@@ -85,15 +86,8 @@ def colour_words(rgb) -> str:
     t = kelvin(rgb)
     if t is not None:
         return f"{next(word for end, word in WARMTH if t <= end)} ({round(t, -2):.0f} K)"
-    r, g, b = np.maximum(np.asarray(rgb, float), 0)
-    most, least = max(r, g, b), min(r, g, b)
-    if most <= 0:
-        return "dark"
-    if most == r:
-        sixth = (g - b) / max(most - least, 1e-9)
-    else:
-        sixth = 2 + (b - r) / max(most - least, 1e-9) if most == g else 4 + (r - g) / max(most - least, 1e-9)
-    return HUES[round(2 * sixth) % 12]
+    rgb = np.maximum(np.asarray(rgb, float), 0)
+    return HUES[round(12 * colorsys.rgb_to_hsv(*rgb)[0]) % 12] if rgb.max() > 0 else "dark"
 
 
 def brighter_side(coefficients) -> tuple[np.ndarray, float]:
@@ -114,8 +108,6 @@ def irradiance(coefficients, normals) -> np.ndarray:
 
     The cosine's own harmonics end, but for 4 %, with order 2 (Ramamoorthi and Hanrahan 2001).
     """
-    from .harmonics import evaluate
-
     c = np.asarray(coefficients, float)[:9]
     order = math.isqrt(len(c)) - 1
     cosine = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4][: order + 1], 2 * np.arange(order + 1) + 1)

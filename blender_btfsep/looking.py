@@ -4,11 +4,12 @@
 import bpy
 
 from . import kept_light, runs, use_photo
+from .errors import InputError
 
 STANDARD = {"view_transform": "Standard", "look": "None", "exposure": 0.0, "gamma": 1.0}
 
 
-class BTFSEP_OT_show_report(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_show_report(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Show photo, material, light, re-rendering and difference in an Image Editor"""
 
     bl_idname = "btfsep.show_report"
@@ -19,11 +20,9 @@ class BTFSEP_OT_show_report(runs.Greyed, bpy.types.Operator):
         light = kept_light.kept(context.scene)
         return "" if light and light.report else "Estimate the light first: the report comes with it"
 
-    def execute(self, context):
+    def do(self, context):
         if show(context, kept_light.kept(context.scene).report) is None:
-            self.report({"ERROR"}, "no window has room for an Image Editor; open one, and press again")
-            return {"CANCELLED"}
-        return {"FINISHED"}
+            raise InputError("the report", "no window has room for an Image Editor", "open one, and press again")
 
 
 def show(context, image):
@@ -64,7 +63,7 @@ def look_of(scene) -> dict:
     return {name: value for name, value in STANDARD.items() if getattr(view, name) != value}
 
 
-class BTFSEP_OT_rendered_view(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_rendered_view(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Look through the camera at the scene in the light that was found, in the colours of the photo"""
 
     bl_idname = "btfsep.rendered_view"
@@ -75,7 +74,7 @@ class BTFSEP_OT_rendered_view(runs.Greyed, bpy.types.Operator):
     def reason(context) -> str:
         return "" if kept_light.kept(context.scene) else "Estimate the light first, or import a lighting"
 
-    def execute(self, context):
+    def do(self, context):
         scene, view = context.scene, context.scene.view_settings
         words = []
         for name, value in look_of(scene).items():
@@ -93,14 +92,7 @@ class BTFSEP_OT_rendered_view(runs.Greyed, bpy.types.Operator):
         for space in use_photo.views(context):
             space.shading.type = "RENDERED"
             use_photo.through(space, scene.btfsep.camera or scene.camera)
-        self.report({"INFO"}, "; ".join(words) or "Colour management is as the photo's already")
-        return {"FINISHED"}
+        return "; ".join(words) or "Colour management is as the photo's already"
 
 
-CLASSES = (
-    BTFSEP_OT_show_report,
-    BTFSEP_OT_rendered_view,
-)
-
-
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_show_report, BTFSEP_OT_rendered_view))

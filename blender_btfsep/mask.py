@@ -7,7 +7,7 @@ from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from . import camera as pinhole
-from . import light_picture, looking, meshes, photo, reasons, request, runs
+from . import light_picture, looking, meshes, photo, pixels, reasons, request, runs
 from .errors import InputError
 
 COARSE = 256  # cells along the picture that are looked at first; only where neighbours differ is looked more closely
@@ -96,15 +96,15 @@ def spread(flags, by: int) -> np.ndarray:
 
 def paint(image, where) -> np.ndarray:
     """(height, width, 3) in 0 to 1, the top row first: the photo ``where`` : (height, width) bool, black elsewhere."""
-    pixels = light_picture.small(image)[::-1]
-    rows, columns = (np.arange(n) * m // n for n, m in zip(where.shape, pixels.shape[:2], strict=True))
-    shown = pixels[rows][:, columns]
+    small = light_picture.small(image)[::-1]
+    rows, columns = (np.arange(n) * m // n for n, m in zip(where.shape, small.shape[:2], strict=True))
+    shown = small[rows][:, columns]
     if image.is_float:
         shown = light_picture.coded(shown / max(float(np.nanpercentile(shown[where], 99)), 1e-9))
     return np.where(where[..., None], DARKEST + (1 - DARKEST) * np.clip(np.nan_to_num(shown), 0, 1), 0)
 
 
-class BTFSEP_OT_new_mask(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_new_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Make a mask that shows the photo where the camera sees the object, and open it: paint what hides it black"""
 
     bl_idname = "btfsep.new_mask"
@@ -119,30 +119,21 @@ class BTFSEP_OT_new_mask(runs.Greyed, bpy.types.Operator):
             return "Add the object that the mask is for to the list first"
         return runs.RUNNING if runs.is_running() else reasons.of_picture(context.scene, settings)
 
-    def execute(self, context):
+    def do(self, context):
         scene, settings = context.scene, context.scene.btfsep
         entry = request.active_entry(settings)
         size = photo.size_of(settings.image)
-        try:
-            where = seen(scene, context.view_layer, entry.object, size)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        where = seen(scene, context.view_layer, entry.object, size)
         where &= ~spread(~where, max(round(MARGIN * max(size)), 2))
         if not where.any():
-            self.report({"ERROR"}, f"the camera does not see '{entry.object.name}'; move the camera, or the object")
-            return {"CANCELLED"}
-        image = bpy.data.images.new(f"Mask of {entry.object.name}", *size, alpha=False)
-        rgba = np.ones((size[1], size[0], 4), np.float32)
-        rgba[..., :3] = paint(settings.image, where)[::-1]
-        image.pixels.foreach_set(rgba.ravel())
-        image.update()
+            raise InputError("the camera", f"it does not see '{entry.object.name}'", "move the camera, or the object")
+        image = pixels.new(f"Mask of {entry.object.name}", paint(settings.image, where)[::-1], floats=False)
         image.pack()
         entry.mask = image
-        return open_for_painting(self, context, image)
+        return open_for_painting(context, image)
 
 
-class BTFSEP_OT_paint_mask(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_paint_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Open the mask in an Image Editor, to be painted on: what is not black is used"""
 
     bl_idname = "btfsep.paint_mask"
@@ -153,23 +144,19 @@ class BTFSEP_OT_paint_mask(runs.Greyed, bpy.types.Operator):
         entry = request.active_entry(context.scene.btfsep)
         return "" if entry and entry.mask else "The object has no mask"
 
-    def execute(self, context):
-        return open_for_painting(self, context, request.active_entry(context.scene.btfsep).mask)
+    def do(self, context):
+        return open_for_painting(context, request.active_entry(context.scene.btfsep).mask)
 
 
-def open_for_painting(operator, context, image) -> set:
-    """Shows ``image`` in an Image Editor, with a black brush; without a window it is only said."""
+def open_for_painting(context, image) -> str:
+    """Shows ``image`` in an Image Editor, with a black brush; gives a sentence, all there is without a window."""
     area = looking.show(context, image)
     if area is not None:
         area.spaces.active.ui_mode = "PAINT"
         paint = context.tool_settings.image_paint
         colours = getattr(paint, "unified_paint_settings", None) or context.tool_settings.unified_paint_settings
         colours.color, colours.secondary_color = (0, 0, 0), (1, 1, 1)
-    operator.report({"INFO"}, f"'{image.name}': paint black over what is not the object, white where it is (X swaps)")
-    return {"FINISHED"}
+    return f"'{image.name}': paint black over what is not the object, white where it is (X swaps)"
 
 
-CLASSES = (BTFSEP_OT_new_mask, BTFSEP_OT_paint_mask)
-
-
-register, unregister = bpy.utils.register_classes_factory(CLASSES)
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_new_mask, BTFSEP_OT_paint_mask))

@@ -4,7 +4,8 @@
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
-from . import runs
+from . import request, runs
+from .errors import InputError
 
 MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
@@ -13,7 +14,7 @@ MENDS = (
 )
 
 
-class BTFSEP_OT_mend(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Set right what is in doubt; estimate again afterwards"""
 
     bl_idname = "btfsep.mend"
@@ -30,23 +31,19 @@ class BTFSEP_OT_mend(runs.Greyed, bpy.types.Operator):
     def reason(context) -> str:
         return runs.RUNNING if runs.is_running() else ""
 
-    def execute(self, context):
+    def do(self, context):
         settings = context.scene.btfsep
         if self.how == "CURVE":
             settings.curve = "unknown"
-            return {"FINISHED"}
-        if settings.depth is not None:
-            settings.surface.source = "COLOUR" if self.how == "COLOUR" else "LIBRARY"
-            return {"FINISHED"}
-        for number, entry in enumerate(settings.objects):
-            if entry.object is not None and self.object in ("", entry.object.name):
-                if self.object:
-                    settings.active_object = number
-                chosen = settings.objects[settings.active_object]
-                chosen.source = "COLOUR" if self.how == "COLOUR" else "LIBRARY"
-                return {"FINISHED"}
-        self.report({"ERROR"}, f"object '{self.object}'; it is not in the list; add it")
-        return {"CANCELLED"}
+            return
+        if settings.depth is None:
+            named = (n for n, e in enumerate(settings.objects) if e.object and self.object in ("", e.object.name))
+            number = next(named, None)
+            if number is None:
+                raise InputError(f"object '{self.object}'", "it is not in the list", "add it")
+            if self.object:
+                settings.active_object = number
+        request.active_entry(settings).source = "COLOUR" if self.how == "COLOUR" else "LIBRARY"
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_mend,))

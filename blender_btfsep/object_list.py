@@ -4,12 +4,13 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
+from .errors import InputError
 from .meshes import has_surface
 from .request import active_entry
-from .runs import Greyed
+from .runs import AtOnce, Greyed
 
 
-class BTFSEP_OT_add_objects(Greyed, bpy.types.Operator):
+class BTFSEP_OT_add_objects(Greyed, AtOnce, bpy.types.Operator):
     """Add the selected objects to the list of those that the photo shows"""
 
     bl_idname = "btfsep.add_objects"
@@ -21,17 +22,16 @@ class BTFSEP_OT_add_objects(Greyed, bpy.types.Operator):
         chosen = any(has_surface(thing) for thing in context.selected_objects)
         return "" if chosen else "Select objects with a surface first"
 
-    def execute(self, context):
+    def do(self, context):
         settings = context.scene.btfsep
         present = {entry.object for entry in settings.objects}
         for thing in context.selected_objects:
             if has_surface(thing) and thing not in present:
                 settings.objects.add().object = thing
         settings.active_object = len(settings.objects) - 1
-        return {"FINISHED"}
 
 
-class BTFSEP_OT_remove_object(Greyed, bpy.types.Operator):
+class BTFSEP_OT_remove_object(Greyed, AtOnce, bpy.types.Operator):
     """Take the object off the list"""
 
     bl_idname = "btfsep.remove_object"
@@ -43,14 +43,13 @@ class BTFSEP_OT_remove_object(Greyed, bpy.types.Operator):
     def reason(context) -> str:
         return "" if context.scene.btfsep.objects else "The list is empty"
 
-    def execute(self, context):
+    def do(self, context):
         settings = context.scene.btfsep
         settings.objects.remove(settings.active_object if self.index < 0 else self.index)
         settings.active_object = min(settings.active_object, max(len(settings.objects) - 1, 0))
-        return {"FINISHED"}
 
 
-class BTFSEP_OT_open_picture(bpy.types.Operator):
+class BTFSEP_OT_open_picture(AtOnce, bpy.types.Operator):
     """Open a picture from a file: the mask of the object, or the depth"""
 
     bl_idname = "btfsep.open_picture"
@@ -65,21 +64,19 @@ class BTFSEP_OT_open_picture(bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def execute(self, context):
+    def do(self, context):
         settings = context.scene.btfsep
         owner = settings if self.target == "depth" else active_entry(settings)
         if owner is None:
-            self.report({"ERROR"}, "the list of objects is empty; add the object that the mask is for")
-            return {"CANCELLED"}
+            raise InputError("the list of objects", "it is empty", "add the object that the mask is for")
         try:
             setattr(owner, self.target, bpy.data.images.load(self.filepath, check_existing=True))
         except RuntimeError as error:
-            self.report({"ERROR"}, str(error).strip())
-            return {"CANCELLED"}
-        return {"FINISHED"}
+            why = str(error).strip().removeprefix("Error: ")
+            raise InputError("the picture", why, "choose one that can be read") from None
 
 
-class BTFSEP_OT_use_candidate(bpy.types.Operator):
+class BTFSEP_OT_use_candidate(AtOnce, bpy.types.Operator):
     """Take this for the object's material, instead of recognising it"""
 
     bl_idname = "btfsep.use_candidate"
@@ -91,10 +88,8 @@ class BTFSEP_OT_use_candidate(bpy.types.Operator):
     def poll(cls, context):
         return active_entry(context.scene.btfsep) is not None
 
-    def execute(self, context):
-        settings = context.scene.btfsep
-        active_entry(settings).material = self.material
-        return {"FINISHED"}
+    def do(self, context):
+        active_entry(context.scene.btfsep).material = self.material
 
 
 CLASSES = (

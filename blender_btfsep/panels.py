@@ -65,9 +65,7 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
             layout.operator("btfsep.open_example", icon="SCENE_DATA")
         layout.template_ID(settings, "image", open="image.open")
         camera, image = settings.camera or scene.camera, settings.image
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = _fields(layout)
         column.prop(settings, "camera", placeholder=scene.camera.name if scene.camera else "None")
         there = image is not None and image.size[0]
         if there:
@@ -118,9 +116,7 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
         entry = request.active_entry(settings)
         if entry is not None:
             self._made_of(context, layout, entry)
-        split = layout.column()
-        split.use_property_split = True
-        split.use_property_decorate = False
+        split = _fields(layout)
         if entry is not None:
             row = split.row(align=True)
             row.prop(entry, "mask")
@@ -135,9 +131,7 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
             split.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
 
     def _made_of(self, context, layout, entry):
-        split = layout.column()
-        split.use_property_split = True
-        split.use_property_decorate = False
+        split = _fields(layout)
         split.prop(entry, "source")
         if entry.source == "COLOUR":
             split.prop(entry, "colour")
@@ -196,9 +190,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
     def draw(self, context):
         layout = self.layout
         settings, run = context.scene.btfsep, runs.run_state()
-        column = layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = _fields(layout)
         column.enabled = not runs.is_running()
         _engine_rows(column, settings, "light")
         column.prop(settings, "world_mode")
@@ -320,9 +312,7 @@ class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
 
     def draw(self, context):
         settings = context.scene.btfsep
-        column = self.layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
+        column = _fields(self.layout)
         column.enabled = not runs.is_running()
         column.prop(settings, "exposure_ev", text="Photo Exposure")
         row = column.row(align=True)
@@ -336,6 +326,13 @@ class BTFSEP_PT_advanced(_Sidebar, bpy.types.Panel):
             column.prop(settings, "clamp")
         if sequence_run.is_sequence(settings.image):
             column.prop(settings, "interpolation")
+
+
+def _fields(layout):
+    """A column whose names stand beside their fields."""
+    column = layout.column()
+    column.use_property_split, column.use_property_decorate = True, False
+    return column
 
 
 def _engine_rows(column, settings, part: str) -> None:

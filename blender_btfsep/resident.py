@@ -13,10 +13,9 @@ import queue
 import subprocess
 import time
 
-from .engine_process import BUG, TAIL, Cancelled, Done, Engine, EngineProcess, Failed, parse
+from .engine_process import BUG, LAST, TAIL, Cancelled, Engine, EngineProcess, Failed, parse
 
 LATE = 0.3  # seconds in which a run that is cancelled has to be over: it takes milliseconds
-LAST = Done | Failed | Cancelled
 
 _here = None  # the Resident of this Blender
 _cannot_stay = set()  # commands of engines that do not know ``serve``

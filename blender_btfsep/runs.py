@@ -93,6 +93,20 @@ class Greyed:
         return not reason
 
 
+class AtOnce:
+    """An operator that is over at once: ``do(context)`` gives a sentence for the user, or none; raises InputError."""
+
+    def execute(self, context):
+        try:
+            said = self.do(context)
+        except InputError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if said:
+            self.report({"INFO"}, said)
+        return {"FINISHED"}
+
+
 class EngineOperator:
     """What the operators that start the engine share. Subclasses give what they do:
 

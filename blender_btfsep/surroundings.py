@@ -5,6 +5,7 @@ import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
+from . import pixels
 from .bake import source_of
 from .colour import to_rec709
 
@@ -125,14 +126,10 @@ def _colour(socket):
 
 def mean_of_image(image):
     """(3,) linear mean of an image's colours; None where it cannot be read."""
-    count = image.size[0] * image.size[1] * image.channels
     coded = image.colorspace_settings.name == "sRGB" and not image.is_float
-    if not count or not (coded or image.is_float or image.colorspace_settings.is_data):
+    if not all(image.size) or not (coded or image.is_float or image.colorspace_settings.is_data):
         return None
-    flat = np.empty(count, np.float32)
-    image.pixels.foreach_get(flat)
-    colours = flat.reshape(-1, image.channels)
-    colours = colours[:, :3] if image.channels > 2 else np.repeat(colours[:, :1], 3, 1)
+    colours = pixels.colours(image).reshape(-1, 3)
     if coded:
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     mean = colours.mean(0, dtype=np.float64)

@@ -84,7 +84,7 @@ def put_behind(scene, camera, image, size) -> None:
         user.frame_duration = numbers[-1] - numbers[0] + 1
 
 
-class BTFSEP_OT_use_photo(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     """Put the photo behind the camera and give the render its resolution; or take the photo that is the background"""
 
     bl_idname = "btfsep.use_photo"
@@ -98,26 +98,19 @@ class BTFSEP_OT_use_photo(runs.Greyed, bpy.types.Operator):
         lacking = reasons.of_camera(camera)
         return lacking or ("" if settings.image or background(camera) else "Open the photo first")
 
-    def execute(self, context):
+    def do(self, context):
         scene, settings = context.scene, context.scene.btfsep
         camera = settings.camera or scene.camera
         settings.image = image = settings.image or background(camera)
         size = photo.size_of(image)
         if not all(size):
-            self.report({"ERROR"}, f"the photo '{image.name}'; it has no pixels; choose it again")
-            return {"CANCELLED"}
+            raise InputError(f"the photo '{image.name}'", "it has no pixels", "choose it again")
         words = fit_render(scene, size)
-        try:
-            put_behind(scene, camera, image, size)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        put_behind(scene, camera, image, size)
         light_picture.small(image)  # for the picture of the light, later
         for space in views(context):
             through(space, camera)
-        words = [f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)]
-        self.report({"INFO"}, "; ".join(words))
-        return {"FINISHED"}
+        return "; ".join([f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)])
 
 
 def views(context) -> list:

@@ -10,7 +10,7 @@ A World made here carries WORLD_TAG. Only such Worlds are ever changed; a World 
 import bpy
 import numpy as np
 
-from . import colour, harmonics, sh_nodes, sun_lamp
+from . import colour, harmonics, pixels, sh_nodes, sun_lamp
 from .errors import InputError
 
 WORLD_NAME = "BTFsep Lighting"
@@ -194,13 +194,8 @@ def _write_coefficients(node, coefficients, order: int, clamp: bool) -> None:
 
 def _image_of(radiance):
     """A packed image of a map (height, width, 3), row 0 up."""
-    height, width = radiance.shape[:2]
-    image = bpy.data.images.new(IMAGE_NAME, width, height, float_buffer=True, alpha=False, is_data=True)
+    image = pixels.new(IMAGE_NAME, radiance[::-1])
     image[WORLD_TAG] = True
     image.use_half_precision = False
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = radiance[::-1]  # Blender's first row is the lowest
-    image.pixels.foreach_set(pixels.ravel())
-    image.update()
     image.pack()
     return image

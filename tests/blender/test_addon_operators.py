@@ -351,5 +351,5 @@ def test_pictures_are_opened_for_the_object_and_the_depth(photographed, fake_eng
         bpy.ops.btfsep.open_picture(filepath=str(tmp_path / "absent.png"), target="depth")
     photographed.btfsep.depth = None
     photographed.btfsep.objects.clear()
-    with pytest.raises(RuntimeError, match="the list of objects is empty"):
+    with pytest.raises(RuntimeError, match="the list of objects; it is empty"):
         bpy.ops.btfsep.open_picture(filepath=picture, target="mask")

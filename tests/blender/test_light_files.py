@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_btfsep import harmonics, light_files, sh_nodes, sun_lamp, world
+from blender_btfsep import harmonics, light_files, pixels, sh_nodes, sun_lamp, world
 from blender_btfsep.errors import InputError
 from btfsep_engine import conventions, images, sh
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
@@ -21,7 +21,7 @@ LAMP = {"direction": [0.6, -0.48, 0.64], "irradiance": [3.0, 2.0, 1.0], "size_de
 
 
 def write_map(path, radiance):
-    image = light_files._image(radiance)
+    image = pixels.new("map", radiance[::-1])
     light_files._save_map(image, path)
     bpy.data.images.remove(image)
 

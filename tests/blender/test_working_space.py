@@ -58,7 +58,7 @@ def test_a_packed_photo(acescg, tmp_path, kind):
 
 
 def test_colours_of_materials_and_maps(acescg, tmp_path):
-    from blender_btfsep import light_files, surroundings
+    from blender_btfsep import light_files, pixels, surroundings
 
     material = bpy.data.materials.new("Red")
     material.use_nodes = True
@@ -66,7 +66,7 @@ def test_colours_of_materials_and_maps(acescg, tmp_path):
     shader.inputs["Base Color"].default_value = (*RED, 1)
     surface = surroundings.surface_of({material: 1.0}, lambda sentence: None)
     assert np.allclose(surface["base_color"], [1, 0, 0], atol=1e-3)
-    image = light_files._image(np.full((8, 16, 3), ORANGE))
+    image = pixels.new("map", np.full((8, 16, 3), ORANGE))
     light_files._save_map(image, tmp_path / "map.exr")
     assert np.allclose(codes_of(tmp_path / "map.exr"), ORANGE, atol=1e-4)
     assert np.allclose(light_files.read(tmp_path / "map.exr", 0)["map"], ORANGE, atol=2e-3)
