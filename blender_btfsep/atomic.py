@@ -23,8 +23,7 @@ def replacing(path):
         yield scratch
         os.replace(scratch, path)
     except (OSError, RuntimeError) as error:
-        words = getattr(error, "strerror", None) or str(error).strip()
-        raise InputError(f"cannot write {path}", words, "free space, or choose a folder that can be written") from error
+        raise InputError(f"cannot write {path}", error, "free space, or choose a folder that can be written") from error
     finally:
         scratch.unlink(missing_ok=True)
 

@@ -111,9 +111,7 @@ def write_maps(maps: BakedMaps, folder, *, millimetres: float, height_mm: float 
         for name, values in written.items():
             _write_exr(folder / f"{name}.exr", values)
     except (OSError, RuntimeError) as error:
-        raise InputError(
-            f"cannot write to {folder}", str(error).strip(), "choose a folder that can be written"
-        ) from None
+        raise InputError(f"cannot write to {folder}", error, "choose a folder that can be written") from None
     return options
 
 

@@ -82,7 +82,7 @@ def _open(file) -> None:
     try:
         bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
     except RuntimeError as error:
-        raise InputError(str(path), str(error).strip().removeprefix("Error: "), "check the file") from None
+        raise InputError(str(path), error, "check the file") from None
 
 
 def _write(out: Path, entries) -> None:

@@ -212,7 +212,7 @@ def save_file(path: str) -> str:
         target.parent.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(target), copy=False, compress=False)
     except (OSError, RuntimeError) as error:
-        raise InputError(f"cannot write {target}", str(error).strip(), "choose a folder that can be written") from None
+        raise InputError(f"cannot write {target}", error, "choose a folder that can be written") from None
     say(f"saved {target}")
     return str(target)
 

@@ -219,9 +219,7 @@ class EngineProcess:
             )
         except OSError as error:
             self._errors.close()
-            raise InputError(
-                f"the engine {command[0]}", error.strerror or str(error), "correct it in the preferences of BTFsep"
-            ) from error
+            raise InputError(f"the engine {command[0]}", error, "correct it in the preferences of BTFsep") from error
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 

@@ -8,10 +8,11 @@ class InputError(Exception):
     Parameters
     ----------
     what : str, the thing at fault as a user would name it ("camera 'Camera'")
-    got : str, what was found ("it is orthographic")
+    got : str, what was found ("it is orthographic"), or the exception that says it
     do : str, what to do about it ("choose a perspective camera")
     """
 
-    def __init__(self, what: str, got: str, do: str):
+    def __init__(self, what: str, got: str | Exception, do: str):
+        got = getattr(got, "strerror", None) or str(got).strip().removeprefix("Error: ")
         self.what, self.got, self.do = what, got, do
         super().__init__("; ".join(part.strip().replace("\n", " ") for part in (what, got, do) if part))

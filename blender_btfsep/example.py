@@ -28,7 +28,7 @@ class BTFSEP_OT_open_example(runs.Greyed, runs.AtOnce, bpy.types.Operator):
             with bpy.data.libraries.load(str(FILE), link=False) as (_, wanted):
                 wanted.scenes = [SCENE]
         except OSError as error:
-            raise InputError(f"the example {FILE.name}", str(error), "install the extension again") from None
+            raise InputError(f"the example {FILE.name}", error, "install the extension again") from None
         scene = context.window.scene = wanted.scenes[0]
         light_picture.small(scene.btfsep.image)
         for space in use_photo.views(context):

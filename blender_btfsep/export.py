@@ -172,9 +172,7 @@ def _prepare(folder) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / JOB_FILE).unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(
-            f"the folder {folder}", error.strerror or str(error), "choose a folder that can be written"
-        ) from error
+        raise InputError(f"the folder {folder}", error, "choose a folder that can be written") from error
     return folder
 
 

@@ -124,7 +124,7 @@ def _image_of(path: str):
     try:
         return bpy.data.images.load(str(Path(path).absolute()), check_existing=True)
     except RuntimeError as error:
-        raise InputError(f"the mask {path}", str(error).strip(), "give an image of the photo's size") from None
+        raise InputError(f"the mask {path}", error, "give an image of the photo's size") from None
 
 
 def run_engine(arguments, engine: str | None = None, *, stays: bool = False) -> dict:

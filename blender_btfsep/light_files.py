@@ -47,7 +47,7 @@ def _read_map(path: Path) -> np.ndarray:
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:
-        raise InputError(path.name, str(error).strip(), "choose an EXR or HDR that can be read") from None
+        raise InputError(path.name, error, "choose an EXR or HDR that can be read") from None
     try:
         image.colorspace_settings.name = "Linear Rec.709"  # which files do not say, and other working spaces are not
         width, height = image.size
@@ -67,7 +67,7 @@ def _read_text(path: Path) -> np.ndarray:
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        raise InputError(path.name, error.strerror or str(error), "choose a text of cmgen that can be read") from None
+        raise InputError(path.name, error, "choose a text of cmgen that can be read") from None
     rows = {}
     for *values, l, m, kind in _LINE.findall(text):
         try:

@@ -36,7 +36,7 @@ def read(path) -> dict:
             raise InputError(name, "the file is larger than any lighting", _REMEDY)
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(name, error.strerror or str(error), "choose a lighting.json that can be read") from None
+        raise InputError(name, error, "choose a lighting.json that can be read") from None
     except (ValueError, RecursionError) as error:
         raise InputError(name, f"not JSON ({error})", _REMEDY) from None
     return validate(data, name)

@@ -72,8 +72,7 @@ class BTFSEP_OT_open_picture(AtOnce, bpy.types.Operator):
         try:
             setattr(owner, self.target, bpy.data.images.load(self.filepath, check_existing=True))
         except RuntimeError as error:
-            why = str(error).strip().removeprefix("Error: ")
-            raise InputError("the picture", why, "choose one that can be read") from None
+            raise InputError("the picture", error, "choose one that can be read") from None
 
 
 class BTFSEP_OT_use_candidate(AtOnce, bpy.types.Operator):

@@ -50,7 +50,7 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
     try:
         surface = surroundings.surface_of(part["areas"], told.append)
     except surroundings.Clear as error:
-        raise InputError(f"object '{name}'", str(error), "give its colour, or have it recognised") from None
+        raise InputError(f"object '{name}'", error, "give its colour, or have it recognised") from None
     if surface is None:
         why = told[0] if told else "what it reflects is not known"
         raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")

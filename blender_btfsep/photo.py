@@ -39,7 +39,7 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:
-        raise InputError(f"the photo {path.name}", str(error), "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
+        raise InputError(f"the photo {path.name}", error, "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
     try:
         size = _size(image)
         if path.suffix.lower() in SUFFIXES:

@@ -41,9 +41,7 @@ def replacing(path, *, synced: bool = False):
         if synced and os.name != "nt":  # Windows opens no folders
             _sync(path.parent, os.O_RDONLY)
     except OSError as error:
-        raise InputError(
-            f"cannot write {path}", error.strerror or str(error), "free space or choose a folder that can be written"
-        ) from error
+        raise InputError(f"cannot write {path}", error, "free space or choose a folder that can be written") from error
     finally:
         if scratch is not None and os.path.exists(scratch):
             os.unlink(scratch)
@@ -103,9 +101,7 @@ def remove(*paths) -> None:
         except (FileNotFoundError, NotADirectoryError):  # whoever writes there says the second
             pass
         except OSError as error:
-            raise InputError(
-                f"cannot take away {path}", error.strerror or str(error), "close or move it, or choose another folder"
-            ) from error
+            raise InputError(f"cannot take away {path}", error, "close or move it, or choose another folder") from error
 
 
 def digest(path) -> str:
@@ -125,7 +121,7 @@ def read_bytes(path, name: str | None = None) -> bytes:
     except FileNotFoundError:
         raise InputError(name, f"there is no such file in {path.parent}", "check the name") from None
     except OSError as error:
-        reason = "it is a folder" if path.is_dir() else (error.strerror or str(error))
+        reason = "it is a folder" if path.is_dir() else error.strerror or str(error)
         raise InputError(name, f"it cannot be read: {reason}", "check the file") from error
     if not data:
         raise InputError(name, "the file is empty", "export it again")

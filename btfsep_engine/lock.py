@@ -43,9 +43,7 @@ def locked(folder, patience: float = PATIENCE, *, name: str = "library"):
         folder.mkdir(parents=True, exist_ok=True)
         handle = (folder / FILE).open("a+b")
     except OSError as error:
-        raise InputError(
-            f"cannot write to {folder}", error.strerror or str(error), "choose a folder that can be written"
-        ) from error
+        raise InputError(f"cannot write to {folder}", error, "choose a folder that can be written") from error
     with handle:
         end = time.monotonic() + patience
         while True:

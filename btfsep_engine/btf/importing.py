@@ -122,7 +122,7 @@ def _is_btf(source: Path) -> bool:
         with source.open("rb") as handle:
             return handle.read(1) == b"!" or source.suffix.lower() == ".btf"
     except OSError as error:
-        raise InputError(f"cannot read {source}", error.strerror or str(error), "check the path") from error
+        raise InputError(f"cannot read {source}", error, "check the path") from error
 
 
 def _texel_mm(width: int, texel_mm, size_mm, pixels_per_mm) -> float:

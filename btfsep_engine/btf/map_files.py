@@ -87,8 +87,7 @@ def find_maps(folder, *, normal_convention: str = "auto") -> MapFiles:
     try:
         names = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
     except OSError as error:
-        got = error.strerror or str(error)
-        raise InputError(f"the maps' folder {folder}", got, "give the folder that holds them") from error
+        raise InputError(f"the maps' folder {folder}", error, "give the folder that holds them") from error
     if len(names) > MAX_FILES:
         raise InputError(f"the maps' folder {folder}", f"it holds {len(names)} images", "give one material's folder")
     found = {kind: [p for p in names if kind_of(p.stem) == kind] for kind in WORDS}

@@ -45,9 +45,7 @@ def add(
         handle, scratch = tempfile.mkstemp(prefix=".adding-", suffix=".btf", dir=folder)
         os.close(handle)
     except OSError as error:
-        raise InputError(
-            f"cannot write to {folder}", error.strerror or str(error), "choose a folder that can be written"
-        ) from error
+        raise InputError(f"cannot write to {folder}", error, "choose a folder that can be written") from error
     scratch = Path(scratch)
     try:
         try:

@@ -48,7 +48,7 @@ def listed(list_file) -> list[Path]:
         if data.startswith(UTF16):  # Windows PowerShell's >
             data = data.decode("utf-16").encode(errors="surrogatepass")
     except (OSError, ValueError) as error:
-        raise InputError(f"--list {list_file}", str(error), "give a text file with a job folder a line") from error
+        raise InputError(f"--list {list_file}", error, "give a text file with a job folder a line") from error
     lines = (line.strip() for line in data.removeprefix(codecs.BOM_UTF8).splitlines())
     return [Path(os.fsdecode(line)) for line in lines if line and not line.startswith(b"#")]
 

@@ -37,7 +37,7 @@ def run_scheduled(
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"--scheduler {address}", str(error), "give the address that dask scheduler says") from error
+        raise InputError(f"--scheduler {address}", error, "give the address that dask scheduler says") from error
     with client:
         todo, numbers, ends = enumerate(tasks), {}, as_completed(loop=client.loop)
 
@@ -66,7 +66,7 @@ def run_scheduled(
                 yield number, _end_of(future)
         except OSError as error:
             do = "start it, and run this again: what is done stays"
-            raise InputError(f"--scheduler {address}", str(error), do) from error
+            raise InputError(f"--scheduler {address}", error, do) from error
         finally:
             with suppress(Exception):  # of a scheduler that is gone
                 client.cancel(list(numbers), force=True)

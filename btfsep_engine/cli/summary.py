@@ -109,11 +109,12 @@ def read_entries(path: Path) -> tuple[dict, Iterator[dict]]:
 
     Raises InputError when it is neither.
     """
-    wrong = InputError(f"{path}", "it is no summary of a batch", "give batch.json files, or the .jsonl of stopped ones")
+    do = "give batch.json files, or the .jsonl of stopped ones"
+    wrong = InputError(f"{path}", "it is no summary of a batch", do)
     try:
         data = Path(path).read_bytes()
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}", str(error), "give batch.json files, or the .jsonl of stopped ones") from error
+        raise InputError(f"{path}", error, do) from error
     try:
         tree = json.loads(data)
         if not isinstance(tree, dict) or tree.get("format") != "btfsep-batch":

@@ -32,7 +32,7 @@ DAMAGED = (  # all that the zipfile module lets out on damaged input
 
 def no_scratch(error: OSError) -> InputError:
     """What to say where the folder for temporary files cannot be written."""
-    return InputError(f"cannot write to {tempfile.gettempdir()}", error.strerror or str(error), "free space there")
+    return InputError(f"cannot write to {tempfile.gettempdir()}", error, "free space there")
 
 
 @contextmanager
@@ -86,7 +86,7 @@ class Members:
         except FileNotFoundError as error:
             raise self._fail("there is no such file or folder", "check the path") from error
         except OSError as error:
-            raise self._fail(error.strerror or str(error), "check the path") from error
+            raise self._fail(error, "check the path") from error
         except DAMAGED as error:
             raise self._fail("it is neither a .btf file, nor a zip, nor a folder", "check the path") from error
         infos = self.archive.infolist()

@@ -78,11 +78,11 @@ def read_common(cursor: Cursor) -> Header:
     if cursor.at != begin + struct_size:
         raise cursor.fail("the header's length does not agree with its content")
     if not (np.isfinite(pixels_per_mm) and 0 <= pixels_per_mm < 1e4):
-        raise cursor.fail(f"{pixels_per_mm} pixels per millimetre")
+        raise cursor.fail(f"it claims {pixels_per_mm} pixels per millimetre; 0 to 10000 can be")
     views, lights = _read_directions(cursor)
     width, height = cursor.unpack("II", "the texel counts")
     if not (0 < width and 0 < height and width * height <= MAX_TEXELS):
-        raise cursor.fail(f"{width} x {height} texels")
+        raise cursor.fail(f"it claims {width} x {height} texels; 1 to {MAX_TEXELS} are supported")
     if signature.endswith(b"R"):
         rotations = cursor.unpack("I", "the local frames")
         cursor.skip(rotations * 36, "the local frames")
@@ -111,7 +111,7 @@ def _read_directions(cursor: Cursor):
         views.append(cursor.unpack("2f", "a view direction"))
         n = cursor.unpack("I", "the lights")
         if n < 1:
-            raise cursor.fail("a view without lights")
+            raise cursor.fail("it has a view without lights")
         here = cursor.array("<f4", (n, 2), "the light directions")
         if n > MAX_DIRECTIONS:
             raise cursor.fail(f"{n} light directions; 1 to {MAX_DIRECTIONS} are supported")
@@ -121,7 +121,7 @@ def _read_directions(cursor: Cursor):
     angles = [np.array(views, np.float64), np.array(lights, np.float64)]
     for a in angles:
         if not np.isfinite(a).all() or np.abs(a).max() > 100:
-            raise cursor.fail("directions that are not finite")
+            raise cursor.fail("it has directions that are not finite")
         if a[:, 0].min() < -1e-6 or a[:, 0].max() >= np.pi / 2:
-            raise cursor.fail("directions at or below the horizon")
+            raise cursor.fail("it has directions at or below the horizon")
     return tuple(local_direction(*a.T) for a in angles)

@@ -197,7 +197,7 @@ class _Reader:
                 self.scratch.unlink(missing_ok=True)  # writing over a file would wait for the disk
                 self.scratch.write_bytes(start[: match.start()] + line + start[match.end() :] + handle.read())
         except OSError as error:
-            raise InputError(path.name, error.strerror or str(error), "check the file") from error
+            raise InputError(path.name, error, "check the file") from error
         return self.scratch, True
 
     def _bad(self, name: str, got: str) -> InputError:

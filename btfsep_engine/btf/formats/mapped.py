@@ -29,7 +29,7 @@ def map_file(path) -> memoryview | mmap.mmap:
         with path.open("rb") as handle:
             return mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
-        raise InputError(f"cannot read {path}", error.strerror or str(error), "check the path") from error
+        raise InputError(f"cannot read {path}", error, "check the path") from error
 
 
 def sha256(data) -> str:

@@ -171,7 +171,7 @@ def _open_dfmf(cursor: Cursor, header: Header) -> BtfFile:
         raise cursor.fail(f"colour model {model} is not supported; known are {known}", "convert it to one of these")
     colour = Colour(model, transform[3:].reshape(3, 3), transform[:3])
     if colour.linear and not all(np.isfinite(part).all() for part in colour.affine()):
-        raise cursor.fail("a colour transform that is not finite")
+        raise cursor.fail("its colour transform is not finite")
     pairs, texels = len(header.views) * len(header.lights), header.width * header.height
     angular, spatial = [], []
     for _ in range(3):
@@ -189,9 +189,9 @@ def _factor_pair(cursor: Cursor):
     """One block of scalar size, K, rows, cols, S, U, SxV: U (rows, K) and SxV (cols, K), both in the file."""
     scalar, k, rows, cols = cursor.unpack("BIII", "the factors")
     if scalar not in SCALARS:
-        raise cursor.fail(f"scalars of {scalar} bytes")
+        raise cursor.fail(f"its scalars have {scalar} bytes; 2, 4 and 8 are known")
     if k < 1:
-        raise cursor.fail("no components")
+        raise cursor.fail("its factors have no components")
     cursor.skip(k * scalar, "the singular values")
     u = cursor.array(SCALARS[scalar], (rows, k), "the angular factor")
     return u, cursor.array(SCALARS[scalar], (cols, k), "the spatial factor")
