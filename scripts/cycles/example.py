@@ -94,11 +94,7 @@ def _ball(scene) -> None:
 
 
 def _plain(name: str, colour, roughness: float):
-    material = bpy.data.materials.new(name)
-    tree = materials.node_tree(material)
-    bsdf, out = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
-    bsdf.inputs["Base Color"].default_value, bsdf.inputs["Roughness"].default_value = (*colour, 1), roughness
-    tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
+    material, _ = materials.shaded(name, "ShaderNodeBsdfPrincipled", Base_Color=(*colour, 1), Roughness=roughness)
     material.diffuse_color = (*colour, 1)
     return material
 

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from scipy.ndimage import fourier_gaussian, map_coordinates
 
+from blender_btfsep import pixels
 from scripts.cycles import objects
 
 FACE_MM = 0.16  # edge of a face of the displaced mesh, about: with 0.3 the grain of leather loses half of its slope ...
@@ -17,59 +18,41 @@ WHITE_ALBEDO = 0.8
 MAP_RESOLUTION = 512
 
 
-def image(name: str, values) -> bpy.types.Image:
-    """A float image of ``values : (h, w) or (h, w, 3) float``, row 0 the smallest v (Blender's bottom row)."""
-    values = np.asarray(values, np.float32)
-    if values.ndim == 2:
-        values = np.repeat(values[..., None], 3, -1)
-    h, w = values.shape[:2]
-    result = bpy.data.images.new(name, w, h, alpha=False, float_buffer=True, is_data=True)
-    rgba = np.ones((h, w, 4), np.float32)
-    rgba[..., :3] = values
-    result.pixels.foreach_set(rgba.ravel())
-    result.update()
-    return result
-
-
-def clear_nodes(tree) -> None:
-    """Empties a node tree."""
-    for node in list(tree.nodes):
-        tree.nodes.remove(node)
-
-
 def node_tree(owner):
     """The shader nodes of a material or a World, emptied. (Blender 5 has them always on.)"""
     if bpy.app.version < (5, 0, 0):
         owner.use_nodes = True
-    clear_nodes(owner.node_tree)
+    owner.node_tree.nodes.clear()
     return owner.node_tree
+
+
+def shaded(name: str, kind: str, **inputs):
+    """A material of one shader node, such as ``ShaderNodeEmission``: the material, and the node.
+
+    ``inputs`` : values of its sockets, "_" for a space
+    """
+    material = bpy.data.materials.new(name)
+    tree = node_tree(material)
+    shader, out = tree.nodes.new(kind), tree.nodes.new("ShaderNodeOutputMaterial")
+    for socket, value in inputs.items():
+        shader.inputs[socket.replace("_", " ")].default_value = value
+    tree.links.new(shader.outputs[0], out.inputs["Surface"])
+    return material, shader
 
 
 def white(albedo=WHITE_ALBEDO) -> bpy.types.Material:
     """A perfectly diffuse material of an albedo, one number or three."""
-    material = bpy.data.materials.new("white matte")
-    tree = node_tree(material)
-    bsdf = tree.nodes.new("ShaderNodeBsdfDiffuse")
-    bsdf.inputs["Color"].default_value = (*np.broadcast_to(albedo, 3), 1)
-    bsdf.inputs["Roughness"].default_value = 0
-    out = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
-    return material
+    return shaded("white matte", "ShaderNodeBsdfDiffuse", Color=(*np.broadcast_to(albedo, 3), 1), Roughness=0)[0]
 
 
 def surface(name: str, maps) -> bpy.types.Material:
     """Colour and roughness of ``maps`` by the mesh's UV (one unit a tile), on a Principled BSDF of the maps' f0."""
-    material = bpy.data.materials.new(name)
-    tree = node_tree(material)
-    bsdf = tree.nodes.new("ShaderNodeBsdfPrincipled")
     root = np.sqrt(float(maps.f0))
-    bsdf.inputs["IOR"].default_value = (1 + root) / (1 - root)
+    material, bsdf = shaded(name, "ShaderNodeBsdfPrincipled", IOR=(1 + root) / (1 - root))
     for field, socket in (("base_colour", "Base Color"), ("roughness", "Roughness")):
-        node = tree.nodes.new("ShaderNodeTexImage")
-        node.image = image(f"{name} {field}", getattr(maps, field))
-        tree.links.new(node.outputs["Color"], bsdf.inputs[socket])
-    out = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
+        node = material.node_tree.nodes.new("ShaderNodeTexImage")
+        node.image = pixels.new(f"{name} {field}", getattr(maps, field))
+        material.node_tree.links.new(node.outputs["Color"], bsdf.inputs[socket])
     return material
 
 

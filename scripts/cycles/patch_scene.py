@@ -11,7 +11,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from scripts.cycles import materials, studio
+from blender_btfsep import pixels
+from scripts.cycles import studio
 
 PIXELS = 5000  # about so many of an image lie in the tile
 FAR = 300.0  # millimetres from the patch to the camera
@@ -137,7 +138,7 @@ def _table(values, nodes, links, math_node, across, up):
     """Looks up ``values : (rows, columns)`` at (across, up) in [0, 1], linear between nodes i / (n - 1)."""
     rows, columns = values.shape
     place, node = nodes.new("ShaderNodeCombineXYZ"), nodes.new("ShaderNodeTexImage")
-    node.image, node.interpolation, node.extension = materials.image("table", values), "Linear", "EXTEND"
+    node.image, node.interpolation, node.extension = pixels.new("table", values), "Linear", "EXTEND"
     for target, value, n in ((place.inputs[0], across, columns), (place.inputs[1], up, rows)):
         links.new(math_node("ADD", math_node("MULTIPLY", value, (n - 1.0) / n), 0.5 / n), target)
     links.new(place.outputs[0], node.inputs["Vector"])
@@ -178,8 +179,8 @@ def mean_radiance(view, light, path, *, size_mm: float, samples: int, seed: int 
     camera.data.ortho_scale = across * pitch
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = across, down, 100
     scene.cycles.seed = seed
-    pixels = studio.render_photo(scene, path, samples)[::-1].astype(np.float64)  # row 0 at the bottom
+    shown = studio.render_photo(scene, path, samples)[::-1].astype(np.float64)  # row 0 at the bottom
     x, y = np.meshgrid((np.arange(across) - across / 2 + 0.5) * pitch, (np.arange(down) - down / 2 + 0.5) * pitch)
     place = x[..., None] * np.array(right) + y[..., None] * np.array(up)
     place = place - place[..., 2:] / to_eye.z * np.array(to_eye)
-    return pixels[(np.abs(place[..., :2]) < size_mm / 2).all(-1)].mean(0)
+    return shown[(np.abs(place[..., :2]) < size_mm / 2).all(-1)].mean(0)

@@ -17,6 +17,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from blender_btfsep import pixels
 from scripts.cycles import materials, objects
 from scripts.cycles.lights import light_path
 
@@ -45,10 +46,7 @@ def read_image(path) -> np.ndarray:
     """(h, w, 3) float32 linear, row 0 at the top, of an EXR or HDR, as Blender reads it."""
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
-        w, h = image.size
-        flat = np.empty(w * h * image.channels, np.float32)
-        image.pixels.foreach_get(flat)
-        return flat.reshape(h, w, image.channels)[::-1, :, :3].copy()
+        return pixels.read(image)[::-1, :, :3].copy()
     finally:
         bpy.data.images.remove(image)
 
@@ -186,12 +184,7 @@ def add_sun(direction, irradiance, *, degrees: float) -> bpy.types.Object:
 def add_ball(place, radius: float, radiance: float) -> bpy.types.Object:
     """A ball at ``place`` that shines, unseen by the camera."""
     bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=radius, location=place)
-    material = bpy.data.materials.new("lamp")
-    tree = materials.node_tree(material)
-    shine, out = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
-    shine.inputs["Strength"].default_value = radiance
-    tree.links.new(shine.outputs[0], out.inputs["Surface"])
-    return _unseen(bpy.context.object, material)
+    return _unseen(bpy.context.object, materials.shaded("lamp", "ShaderNodeEmission", Strength=radiance)[0])
 
 
 def add_wall(place, edge: float, colour) -> bpy.types.Object:
@@ -210,7 +203,7 @@ def add_table(height: float, edge: float, colour, *, checks: int = 0) -> bpy.typ
     if checks:
         odd = np.indices((checks, checks)).sum(0) % 2
         paint = material.node_tree.nodes.new("ShaderNodeTexImage")
-        paint.image = materials.image("checks", np.asarray(colour) * np.where(odd, 1.0, 0.25)[..., None])
+        paint.image = pixels.new("checks", np.asarray(colour) * np.where(odd, 1.0, 0.25)[..., None])
         paint.interpolation = "Closest"
         bsdf = next(n for n in material.node_tree.nodes if n.type == "BSDF_DIFFUSE")
         material.node_tree.links.new(paint.outputs["Color"], bsdf.inputs["Color"])
@@ -258,13 +251,11 @@ def object_mask(scene) -> np.ndarray:
             scene.render.filepath = str(path)
             bpy.ops.render.render(write_still=True, scene=scene.name)
             image = bpy.data.images.load(str(path))
-            flat = np.empty(image.size[0] * image.size[1] * 4, np.float32)
-            image.pixels.foreach_get(flat)
-            shape = (image.size[1], image.size[0], 4)
+            covered = pixels.read(image)[::-1, :, 3].copy()
             bpy.data.images.remove(image)
     finally:
         settings.color_mode = "RGB"
         render.film_transparent = transparent
         for name, value in zip(names, kept, strict=True):
             setattr(cycles, name, value)
-    return flat.reshape(shape)[::-1, :, 3].copy()
+    return covered

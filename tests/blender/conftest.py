@@ -5,7 +5,6 @@ import json
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,6 +81,8 @@ def photographed(addon, scene, add_camera, tmp_path):
 @pytest.fixture
 def render(tmp_path):
     """Renders a scene; gives (height, width, 3) float32, linear, row 0 is up."""
+    from scripts.cycles import studio
+
     count = 0
 
     def run(scene):
@@ -90,24 +91,9 @@ def render(tmp_path):
         path = tmp_path / f"render{count}.exr"
         scene.render.filepath = str(path)
         bpy.ops.render.render(write_still=True, scene=scene.name)
-        return read_image(path)
+        return studio.read_image(path)
 
     return run
-
-
-@pytest.fixture(name="read_image")
-def _read_image():
-    return read_image
-
-
-def read_image(path):
-    """(height, width, 3) float32 of an image file, row 0 is up."""
-    image = bpy.data.images.load(str(path))
-    width, height = image.size
-    flat = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(flat)
-    bpy.data.images.remove(image)
-    return flat.reshape(height, width, 4)[::-1, :, :3]
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import numpy as np
 
 from blender_btfsep import harmonics
 from btfsep_engine import sh
+from scripts.cycles import materials
 
 LIGHTING = {
     "format": "btfsep-lighting",
@@ -55,14 +56,7 @@ def white_ball(scene, add_camera, *, colour=1.0, size=40, samples=128):
     bpy.ops.mesh.primitive_uv_sphere_add(segments=128, ring_count=64, radius=1)
     ball = bpy.context.object
     ball.data.shade_smooth()
-    matte = bpy.data.materials.new("White")
-    matte.use_nodes = True
-    matte.node_tree.nodes.clear()
-    diffuse = matte.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    diffuse.inputs["Color"].default_value = (colour, colour, colour, 1)
-    output = matte.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    matte.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
-    ball.data.materials.append(matte)
+    ball.data.materials.append(materials.white(colour))
     scene.render.resolution_x = scene.render.resolution_y = size
     camera = add_camera(scene, (3.0, -5.0, 2.5))
     camera.data.type, camera.data.ortho_scale = "ORTHO", 2.2

@@ -19,16 +19,13 @@ OFFSET = 10.0  # added to the positions, so that the picture has no negative val
 
 def position_material():
     """Emits the world position plus OFFSET as its radiance."""
-    material = bpy.data.materials.new("position")
-    tree = materials.node_tree(material)
+    material, emission = materials.shaded("position", "ShaderNodeEmission")
+    tree = material.node_tree
     geometry = tree.nodes.new("ShaderNodeNewGeometry")
     add = tree.nodes.new("ShaderNodeVectorMath")
     add.inputs[1].default_value = (OFFSET,) * 3
-    emission = tree.nodes.new("ShaderNodeEmission")
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
     tree.links.new(geometry.outputs["Position"], add.inputs[0])
     tree.links.new(add.outputs[0], emission.inputs["Color"])
-    tree.links.new(emission.outputs[0], output.inputs["Surface"])
     return material
 
 

@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 from mathutils import Euler
 
+from blender_btfsep import pixels
 from blender_btfsep.export import export_job
 from btfsep_engine import sh
 from btfsep_engine.job.load import load_job
-from scripts.cycles import engine, materials, objects, studio
+from scripts.cycles import engine, objects, studio
 from scripts.cycles.lights import true_lighting
 
 RESOLUTION, SAMPLES = 160, 96
@@ -51,7 +52,7 @@ def map_world(radiance):
     """A World with ``radiance : (h, w, 3)``, row 0 at the top."""
     world = studio.make_world("courtyard")
     texture = next(n for n in world.node_tree.nodes if n.type == "TEX_ENVIRONMENT")
-    texture.image = materials.image("low orders", radiance[::-1])
+    texture.image = pixels.new("low orders", radiance[::-1])
     return world
 
 

@@ -12,6 +12,7 @@ from mathutils import Matrix, Vector
 
 from blender_btfsep import export, meshes
 from blender_btfsep.errors import InputError
+from scripts.cycles import studio
 
 
 def make_photo(tmp_path, width=96, height=64, name="photo.png", colour=(0.5, 0.25, 0.125)):
@@ -220,7 +221,7 @@ def test_the_engine_reads_the_job(scene, tmp_path, add_camera):
     assert np.allclose(ray[0], to_corner / np.linalg.norm(to_corner), atol=1e-5)
 
 
-def test_photos_that_are_no_plain_file_are_saved_linear(scene, tmp_path, add_camera, read_image):
+def test_photos_that_are_no_plain_file_are_saved_linear(scene, tmp_path, add_camera):
 
     camera = add_camera(scene, (0, -9, 0))
     scene.render.resolution_x, scene.render.resolution_y = 96, 64
@@ -232,7 +233,7 @@ def test_photos_that_are_no_plain_file_are_saved_linear(scene, tmp_path, add_cam
     path = export.export_job(scene, tmp_path / "job", image_path=image, camera=camera, objects=[cube], occluders=[])
     job = json.loads(path.read_text())
     assert (job["image"], job["image_colorspace"]) == ("photo.exr", "linear")
-    assert np.allclose(read_image(path.parent / "photo.exr"), pixels[::-1, :, :3], rtol=1e-5)
+    assert np.allclose(studio.read_image(path.parent / "photo.exr"), pixels[::-1, :, :3], rtol=1e-5)
     assert len(bpy.data.scenes) == 1
 
     linear = bpy.data.images.load(str(make_photo(tmp_path)))

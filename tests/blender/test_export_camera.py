@@ -12,6 +12,7 @@ from mathutils import Vector
 from blender_btfsep.camera import distortion, for_photo, intrinsics, render_size, shown, to_world
 from blender_btfsep.errors import InputError
 from btfsep_engine.job.camera import Camera
+from scripts.cycles import materials
 
 
 def project(camera: dict, points):
@@ -102,13 +103,7 @@ def test_camera_projects_as_cycles_renders(scene, add_camera, render, name):
     camera = set_up_camera(scene, add_camera, CAMERAS[name])
     centre = Vector((0.35, -0.2, 0.3))
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4, radius=0.12, location=centre)
-    glow = bpy.data.materials.new("Glow")
-    glow.use_nodes = True
-    glow.node_tree.nodes.clear()
-    emission = glow.node_tree.nodes.new("ShaderNodeEmission")
-    output = glow.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    glow.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
-    bpy.context.object.data.materials.append(glow)
+    bpy.context.object.data.materials.append(materials.shaded("Glow", "ShaderNodeEmission")[0])
     picture = render(scene)[..., 0]
     job = for_photo(scene, camera, picture.shape[::-1])
     job["to_world"] = to_world(camera)

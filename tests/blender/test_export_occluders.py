@@ -11,6 +11,7 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from blender_btfsep import export
 from blender_btfsep.errors import InputError
+from scripts.cycles import materials
 from tests.blender.test_export import add_cube, make_photo
 
 
@@ -115,11 +116,7 @@ def test_the_render_decides_what_casts_shadows_not_the_viewport(scene, tmp_path,
     world.use_nodes = True
     world.node_tree.nodes["Background"].inputs["Color"].default_value = (0, 0, 0, 1)
     scene.world = world
-    material = bpy.data.materials.new("Emits")
-    material.use_nodes = True
-    emission = material.node_tree.nodes.new("ShaderNodeEmission")
-    output = material.node_tree.get_output_node("ALL")
-    material.node_tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    material, _ = materials.shaded("Emits", "ShaderNodeEmission")
     for way in ways:
         bpy.data.objects[way].data.materials.append(material)
     before = visibility(view_layer)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from blender_btfsep import export, surroundings
+from scripts.cycles import materials
 from tests.blender.test_export import add_cube, make_photo
 
 
@@ -29,20 +30,12 @@ def exported(scene, tmp_path, add_camera):
 
 
 def material(name, kind="ShaderNodeBsdfPrincipled", **inputs):
-    made = bpy.data.materials.new(name)
-    made.use_nodes = True
-    tree = made.node_tree
-    tree.nodes.clear()
-    shader, output = tree.nodes.new(kind), tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(shader.outputs[0], output.inputs["Surface"])
-    for socket, value in inputs.items():
-        shader.inputs[socket.replace("_", " ")].default_value = value
-    return made
+    return materials.shaded(name, kind, **inputs)[0]
 
 
-def floor(*materials, name="Floor", **transform):
+def floor(*made_of, name="Floor", **transform):
     thing = add_cube(name, **{"location": (0, 0, -2), **transform})
-    for each in materials:
+    for each in made_of:
         thing.data.materials.append(each)
     return thing
 

@@ -9,6 +9,7 @@ import pytest
 
 from blender_btfsep import bake, measure
 from blender_btfsep.errors import InputError
+from scripts.cycles import studio
 
 N = 64
 SIZE_MM = 40.0
@@ -206,7 +207,7 @@ def test_the_scene_is_as_it_was(thing, tmp_path):
     assert state() == before
 
 
-def test_what_is_written_is_in_millimetres_and_the_right_way_up(thing, scene, tmp_path, read_image):
+def test_what_is_written_is_in_millimetres_and_the_right_way_up(thing, scene, tmp_path):
     scene.unit_settings.scale_length = 0.01  # a unit is a centimetre
     nodes = Nodes(thing.active_material)
     displacement = nodes.add("Displacement", Height=nodes.waves(), Scale=0.3)
@@ -216,13 +217,13 @@ def test_what_is_written_is_in_millimetres_and_the_right_way_up(thing, scene, tm
         scene, thing, thing.active_material, tmp_path / "maps", size_mm=SIZE_MM, resolution=N
     )
     assert options[options.index("--height-mm") + 1] == 1
-    height = read_image(tmp_path / "maps" / "height.exr")[::-1, :, 0]
+    height = studio.read_image(tmp_path / "maps" / "height.exr")[::-1, :, 0]
     expected = 3.0 * (expected_waves() - expected_waves().mean())
     np.testing.assert_allclose(height, expected, atol=3 * MEAN_OF_PIXEL)
     measure.write_maps(
         scene, thing, thing.active_material, tmp_path / "maps", size_mm=SIZE_MM, height_mm=1.5, resolution=N
     )
-    assert np.ptp(read_image(tmp_path / "maps" / "height.exr")[..., 0]) == pytest.approx(1.5, rel=1e-3)
+    assert np.ptp(studio.read_image(tmp_path / "maps" / "height.exr")[..., 0]) == pytest.approx(1.5, rel=1e-3)
 
 
 def spoil(nodes, material, how):

@@ -10,6 +10,7 @@ from blender_btfsep.errors import InputError
 from blender_btfsep.sh_nodes import CLAMP, CLAMP_GAIN, GROUP_NAME, coefficient_name
 from btfsep_engine import sh
 from btfsep_engine.light.positivity import positive_share
+from scripts.cycles import studio
 from tests.blender.lit import lighting, look_around, positive_coefficients, random_coefficients, white_ball
 
 FRAMES = (3, 4, 9)
@@ -65,7 +66,7 @@ def test_a_white_ball_at_two_frames_is_shaded_as_theory_says(scene, render, add_
     assert errors[2, 5] > 0.1 and errors[5, 2] > 0.1  # the test can tell the two lights apart
 
 
-def test_a_rendered_animation_shows_every_frame(scene, tmp_path, read_image):
+def test_a_rendered_animation_shows_every_frame(scene, tmp_path):
     """Blender's own frame loop, which evaluates the World in a render's dependency graph."""
     look_around(scene)
     lights = sequence(1, (1, 2))
@@ -75,7 +76,7 @@ def test_a_rendered_animation_shows_every_frame(scene, tmp_path, read_image):
     bpy.ops.render.render(animation=True, scene=scene.name)
     for number, light in lights:
         truth = sh.to_map(np.array(light["coefficients"]), 64, 128)
-        assert np.abs(read_image(tmp_path / f"out_{number:04}.exr") - truth).max() < 2e-3 * np.abs(truth).max()
+        assert np.abs(studio.read_image(tmp_path / f"out_{number:04}.exr") - truth).max() < 2e-3 * np.abs(truth).max()
 
 
 def test_keys_can_be_edited_and_go_with_the_next_light(scene):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion, gaussian_filter
 
+from blender_btfsep import pixels
 from blender_btfsep.export import export_job
 from btfsep_engine.images import write_exr
 from scripts.cycles import engine, materials, studio
@@ -17,21 +18,18 @@ SIZE, SAMPLES = 64, 256
 
 def principled(surface):
     """A material of the values of a job's ``surface``; its base colour may be an image (h, w, 3), row 0 at the top."""
-    material = bpy.data.materials.new("given")
-    tree = materials.node_tree(material)
-    node = tree.nodes.new("ShaderNodeBsdfPrincipled")
+    material, node = materials.shaded("given", "ShaderNodeBsdfPrincipled")
+    tree = material.node_tree
     for key, socket in (("roughness", "Roughness"), ("metallic", "Metallic"), ("specular", "Specular IOR Level")):
         if key in surface:
             node.inputs[socket].default_value = surface[key]
     colour = surface["base_color"]
     if isinstance(colour, np.ndarray):
         picture = tree.nodes.new("ShaderNodeTexImage")
-        picture.image = materials.image("paint", colour[::-1])
+        picture.image = pixels.new("paint", colour[::-1])
         tree.links.new(picture.outputs["Color"], node.inputs["Base Color"])
     else:
         node.inputs["Base Color"].default_value = (*colour, 1)
-    output = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(node.outputs[0], output.inputs["Surface"])
     return material
 
 

@@ -5,6 +5,8 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_btfsep import pixels
+
 RED = np.array([0.6131, 0.0702, 0.0206])  # of Rec.709, in ACEScg: the published matrix's first column
 ORANGE = np.array([0.8, 0.2, 0.1])
 
@@ -22,10 +24,9 @@ def acescg(scene):
 def codes_of(path):
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name = "Non-Color"
-    flat = np.empty(image.size[0] * image.size[1] * image.channels, np.float32)
-    image.pixels.foreach_get(flat)
+    colour = pixels.colours(image)[0, 0].copy()
     bpy.data.images.remove(image)
-    return flat[:3]
+    return colour
 
 
 def test_world_and_lamps(acescg):
@@ -48,9 +49,7 @@ def test_a_packed_photo(acescg, tmp_path, kind):
     from blender_btfsep import colour, photo
 
     image = bpy.data.images.new("photo", 4, 2, float_buffer=kind == "float")
-    pixels = np.ones((8, 4), np.float32)
-    pixels[:, :3] = ORANGE
-    image.pixels.foreach_set(pixels.ravel())
+    image.pixels.foreach_set(np.tile(np.float32([*ORANGE, 1]), 8))
     image.pack()
     name, space, _ = photo.put(image, tmp_path)
     linear = colour.to_rec709(ORANGE) if kind == "float" else ((ORANGE + 0.055) / 1.055) ** 2.4
@@ -58,7 +57,7 @@ def test_a_packed_photo(acescg, tmp_path, kind):
 
 
 def test_colours_of_materials_and_maps(acescg, tmp_path):
-    from blender_btfsep import light_files, pixels, surroundings
+    from blender_btfsep import light_files, surroundings
 
     material = bpy.data.materials.new("Red")
     material.use_nodes = True
