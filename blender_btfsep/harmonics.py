@@ -106,9 +106,7 @@ def row_heights(height: int) -> np.ndarray:
 def to_map(coefficients, height: int, width: int) -> np.ndarray:
     """The environment map of ``coefficients : ((L + 1)^2, n)``; may be negative.
 
-    Returns
-    -------
-    (height, width, n) float64, equirectangular as Blender reads it, u = 1/2 - atan2(y, x) / 2 pi, row 0 is **up**
+    Gives (height, width, n) float64, equirectangular as Blender reads it: u = 1/2 - atan2(y, x) / 2 pi, row 0 **up**.
     """
     coefficients = np.asarray(coefficients, np.float64)
     directions = map_directions(height, width)

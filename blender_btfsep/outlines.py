@@ -24,9 +24,7 @@ _handle = None
 def edges_of(triangles: dict) -> tuple[np.ndarray, np.ndarray]:
     """The edges of triangles (of `meshes`) and what lies on either side.
 
-    Returns
-    -------
-    (e, 2, 3) float64 ends; (e, 2) int, the triangles beside each, twice the same at a border
+    Gives (e, 2, 3) float64 ends; (e, 2) int, the triangles beside each, twice the same at a border.
     """
     positions = triangles["positions"]
     # Places that are the same are one corner: files of other programs split vertices along the seams of their UVs.

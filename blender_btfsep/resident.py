@@ -24,9 +24,7 @@ _cannot_stay = set()  # commands of engines that do not know ``serve``
 class Resident(EngineProcess):
     """The process: it takes requests by its standard input, and what it says goes to the run that it is for.
 
-    Attributes
-    ----------
-    ready : whether it has said so
+    ``ready`` : whether it has said so
     """
 
     stdin = subprocess.PIPE

@@ -84,9 +84,7 @@ def apply_lighting(
 def restore_previous(scene):
     """Puts the World back that ``scene`` had before BTFsep, and removes ours and its lamps.
 
-    Returns
-    -------
-    The World that is back, or None if there was none.
+    Gives the World that is back, or None if there was none.
 
     Raises InputError when the scene's World is not one of ours.
     """

@@ -57,9 +57,7 @@ def direction_to_equirect(directions):
 def pixel_directions(height: int, width: int):
     """Directions of the pixel centres of an equirectangular map.
 
-    Returns
-    -------
-    (height, width, 3) float64, unit, world; row 0 is up
+    Gives (height, width, 3) float64, unit, world; row 0 is up.
     """
     u = (np.arange(width) + 0.5) / width
     v = 1 - (np.arange(height) + 0.5) / height
@@ -69,9 +67,7 @@ def pixel_directions(height: int, width: int):
 def pixel_solid_angles(height: int, width: int):
     """Solid angle of each pixel of an equirectangular map, exact.
 
-    Returns
-    -------
-    (height,) float64, steradians of one pixel in each row; times ``width`` they sum to 4 pi
+    Gives (height,) float64, steradians of one pixel in each row; times ``width`` they sum to 4 pi.
     """
     z = np.cos(np.pi * np.arange(height + 1) / height)
     return (z[:-1] - z[1:]) * 2 * np.pi / width
@@ -87,9 +83,7 @@ def local_direction(theta, phi):
 def fibonacci_sphere(n: int):
     """n well-spread directions over the sphere, each standing for the solid angle 4 pi / n.
 
-    Returns
-    -------
-    (n, 3) float64, unit
+    Gives (n, 3) float64, unit.
     """
     i = np.arange(n) + 0.5
     z = 1 - 2 * i / n

@@ -14,11 +14,9 @@ MAX_NEGATIVE = 0.01  # of the mean ABRDF's mean; factors overshoot a little
 def check(library: Library, name: str) -> dict:
     """Looks a material over.
 
-    Returns
-    -------
-    dict : ``name``, ``ok``, ``problems`` (sentences), and as far as it could be read: ``albedo`` (least and largest
-        directional-hemispherical reflectance of the mean ABRDF), ``reciprocity_error``, ``cosine`` (what the header
-        says and what reciprocity says)
+    Gives a dict: ``name``, ``ok``, ``problems`` (sentences), and as far as it could be read: ``albedo`` (least and
+    largest directional-hemispherical reflectance of the mean ABRDF), ``reciprocity_error``, ``cosine`` (what the
+    header says and what reciprocity says).
 
     Raises InputError: the library has no material of this name.
     """

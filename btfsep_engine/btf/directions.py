@@ -136,9 +136,7 @@ def _with_band(points, simplices, hull):
 
     A vertex of a layer stands for the vertex of the hull that it was; so the hull's values are held outwards.
 
-    Returns
-    -------
-    vertices : (m, 2), triangles : (t, 3) of them, held : (m,) which of ``points`` each vertex stands for
+    Gives vertices (m, 2), triangles (t, 3) of them, and (m,) which of ``points`` each vertex stands for.
     """
     ring = hull.vertices  # counter-clockwise
     centre = points[ring].mean(0)
@@ -197,9 +195,7 @@ def light_projection(directions, functions) -> np.ndarray:
     """(n, m) float64: ``q`` such that ``f @ q`` are the integrals of f(omega) g_j(omega) cos(theta) over the hemisphere
     for f interpolated from ``directions : (n, 3)``, held beyond the outermost ring.
 
-    Parameters
-    ----------
-    functions : of (p, 3) directions, gives (p, m)
+    ``functions`` : of (p, 3) directions, gives (p, m)
     """
     nodes, weights = hemisphere_quadrature()
     return interpolator(directions).hats(nodes) @ (functions(nodes) * (weights * nodes[:, 2])[:, None])

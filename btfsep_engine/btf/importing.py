@@ -160,10 +160,8 @@ def full_name(name: str, material_class: str) -> str:
 def import_material(folder, source, *, name: str, material_class: str, replace_old: bool = False, **options) -> dict:
     """Reads a source and adds it to a library folder; ``options`` as in :func:`read_source`.
 
-    Returns
-    -------
-    dict : name, file, size, kind, cosine, reciprocity, texels, texel_mm, components, directions, albedo,
-        relative_error
+    Gives a dict: name, file, size, kind, cosine, reciprocity, texels, texel_mm, components, directions, albedo,
+    relative_error.
 
     Raises InputError as :func:`read_source` and :func:`add`.
     """

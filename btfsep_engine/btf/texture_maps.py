@@ -205,9 +205,7 @@ def _kernel(m: int, n: int) -> csr_array:
 def smooth_steps(height) -> np.ndarray:
     """An 8-bit height map without its terraces: smoothed, but nowhere by more than half a step.
 
-    Parameters
-    ----------
-    height : (h, w) float, 0 to 1. Maps of finer steps are given back as they are
+    ``height`` : (h, w) float, 0 to 1. Maps of finer steps are given back as they are
     """
     codes = height * 255.0
     if np.abs(codes - np.round(codes)).max() > 1e-3:

@@ -13,9 +13,7 @@ from btfsep_engine.render import backend
 def examine(library_folder=None) -> dict:
     """Tries the renderer afresh, in a child process, and the material library.
 
-    Returns
-    -------
-    dict : ``ok``, ``facts`` (name -> text), and where not ok ``problem`` and ``remedy``
+    Gives a dict: ``ok``, ``facts`` (name -> text), and where not ok ``problem`` and ``remedy``.
     """
     facts = {
         "btfsep": __version__,

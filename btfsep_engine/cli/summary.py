@@ -151,9 +151,7 @@ def summaries_in(path: Path) -> list[Path]:
 def join(paths, summary: Path, reporter) -> dict:
     """One summary of several, or of folders of them: each job once, done where one has it so, else as the last says.
 
-    Returns
-    -------
-    dict: how many are "done", "failed", "crashed", and the "summary". Raises InputError.
+    Gives a dict: how many are "done", "failed", "crashed", and the "summary". Raises InputError.
     """
     jobs, shards = {}, {}
     for one in (one for path in paths for one in summaries_in(path)):

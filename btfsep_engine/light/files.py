@@ -274,9 +274,7 @@ def lighting_map(lighting: Lighting, height: int, width: int, *, radiance=None) 
 
     A sun is a disc of its irradiance, so that its shadows are sharp when the map lights a scene.
 
-    Parameters
-    ----------
-    radiance : the sky's own, (…, 3), >= 0, of unit directions (…, 3), which knows more of it than a series does;
+    ``radiance`` : the sky's own, (…, 3), >= 0, of unit directions (…, 3), which knows more of it than a series does;
         without it the sky is what its coefficients stand for (`positivity.positive_radiance`)
     """
     directions = pixel_directions(height, width)
@@ -290,9 +288,7 @@ def lighting_map(lighting: Lighting, height: int, width: int, *, radiance=None) 
 def seen_lighting(lighting: Lighting):
     """All of the light, and the light without its suns, as surfaces are to see it: nowhere negative.
 
-    Returns
-    -------
-    two Lightings of one light; a series that is nowhere negative stays one, so that it is exact
+    Gives two Lightings of one light; a series that is nowhere negative stays one, so that it is exact.
     """
     if positive_share(lighting.sky)[0] == 0:
         return SHLighting(lighting.coefficients), SHLighting(lighting.sky)

@@ -57,9 +57,7 @@ def training_lights(rotations: int = 4) -> EnvironmentMaps:
     in degrees ("noon_grass@90"). Maps k of successive turns are offset a little against each other, so that no
     two maps have their turns in step.
 
-    Returns
-    -------
-    EnvironmentMaps (rotations * number of maps, 64, 128, 3) float32
+    Gives EnvironmentMaps (rotations * number of maps, 64, 128, 3) float32.
     """
     files = sorted(FOLDER.glob("*.exr"))
     if not files:
@@ -83,9 +81,7 @@ def natural_amplitude(order: int) -> np.ndarray:
     The root mean square over the training lights, all channels and each band's terms; a band's terms share one value,
     as if light could be turned about any axis.
 
-    Returns
-    -------
-    ((order + 1)^2,) float64, the first is 1
+    Gives ((order + 1)^2,) float64, the first is 1.
     """
     x = np.moveaxis(training_lights().coefficients(order), 1, 0)
     relative = x / x[0].mean(-1, keepdims=True)

@@ -50,9 +50,7 @@ def pixel_edges(points: SurfacePoints) -> np.ndarray:
     A square pixel seen at a slant covers a rectangle that is 1 / cos(slant) longer along it. How the pixel is turned
     about its ray is left out: it does not change the rectangle's second moments.
 
-    Returns
-    -------
-    (n, 2, 2) float64, world units: edge, axis of the texture
+    Gives (n, 2, 2) float64, world units: edge, axis of the texture.
     """
     slant = np.clip((points.flat_normal * points.to_eye).sum(1), 0.05, 1)  # as in surface.surface_points
     across = np.cross(points.flat_normal, points.to_eye)
@@ -112,9 +110,7 @@ def to_local(points: SurfacePoints, directions) -> np.ndarray:
 class LightTables:
     """Each point's ABRDF over the light list at its own texel and view, held where the rays are traced.
 
-    Parameters
-    ----------
-    material : Tabulated
+    ``material`` : Tabulated
     """
 
     def __init__(self, material: Tabulated):
@@ -129,9 +125,7 @@ class LightTables:
     def tables_at(self, points: SurfacePoints, *, millimetres_per_unit: float):
         """The tables of points.
 
-        Returns
-        -------
-        mitsuba Float of n * lights * 4 lanes: RGB and a zero, 1/sr, without the cosine
+        Gives mitsuba Float of n * lights * 4 lanes: RGB and a zero, 1/sr, without the cosine.
         """
         taps, weights = self._view_taps(points)
         factors = np.broadcast_to(self._factors(points, millimetres_per_unit), (len(points), self._angular.shape[1]))

@@ -82,9 +82,7 @@ def divided(lane, divisor: int):
 class DirectionTaps:
     """`btf.directions.Interpolator` on the device: which three directions of a list a direction lies between.
 
-    Parameters
-    ----------
-    directions : (n, 3) float, unit, upper hemisphere
+    ``directions`` : (n, 3) float, unit, upper hemisphere
     """
 
     def __init__(self, directions):

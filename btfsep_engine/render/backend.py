@@ -97,9 +97,7 @@ def candidates() -> list[str]:
 def try_backend(variant: str, library: str = "") -> str:
     """Renders a sphere in a child process.
 
-    Returns
-    -------
-    str : "" when the image is right, else one line that says what happened
+    Gives "" when the image is right, else one line that says what happened.
     """
     env = os.environ | {"HOME": kernel_home()}
     if library:

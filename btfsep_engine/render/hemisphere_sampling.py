@@ -23,9 +23,7 @@ def cell_probabilities(material: Tabulated) -> np.ndarray:
     It is the mean ABRDF (positive part, mean of the channels) averaged over the cell, mixed with COSINE_SHARE of
     the even density.
 
-    Returns
-    -------
-    (views, CELLS, CELLS) float64, [row, column]; each view sums to 1
+    Gives (views, CELLS, CELLS) float64, [row, column]; each view sums to 1.
     """
     n = CELLS * PER_CELL
     x, y = np.meshgrid((np.arange(n) + 0.5) / n, (np.arange(n) + 0.5) / n)
@@ -44,9 +42,7 @@ def cell_probabilities(material: Tabulated) -> np.ndarray:
 class LightSampling:
     """Draws light directions for a view given by its taps.
 
-    Parameters
-    ----------
-    material : Tabulated
+    ``material`` : Tabulated
     """
 
     def __init__(self, material: Tabulated):

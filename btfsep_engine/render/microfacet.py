@@ -173,9 +173,7 @@ class Microfacets:
     def sample(self, facet: Facet, u1, u2, choice):
         """A direction onward, and f cos / pdf for it: half the time by the base's cosine, half by the lobe.
 
-        Parameters
-        ----------
-        u1, u2, choice : random numbers in [0, 1)
+        ``u1``, ``u2``, ``choice`` : random numbers in [0, 1)
         """
         frame = mi.Frame3f(facet.normal)
         cosine = frame.to_world(mi.warp.square_to_cosine_hemisphere(mi.Point2f(u1, u2)))

@@ -49,9 +49,7 @@ def material_key(material: Tabulated) -> str:
 def register(mi) -> None:
     """Makes the plugin known to Mitsuba's current variant; doing so again changes nothing.
 
-    Parameters
-    ----------
-    mi : the mitsuba module, with a variant set
+    ``mi`` : the mitsuba module, with a variant set
     """
     mi.register_bsdf(NAME, made)
 

@@ -91,9 +91,7 @@ def _projected_charts(mesh):
     u runs around the world's z axis and v up it, seen from outside (u along x where the plane is horizontal). Normals
     of a cluster lie within 28 degrees of one of `DIRECTIONS`, so that lengths are right to a few percent.
 
-    Returns
-    -------
-    (f, 3, 2) float64, world units
+    Gives (f, 3, 2) float64, world units.
     """
     corners = mesh.vertices[mesh.faces] - mesh.vertices[mesh.faces[0, 0]]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -74,9 +74,7 @@ class Network:
     def _samples(self, random, count: int):
         """Points on all triangles, each with both sides: ``count`` on the objects, and as many on what is beside them.
 
-        Returns
-        -------
-        positions, normals, mesh numbers, faces' numbers, their corners' weights, whether it is the outer side
+        Gives positions, normals, mesh numbers, faces' numbers, their corners' weights, whether it is the outer side.
         """
         meshes = self.tracer.meshes
         corners = np.concatenate([m.vertices[m.faces] for m in meshes])
@@ -148,9 +146,7 @@ def _is_wound_outwards(mesh) -> bool:
 def _drawn(random, count: int, corners, face, within, wanted):
     """Points on pieces ``corners : (n, 3, 3)`` of faces, by area times ``wanted``, stratified.
 
-    Returns
-    -------
-    positions, normals (count, 3), faces' numbers (count,), their corners' weights (count, 3)
+    Gives positions, normals (count, 3), faces' numbers (count,), their corners' weights (count, 3).
     """
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)

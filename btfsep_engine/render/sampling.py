@@ -140,9 +140,7 @@ def leverage(normal, to_eye) -> np.ndarray:
     a^T (A^T A / s^2 + P^-1)^-1 a for its row a of cheap basis images, with natural light as the prior P. Found for
     the mean pixel of each cell of normals.
 
-    Parameters
-    ----------
-    normal, to_eye : (n, 3) float, unit
+    ``normal``, ``to_eye`` : (n, 3) float, unit
     """
     cell = np.minimum(((normal + 1) * (NORMAL_CELLS / 2)).astype(np.int64), NORMAL_CELLS - 1)
     _, cell, share = np.unique(

@@ -21,9 +21,7 @@ class EngineFailed(RuntimeError):
 def measured(*arguments, **environment):
     """``python -m btfsep_engine ARGUMENTS --json``, with variables added to its environment.
 
-    Returns
-    -------
-    the result of the last line, and (seconds by the clock, seconds of processor, gigabytes resident at most)
+    Gives the result of the last line, and (seconds by the clock, seconds of processor, gigabytes resident at most).
 
     Raises EngineFailed.
     """

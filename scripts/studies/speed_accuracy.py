@@ -71,9 +71,7 @@ def by_way(found: list) -> tuple[list, dict]:
 def summed_up(found: list) -> list[MeanPoint]:
     """The points of all ways.
 
-    Parameters
-    ----------
-    found : for each photo a list of {axis, name, seconds, error, direction}; "balanced" is among each
+    ``found`` : for each photo a list of {axis, name, seconds, error, direction}; "balanced" is among each
     """
     ways, values = by_way(found)
     times, errors = np.log(values["seconds"]), np.log(values["error"])

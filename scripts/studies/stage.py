@@ -78,9 +78,7 @@ def waves(positions) -> np.ndarray:
 class Stage:
     """The dented sphere before a camera of ``size`` x ``size`` pixels.
 
-    Attributes
-    ----------
-    built : (2,) seconds that loading the mesh and building its tree of boxes took, as :func:`timed` has them
+    ``built`` : (2,) seconds that loading the mesh and building its tree of boxes took, as :func:`timed` has them
     """
 
     def __init__(self, *, level: int = 5, size: int = 320, textured: bool = True):

@@ -21,9 +21,7 @@ def sphere():
 def sphere_job_folder(tmp_path):
     """A job folder: a white sphere (albedo 0.8) under a light of order 2, shaded in closed form.
 
-    Returns
-    -------
-    folder, coefficients (9, 3)
+    Gives folder, coefficients (9, 3).
     """
     camera, x = looking_down(), positive_light(2)
     rows, columns = np.mgrid[: camera.height, : camera.width]

@@ -152,9 +152,7 @@ def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -
 
     The top row of a file is the largest v, as image textures are read (the maps in memory begin with the smallest).
 
-    Returns
-    -------
-    Maps : what was written, with size_mm and f0
+    Gives the Maps: what was written, with size_mm and f0.
 
     Raises InputError: an unknown name; a folder that cannot be written.
     """

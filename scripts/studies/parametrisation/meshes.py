@@ -23,9 +23,7 @@ NAMES = ("suzanne", "vase", "knot", "cloth", *TURNED)
 def make(folder) -> None:
     """Writes NAME.npz for each mesh.
 
-    Parameters
-    ----------
-    folder : that exists
+    ``folder`` : that exists
 
     Each file has vertices (v, 3), metres; faces (f, 3); normals (f, 3, 3) of the corners; own (f, 3, 2), its own
     texture coordinates, of size 0 where it has none; unwrap (f, 3, 2), Blender's; seconds, that this took.

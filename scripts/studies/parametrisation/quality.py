@@ -43,9 +43,7 @@ class Quality:
 def singular_values(corners, uv) -> np.ndarray:
     """(f, 2) s1 >= s2 of the map from the surface to the texture.
 
-    Parameters
-    ----------
-    corners : (f, 3, 3) float, of triangles with an area; uv : (f, 3, 2) float, the same unit
+    ``corners`` : (f, 3, 3) float, of triangles with an area; ``uv`` : (f, 3, 2) float, the same unit
     """
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.linalg.norm(e1, axis=1)

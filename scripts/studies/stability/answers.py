@@ -71,9 +71,7 @@ class Answers:
     def failures(self, axis, method) -> np.ndarray:
         """Answers with an order-2 error above POOR.
 
-        Returns
-        -------
-        their number, how many of them nobody told of, how many of them had failed undisturbed too, and of how many
+        Gives their number, how many of them nobody told of, how many had failed undisturbed too, and of how many.
         """
         out = np.zeros(4, int)
         for index in range(1, 6):

@@ -37,9 +37,7 @@ class Alternated:
 def haar_levels() -> tuple[np.ndarray, np.ndarray]:
     """The orthonormal Haar basis of the grid of cells.
 
-    Returns
-    -------
-    (cells, cells) float64, one wavelet a row, and (cells,) int its level: 0 is the mean, 1 the coarsest
+    Gives (cells, cells) float64, one wavelet a row, and (cells,) int its level: 0 is the mean, 1 the coarsest.
     """
     rows, row_level = _haar(ROWS)
     columns, column_level = _haar(COLUMNS)
