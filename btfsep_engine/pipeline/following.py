@@ -2,11 +2,11 @@
 """A further photograph of the same things: its light under the model that an estimate chose.
 
 What an estimate finds out about things rather than light, it need not find out again: materials and how they depart
-from the library's, appearance, light between surfaces, the camera and its tone curve. All else is done as for a photo
-alone. A light that stands still (`stands_still`) is found from the last one on, in a part of the time; any other is
-elected anew: where a photo alone would have chosen the same model, its light is the same in every digit. Where a photo
-may tell more of the model than the one that it was chosen by (`tells_more`), or the model hangs on that one's light
-(`hangs_on_light`), it is chosen anew.
+from the library's, appearance, light between surfaces, colours of surroundings, the camera and its tone curve. All else
+is done as for a photo alone. A light that stands still (`stands_still`) is found from the last one on, in a part of the
+time; any other is elected anew: where a photo alone would have chosen the same model, its light is the same in every
+digit. Where a photo may tell more of the model than the one that it was chosen by (`tells_more`), or the model hangs on
+that one's light (`hangs_on_light`), it is chosen anew.
 """
 
 import copy
@@ -22,6 +22,7 @@ from btfsep_engine.pipeline.model import Model, first_model
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
+from btfsep_engine.pipeline.refine.seen_colour import with_colours
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.together import SolvedLight, fit_together, light_solver
 from btfsep_engine.pipeline.tone import Curves, codes_of, read_by
@@ -137,8 +138,10 @@ def hangs_on_light(model: Model) -> bool:
 
 
 def as_chosen(simplest: Model, chosen: Model) -> Model:
-    """The simplest model of a photo with the light between surfaces and the departures that were chosen of another."""
+    """The simplest model of a photo with light between surfaces, colours and departures that were chosen of another."""
     model = replace(simplest, appearance=chosen.appearance)
+    if colours := chosen.problems[0].scene.colours:
+        model = with_colours(model, [colours])
     if chosen.bounces != model.bounces:
         model = replace(with_reflections(model), appearance=chosen.appearance)
     if chosen.departed:

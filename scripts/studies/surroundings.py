@@ -24,8 +24,10 @@ from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, worth
 from scripts.studies.measures import timed
 
-OBJECTS = (("suzanne", "white"), ("blob", "leather/brown-grain"))
-LIGHTS = ("city", "sunset")
+SETS = {  # objects, lights
+    "first": ((("suzanne", "white"), ("blob", "leather/brown-grain")), ("city", "sunset")),
+    "second": ((("pebble", "white"), ("cushion", "leather/brown-grain")), ("courtyard", "interior", "sunrise")),
+}
 EDGE = 8.0  # of the table, in the object's radii
 TABLES = {  # colour and how many checks a side
     "alone": None,
@@ -33,16 +35,17 @@ TABLES = {  # colour and how many checks a side
     "0.3": ([0.3] * 3, 0),
     "0.8": ([0.8] * 3, 0),
     "orange": ([0.8, 0.25, 0.05], 0),
+    "teal": ([0.08, 0.35, 0.35], 0),
     "textured": ([0.8, 0.7, 0.5], 16),
 }
 BLACK = Surface((0.0,) * 3, roughness=1.0, specular=0.0)
 KNOWN, UNKNOWN, DARK, GONE = "known", "not known", "black", "left out"
 
 
-def make(folder: Path) -> None:
-    """Photographs all of it, a folder for each table; what is there stays."""
-    shots = []
-    for (name, material), light, (kind, top) in product(OBJECTS, LIGHTS, TABLES.items()):
+def make(folder: Path, which: str) -> None:
+    """Photographs all of a set, a folder for each table; what is there stays."""
+    (objects, lights), shots = SETS[which], []
+    for (name, material), light, (kind, top) in product(objects, lights, TABLES.items()):
         table = top and {"edge": EDGE, "colour": top[0], "checks": top[1]}
         shots.append(photos.shot(folder / kind, name, material, light, table=table))
     photos.take(shots, resolution=192, samples=64)
@@ -79,6 +82,7 @@ def main(arguments) -> int:
     options = parser("surroundings", __doc__)
     options.add_argument("folder", type=Path)
     options.add_argument("--make", action="store_true", help="photograph what the study is made of")
+    options.add_argument("--set", choices=list(SETS), default="first", help="that is photographed")
     options.add_argument(
         "--ways", nargs="+", choices=(KNOWN, UNKNOWN, DARK, GONE), default=(KNOWN, UNKNOWN, DARK, GONE)
     )
@@ -86,7 +90,7 @@ def main(arguments) -> int:
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
     given = options.parse_args(arguments)
     if given.make:
-        make(given.folder.resolve())
+        make(given.folder.resolve(), given.set)
         return 0
     todo = [(p, k, w) for k in given.tables for p in photos.photographs_in(given.folder / k) for w in given.ways]
     rows = [study(*each) for each in tqdm([(p, k, w) for p, k, w in todo if k != "alone" or w == given.ways[0]])]

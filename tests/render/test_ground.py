@@ -13,7 +13,9 @@ from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.refine.ground import places_of, seen_colours, used_as_evidence
+from btfsep_engine.pipeline.refine import ground
+from btfsep_engine.pipeline.refine.ground import places_of, used_as_evidence
+from btfsep_engine.pipeline.refine.seen_colour import AGREE, seen_colours, seen_places
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -51,10 +53,12 @@ def test_what_is_not_known_of_the_table_its_pixels_say():
     light = positive_light(2)
     found = estimated(photographed(light, evidence=True))
     assert found.choice["ground"].startswith("used as evidence")
-    colours = seen_colours(found.model.problems[0], light, found.settings)
-    np.testing.assert_allclose(colours[0], COLOUR, rtol=0.03)
-    scene = found.scene.with_colours(colours)
-    assert np.array_equal(scene.occluder_albedos[0], colours[0]) and not scene.has_unknown and found.scene.has_unknown
+    problem = found.model.problems[0]
+    ((colour, left),) = seen_colours(problem, seen_places(found.scene), light, found.settings).values()
+    np.testing.assert_allclose(colour, COLOUR, rtol=0.03)
+    scene = found.scene.with_colours({0: colour})
+    assert np.array_equal(scene.occluder_albedos[0], colour) and not scene.has_unknown and found.scene.has_unknown
+    assert left < 0.03
 
 
 def test_a_ground_of_many_colours_is_left_out():
@@ -64,7 +68,10 @@ def test_a_ground_of_many_colours_is_left_out():
     found = estimated(replace(job, photo=replace(job.photo, radiance=image)))
     assert found.choice["ground"].startswith("not used as evidence: it is not of one colour")
     assert found.light.alone is None and found.fit.all_coefficients.shape == (100, 3)
-    assert not seen_colours(found.model.problems[0], positive_light(2), found.settings)
+    ((_, left),) = seen_colours(
+        found.model.problems[0], seen_places(found.scene), positive_light(2), found.settings
+    ).values()
+    assert left > 2 * AGREE
 
 
 def test_it_is_asked_for_and_else_changes_nothing():
@@ -76,12 +83,15 @@ def test_it_is_asked_for_and_else_changes_nothing():
     assert used_as_evidence(not_asked, choose(evidence="all")) == [0]
 
 
-def test_places_are_means_of_blocks_of_what_shows_the_table():
+def test_places_are_means_of_blocks_of_what_shows_the_table(monkeypatch):
     job = photographed(positive_light(2), evidence=True)
     scene = PreparedScene(job, Reporter())
     points, radiance = places_of(scene, 0)
     assert 250 < len(points) < 900 and (points.position[:, 2] == pytest.approx(-1.01, abs=1e-6))
     here = job.photo.radiance[tuple(points.pixels.T)]
     assert np.abs(radiance / here - 1).mean() < 0.03
+    monkeypatch.setattr(ground, "ENOUGH", 2)  # as of a large photo: not all pixels are read
+    fewer, sparse = places_of(scene, 0)
+    assert 200 < len(fewer) < 900 and sparse.mean(0) == pytest.approx(radiance.mean(0), rel=0.02)
     hidden = replace(job, photo=replace(job.photo, usable=scene.view.mesh == 0))
     assert places_of(PreparedScene(hidden, Reporter()), 0) is None

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A table or floor that the photo shows is evidence of the light, where the job asks for it: its shadows, its colour.
+"""A table or floor that the photo shows is evidence of the light, where the job asks for it: its shadows.
 
 What the objects say stands: the ground's shadows are fitted beside them (`fit.ground`), light between surfaces counted,
-and the answer is taken unless it explains the objects far worse. A ground whose surface the job does not say has the
-colour that its pixels have under the objects' light.
+and the answer is taken unless it explains the objects far worse.
 """
 
 from dataclasses import replace
@@ -12,23 +11,21 @@ import numpy as np
 
 from btfsep_engine import kept, sh
 from btfsep_engine.btf.model import Lambertian
-from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
+from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.fit.ground import SKY, Ground
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES
-from btfsep_engine.pipeline.together import all_weights, fit_together
+from btfsep_engine.pipeline.together import all_weights
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.surface import SurfacePoints, eroded, surface_points, with_any_tangent
 
 PLACES = 400  # of all that is seen of a ground: means over as many blocks of pixels, about
 FEWEST = 40
+ENOUGH = 100  # pixels of a block: of a large photo not all are read
 FULL = 0.5  # of a block that has to show the ground
 FINER = 2  # rays to each pixel of the sky's map, a side
-DARKEST, BRIGHTEST = 0.02, 0.95
-ROUNDS = 2  # of colours and the light that they are seen under
 WORSE = 1.3  # of the objects' residual: a ground that asks for so much more speaks of something else than their light
-PATTERNED = 0.3  # varies more than by shadows, as a rule: no one colour is its own
 NOISIEST = 0.15  # of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, checks 40 %
 WHITE = Lambertian("ground/white", np.ones(3))
 
@@ -47,8 +44,13 @@ def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
     """
     photo, index = scene.job.photo, len(scene.job.objects) + k
     region = eroded(scene.view.mesh == index) & photo.usable
+    for mask in (o.mask for o in scene.job.objects if o.mask is not None):
+        region &= ~mask  # the photo shows an object there, whatever the geometry says
     rows, columns = np.nonzero(region)
-    edge = max(1, int(np.sqrt(len(rows) / PLACES)))
+    every = max(1, int(np.sqrt(len(rows) / (PLACES * ENOUGH))))
+    few = (rows % every == 0) & (columns % every == 0)
+    rows, columns = rows[few], columns[few]
+    edge = every * max(1, int(np.sqrt(len(rows) / PLACES)))
     block, number, count = np.unique(
         rows // edge * region.shape[1] + columns // edge, return_inverse=True, return_counts=True
     )
@@ -58,7 +60,7 @@ def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
 
     middle = np.square(rows - mean(rows)[number]) + np.square(columns - mean(columns)[number])
     first = np.lexsort((middle, number))[np.concatenate([[0], np.cumsum(count)[:-1]])] if len(block) else []
-    full = count >= FULL * edge * edge
+    full = count >= FULL * (edge / every) ** 2
     if full.sum() < FEWEST:
         return None
     chosen = first[full]
@@ -107,53 +109,6 @@ def ground_of(problems, exposures, settings) -> Ground | None:
             parts.append((response, radiance / exposure, np.full(len(points), surface), at))
             surface += 1
     return Ground(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
-
-
-def varies(radiance) -> float:
-    """The deviation of what is seen of a ground (p, 3) from its mean, over its root mean square."""
-    return float(np.sqrt(radiance.var(0).sum() / np.maximum(np.square(radiance).mean(0).sum(), 1e-300)))
-
-
-def seen_colours(problem, x, settings) -> dict:
-    """{number of an occluder: (3,)}, of evidence whose surface is not known: what it reflects, under a light x."""
-    out, scene, (h, w) = {}, problem.scene, SKY
-    area = np.repeat(pixel_solid_angles(h, w), w)[:, None]
-    sky = area * np.maximum(sh.series(x, pixel_directions(h, w).reshape(-1, 3)), 0)
-    for k in used_as_evidence(scene.job, settings):
-        seen = places_of(scene, k) if scene.job.occluders[k].surface is None else None
-        if seen is None:
-            continue
-        points, radiance = seen
-        if varies(radiance) > PATTERNED:  # greys are tried then, as of what is no evidence
-            continue
-        white = np.einsum("pnc,nc->pc", white_response(scene, problem.materials, points, settings), sky)
-        colour = (radiance * white).sum(0) / np.maximum(np.square(white).sum(0), 1e-300)
-        out[k] = np.clip(colour, DARKEST, BRIGHTEST)
-    return out
-
-
-def by_own_pixels(straight, model, light, with_reflections):
-    """Models without and with light between surfaces, and the light: evidence of no known surface has its own colour.
-
-    Parameters
-    ----------
-    straight, model : Model without and with light between surfaces; light : SolvedLight of the second
-    with_reflections : Model -> the same with light between surfaces
-    """
-    for _ in range(ROUNDS if light.solver else 0):
-        seen = {id(p.scene): seen_colours(p, light.fit.shown, model.settings) for p in model.problems}
-        if not any(seen.values()):
-            break
-        of_straight = {id(p.scene): seen[id(q.scene)] for p, q in zip(straight.problems, model.problems, strict=True)}
-
-        def coloured(problem, known=of_straight):
-            return replace(problem, scene=problem.scene.with_colours(known[id(problem.scene)]))
-
-        straight = straight.changed(coloured)
-        model = with_reflections(straight)
-        settings = replace(model.modelled, order=light.order)
-        light = fit_together(model.problems, settings, beside=light.fit)
-    return straight, model, light
 
 
 def ground(model, light):

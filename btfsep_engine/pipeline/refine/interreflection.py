@@ -19,8 +19,7 @@ from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.pipeline.basis import USUAL
 from btfsep_engine.pipeline.model import solve_model
 from btfsep_engine.pipeline.problem import Problem
-from btfsep_engine.pipeline.refine.ground import by_own_pixels
-from btfsep_engine.pipeline.refine.surroundings import by_grey
+from btfsep_engine.pipeline.refine.surroundings import by_photo
 from btfsep_engine.pipeline.scene import BRIGHTEST, INDIRECT_DIRECTIONS, PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import all_weights, stacked
@@ -83,12 +82,7 @@ def light_between_surfaces(model, light):
         bounced = with_reflections(model)
     bounced, brighter, choice = solve_model(bounced, beside=light.fit)
     with model.reporter.stage("transport"):
-        coloured, bounced, brighter = by_own_pixels(model, bounced, brighter, with_reflections)
-        bounced, brighter = by_grey(
-            bounced,
-            brighter,
-            lambda grey: with_reflections(coloured.changed(lambda p: replace(p, scene=p.scene.with_grey(grey)))),
-        )
+        bounced, brighter = by_photo(model, bounced, brighter, with_reflections)
     if contradicted([p.scene for p in model.problems], brighter.fit, light.fit):
         return model, light, {"interreflections": NOT_SO_BRIGHT}
     return bounced, brighter, choice | {"interreflections": own.why}

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands around the objects: what it reflects where the job does not say it, and words on it.
 
-Where the light that occluders send is modelled and the job says of one of them no surface, a few greys stand for all
-that are not known. What a table sends comes from nearby, has the object's shadow in it, and goes with the light from
+Where the light that occluders send is modelled and the job says of one of them no surface, it has the colour that the
+photo shows of it (`refine.seen_colour`). Of what the photo does not show, or shows as what nothing agrees with, a few
+greys stand for all. What a table sends comes from nearby, has the object's shadow in it, and goes with the light from
 above: the photo tells greys apart, by evidence. Not exactly, so that what is stated is a mixture over those that are
 nearly as probable.
 """
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from btfsep_engine.fit.stated import restated
+from btfsep_engine.pipeline.refine.seen_colour import by_own_pixels
 from btfsep_engine.pipeline.scene import BRIGHTEST, GREY
 from btfsep_engine.pipeline.together import fit_together
 
@@ -30,6 +32,31 @@ class Greys:
     albedos: tuple
     shares: np.ndarray
     samples: tuple
+
+
+def by_photo(straight, model, light, with_reflections):
+    """A model with light between surfaces, what is not known in it as the photo has it; and its light.
+
+    Parameters
+    ----------
+    straight, model : Model without and with light between surfaces; light : SolvedLight of the second
+    with_reflections : Model -> the same with light between surfaces
+    """
+
+    def with_greys(straight, model, light):
+        def of_grey(grey):
+            return with_reflections(straight.changed(lambda p: replace(p, scene=p.scene.with_grey(grey))))
+
+        return by_grey(model, light, of_grey)
+
+    read = by_own_pixels(straight, model, light, with_reflections)
+    if read is None:
+        return with_greys(straight, model, light)
+    coloured = with_greys(read.straight, read.model, read.light)
+    if read.sure:
+        return coloured
+    greys = with_greys(straight, model, light)
+    return max(coloured, greys, key=lambda each: each[1].fit.evidence)
 
 
 def by_grey(model, light, of_grey):
@@ -112,9 +139,14 @@ def surroundings_words(problems) -> str:
     """What the occluders were taken to reflect, and why."""
     said = []
     for scene in (p.scene for p in problems):
-        count, unknown = len(scene.job.occluders), sum(o.surface is None for o in scene.job.occluders)
+        count, seen = len(scene.job.occluders), scene.colours.values()
+        unknown = sum(o.surface is None for o in scene.job.occluders)
         if unknown < count:
             said.append(f"of {count - unknown} of {count} occluders the job says the surface")
+        if seen:
+            each = ", ".join("({:.2f}, {:.2f}, {:.2f})".format(*colour) for colour in seen)
+            said.append(f"of {len(seen)} of {count} occluders the photo shows the colour: red, green, blue {each}")
+            unknown -= len(seen)
         if not unknown:
             continue
         what = f"of {unknown} of {count} occluders it is not known what they reflect"

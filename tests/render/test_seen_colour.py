@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A wall of which the job does not say the colour, and the photo shows it: against the path tracer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.job.model import Occluder, Photo
+from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.following import Follower
+from btfsep_engine.pipeline.refine.seen_colour import seen_colours, seen_places
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from btfsep_engine.render.reference import Reference
+from tests.render.prepared import ball
+from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
+
+SIZE = 64
+COLOUR = np.array([0.8, 0.25, 0.05])
+WHITE = Lambertian("test/white", np.full(3, 0.8))  # as the library's reference
+TRUTH = positive_light(2)
+SETTINGS = choose("draft", pixels=700)
+
+
+def job_with(surface, *, focal=60.0):
+    """A unit ball beside a large wall with its face to +x, in a camera that looks along it."""
+    box = trimesh.creation.box([0.02, 8, 8]).apply_translation([-1.06, 0, 0])
+    return job_of([ball()], looking_down(SIZE, focal), occluders=[Occluder(as_mesh(box, flat=True), surface)])
+
+
+@pytest.fixture(scope="module")
+def shown():
+    """(h, w, 9, 3): the pixels of the ball and the orange wall under each light, and which show the wall."""
+    job = job_with(Surface(tuple(COLOUR), roughness=1.0, specular=0.0))
+    scene = PreparedScene(job, Reporter())
+    pixels = np.argwhere(scene.view.mesh >= 0)
+    reference = Reference(job, scene.tracer, [WHITE], bounces=8, textured=False)
+    image = np.zeros((SIZE, SIZE, 9, 3), np.float32)
+    image[tuple(pixels.T)] = reference.radiance(pixels, SHBasis(2), samples=256).radiance
+    return image, scene.view.mesh == 1
+
+
+def photo_of(shown, light=TRUTH):
+    image = np.einsum("hwtc,tc->hwc", shown[0], light)
+    return image * np.random.default_rng(1).normal(1, 0.01, image.shape)
+
+
+def estimated(image, surface=None, *, usable=None, mask=None, others=()):
+    usable = np.ones((SIZE, SIZE), bool) if usable is None else usable
+
+    def scene_of(image):
+        job = replace(job_with(surface), photo=Photo(image.astype(np.float32), usable, 0))
+        return PreparedScene(replace(job, objects=(replace(job.objects[0], mask=mask),)), Reporter())
+
+    scenes = [scene_of(each) for each in (image, *others)]
+    return estimate(scenes[0], open_library(None), SETTINGS, material="reference/white-diffuse", others=scenes[1:])
+
+
+@pytest.fixture(scope="module")
+def found(shown):
+    return estimated(photo_of(shown))
+
+
+def test_the_colour_is_read_and_the_light_is_that_beside_a_known_wall(shown, found):
+    known = estimated(photo_of(shown), Surface(tuple(COLOUR), roughness=1.0, specular=0.0))
+    unseen = estimated(photo_of(shown), usable=~shown[1])
+    np.testing.assert_allclose(found.scene.colours[0], COLOUR, rtol=0.07)
+    assert found.scene.greys is None and not found.scene.has_unknown
+    assert "of 1 of 1 occluders the photo shows the colour: red, green, blue (0." in found.choice["surroundings"]
+    errors = [off_as_seen(f.fit.coefficients, TRUTH) for f in (known, found, unseen)]
+    assert errors[1] < 1.1 * errors[0] + 0.003 and errors[2] > 2 * errors[1]
+
+
+def test_of_permuted_channels_the_colour_is_permuted(shown, found):
+    problem, order = found.model.problems[0], [2, 0, 1]
+    problem = replace(problem, scene=problem.scene.with_colours({0: COLOUR}))
+    places = seen_places(problem.scene)
+    ((straight, left),) = seen_colours(problem, places, TRUTH, SETTINGS).values()
+    scene = problem.scene.with_colours({0: COLOUR[order]})
+    permuted = {0: (places[0][0], places[0][1][:, order])}
+    ((other, _),) = seen_colours(replace(problem, scene=scene), permuted, TRUTH[:, order], SETTINGS).values()
+    np.testing.assert_allclose(other, straight[order], rtol=1e-5)
+    np.testing.assert_allclose(straight, COLOUR, rtol=0.03)
+    assert 0.005 < left < 0.06
+    again = estimated(photo_of(shown)[..., order])
+    np.testing.assert_allclose(again.scene.colours[0], found.scene.colours[0][order], rtol=0.1)
+
+
+def test_where_the_photo_does_not_show_it_nothing_is_read(shown):
+    image, wall = photo_of(shown), shown[1]
+    hidden = estimated(image, usable=~wall)
+    cut_out = estimated(np.where(wall[..., None], 0, image))
+    masked = estimated(image, mask=np.ones_like(wall))
+    for each in (hidden, cut_out, masked):
+        assert not each.scene.colours and "by evidence a grey of" in each.choice["surroundings"]
+        assert np.array_equal(each.fit.samples, hidden.fit.samples)
+    outside = PreparedScene(job_with(None, focal=300.0), Reporter())
+    assert not (outside.view.mesh == 1).any() and seen_places(outside) == {}
+
+
+@pytest.mark.parametrize("painted", ["half", "blue"])
+def test_what_does_not_go_with_the_objects_is_not_believed(shown, painted):
+    image, wall = photo_of(shown), shown[1]
+    upper = wall & (np.arange(SIZE)[:, None] < SIZE / 2)
+    paint = {"half": (upper, [0.0, 0.0, 12.0]), "blue": (wall, [0.02, 0.3, 12.0])}[painted]
+    image[paint[0]] *= paint[1]
+    found, unseen = estimated(image), estimated(image, usable=~wall)
+    assert found.fit.evidence >= unseen.fit.evidence - 1
+    assert off_as_seen(found.fit.coefficients, TRUTH) < 1.05 * off_as_seen(unseen.fit.coefficients, TRUTH)
+
+
+def test_each_photo_is_read_in_its_own_exposure(shown):
+    both = estimated(photo_of(shown), others=[3 * photo_of(shown)])
+    one, other = (problem.scene.colours[0] for problem in both.model.problems)
+    np.testing.assert_allclose(one, COLOUR, rtol=0.07)
+    np.testing.assert_allclose(other, one, rtol=0.02)
+
+
+def test_a_further_frame_keeps_the_colour(shown, found):
+    follower = Follower(found, open_library(None))
+    image = photo_of(shown, positive_light(2, seed=5))
+    scene = PreparedScene(job_with(None), Reporter())
+    scene = follower.scene_of(scene, Photo(image.astype(np.float32), np.ones((SIZE, SIZE), bool), 0), Reporter())
+    frame = follower.found(scene)
+    assert frame.how != "model chosen"
+    assert np.array_equal(frame.estimate.scene.colours[0], found.scene.colours[0])
+    assert off_as_seen(frame.estimate.fit.coefficients, positive_light(2, seed=5)) < 0.08
