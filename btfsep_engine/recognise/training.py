@@ -117,6 +117,7 @@ def train(
     reporter: Reporter | None = None,
     method: Method = METHODS["tuned"],
     expected: int | None = None,
+    learn: Callable = vlad.learn_encoder,
 ) -> Recogniser:
     """Learns dictionaries and classifier from training images.
 
@@ -126,6 +127,7 @@ def train(
     classifier : "svm" or "nearest"
     method : Method
     expected : number of samples, for the progress only
+    learn : makes the encoder of a sample of descriptors; parameters as of `vlad.learn_encoder`
 
     Raises
     ------
@@ -147,7 +149,7 @@ def train(
     if not kept:
         raise InputError("the training of recognition", "got no images", "choose a library with materials")
     with reporter.stage("dictionaries"):
-        encoder = _learn_encoder(kept, method, rng, seed)
+        encoder = _learn_encoder(kept, method, rng, seed, learn)
         encoded = [encoder.encode(described) for described in kept]
     with reporter.stage("classifier"):
         classes = sorted(set(materials))
@@ -168,7 +170,7 @@ def train(
     return Recogniser(method.settings, encoder, model)
 
 
-def _learn_encoder(kept, method, rng, seed):
+def _learn_encoder(kept, method, rng, seed, learn):
     """Dictionaries from an equal number of descriptors of every image."""
     share = max(1, SAMPLE // len(kept))
     picks = [rng.permutation(len(d))[:share] for d in kept]
@@ -176,4 +178,4 @@ def _learn_encoder(kept, method, rng, seed):
         np.concatenate([getattr(d, field)[pick] for d, pick in zip(kept, picks, strict=True)])
         for field in ("colour", "sift", "contrast")
     ]
-    return vlad.learn_encoder(*parts, half_contrast=method.settings.contrast, encoding=method.encoding, seed=seed)
+    return learn(*parts, half_contrast=method.settings.contrast, encoding=method.encoding, seed=seed)
