@@ -4,6 +4,7 @@
 Images are consumed one by one. Of each only its descriptors are kept, as bytes and half floats.
 """
 
+import copy
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
@@ -109,58 +110,79 @@ def as_photo(radiance, mask, rng) -> np.ndarray:
     return np.where(valid[..., None], image + noise, np.nan).astype(np.float32)
 
 
-def train(
+@dataclass(frozen=True)
+class Described:
+    """What is kept of n training images.
+
+    Attributes
+    ----------
+    descriptors : n `descriptors.Descriptors`
+    materials, lights : n names; of lights without the turns of their maps
+    random : numpy Generator, as the images' noise left it
+    """
+
+    descriptors: list
+    materials: list[str]
+    lights: list[str]
+    random: np.random.Generator
+
+
+def described(
     samples: Iterable[TrainingImage],
+    *,
+    seed: int = 0,
+    reporter: Reporter | None = None,
+    method: Method = METHODS["tuned"],
+    expected: int | None = None,
+) -> Described:
+    """The descriptors of training images, which are consumed one at a time.
+
+    Parameters are those of `train`. Of the method its settings and ``as_photos`` count.
+
+    Raises
+    ------
+    InputError
+        No sample, or an object too small.
+    """
+    reporter = reporter or Reporter()
+    found = Described([], [], [], np.random.default_rng(seed))
+    with reporter.stage("training images"):
+        for number, sample in enumerate(samples):
+            image = as_photo(sample.radiance, sample.mask, found.random) if method.as_photos else sample.radiance
+            found.descriptors.append(dense.extract(image, sample.mask, settings=method.settings).compact())
+            found.materials.append(sample.material)
+            found.lights.append(sample.light.partition("@")[0])
+            reporter.progress("training images", (number + 1) / max(expected or 0, number + 2), sample.material)
+    if not found.descriptors:
+        raise InputError("the training of recognition", "got no images", "choose a library with materials")
+    return found
+
+
+def taught(
+    images: Described,
     *,
     classifier: str = "svm",
     seed: int = 0,
     reporter: Reporter | None = None,
     method: Method = METHODS["tuned"],
-    expected: int | None = None,
     learn: Callable = vlad.learn_encoder,
 ) -> Recogniser:
-    """Learns dictionaries and classifier from training images.
+    """Learns dictionaries and classifier from training images that are described; parameters as of `train`.
 
-    Parameters
-    ----------
-    samples : consumed once, one image at a time
-    classifier : "svm" or "nearest"
-    method : Method
-    expected : number of samples, for the progress only
-    learn : makes the encoder of a sample of descriptors; parameters as of `vlad.learn_encoder`
-
-    Raises
-    ------
-    InputError
-        Unknown classifier, no sample, or an object too small.
+    ``learn`` : makes the encoder of a sample of descriptors; parameters as of `vlad.learn_encoder`
     """
-    if classifier not in CLASSIFIERS:
-        raise InputError("the classifier", f"'{classifier}'", f"choose one of {', '.join(sorted(CLASSIFIERS))}")
     reporter = reporter or Reporter()
-    rng = np.random.default_rng(seed)
-    kept, materials, lights = [], [], []
-    with reporter.stage("training images"):
-        for number, sample in enumerate(samples):
-            image = as_photo(sample.radiance, sample.mask, rng) if method.as_photos else sample.radiance
-            kept.append(dense.extract(image, sample.mask, settings=method.settings).compact())
-            materials.append(sample.material)
-            lights.append(sample.light.partition("@")[0])
-            reporter.progress("training images", (number + 1) / max(expected or 0, number + 2), sample.material)
-    if not kept:
-        raise InputError("the training of recognition", "got no images", "choose a library with materials")
     with reporter.stage("dictionaries"):
-        encoder = _learn_encoder(kept, method, rng, seed, learn)
-        encoded = [encoder.encode(described) for described in kept]
+        encoder = _learn_encoder(images, method, seed, learn)
+        encoded = [encoder.encode(d) for d in images.descriptors]
     with reporter.stage("classifier"):
-        classes = sorted(set(materials))
-        rows = len(encoded[0])
-        of_object = np.repeat(np.arange(len(kept)), rows)
-        labels = np.searchsorted(classes, materials)
-        vectors = np.concatenate(encoded)
+        classes = sorted(set(images.materials))
+        of_object = np.repeat(np.arange(len(encoded)), len(encoded[0]))
+        labels = np.searchsorted(classes, images.materials)
         model = CLASSIFIERS[classifier](
-            vectors,
+            np.concatenate(encoded),
             labels[of_object],
-            np.asarray(lights)[of_object],
+            np.asarray(images.lights)[of_object],
             of_object,
             classes,
             seed=seed,
@@ -170,10 +192,40 @@ def train(
     return Recogniser(method.settings, encoder, model)
 
 
-def _learn_encoder(kept, method, rng, seed, learn):
+def train(
+    samples: Iterable[TrainingImage],
+    *,
+    classifier: str = "svm",
+    seed: int = 0,
+    reporter: Reporter | None = None,
+    method: Method = METHODS["tuned"],
+    expected: int | None = None,
+) -> Recogniser:
+    """Learns dictionaries and classifier from training images.
+
+    Parameters
+    ----------
+    samples : consumed once, one image at a time
+    classifier : "svm" or "nearest"
+    method : Method
+    expected : number of samples, for the progress only
+
+    Raises
+    ------
+    InputError
+        Unknown classifier, no sample, or an object too small.
+    """
+    if classifier not in CLASSIFIERS:
+        raise InputError("the classifier", f"'{classifier}'", f"choose one of {', '.join(sorted(CLASSIFIERS))}")
+    images = described(samples, seed=seed, reporter=reporter, method=method, expected=expected)
+    return taught(images, classifier=classifier, seed=seed, reporter=reporter, method=method)
+
+
+def _learn_encoder(images: Described, method, seed, learn):
     """Dictionaries from an equal number of descriptors of every image."""
+    kept, random = images.descriptors, copy.deepcopy(images.random)  # what is described can be learned from again
     share = max(1, SAMPLE // len(kept))
-    picks = [rng.permutation(len(d))[:share] for d in kept]
+    picks = [random.permutation(len(d))[:share] for d in kept]
     parts = [
         np.concatenate([getattr(d, field)[pick] for d, pick in zip(kept, picks, strict=True)])
         for field in ("colour", "sift", "contrast")

@@ -39,8 +39,9 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise import vlad
+from btfsep_engine.recognise.descriptors import extract
 from btfsep_engine.recognise.model_file import source_digest
-from btfsep_engine.recognise.training import METHODS, Method, render_samples, train
+from btfsep_engine.recognise.training import METHODS, Described, Method, described, render_samples, taught
 from scripts.studies import fisher, parser, photos, tables
 from scripts.studies.recognition import OBJECTS, share
 
@@ -66,6 +67,11 @@ class Way:
     def rendered(self) -> tuple[str, str]:
         """The kind of its training images, a key of ``LIGHTS`` and one of ``SHOWN``."""
         return self.light, self.shown
+
+    @property
+    def described(self) -> tuple:
+        """All that their descriptors depend on."""
+        return *self.rendered, repr(self.method.settings), self.method.as_photos
 
 
 def encoded(method: Method, **settings) -> Method:
@@ -129,49 +135,55 @@ SHOWN = {
 
 
 class Trained:
-    """The training images of one object, and what recognises its photographs."""
+    """What one object looks like in all materials, and what recognises its photographs."""
 
-    def __init__(self, photograph, library, settings):
-        job = load_job(photograph.folder)
+    def __init__(self, photographs, library, settings):
+        job = load_job(photographs[0].folder)
         scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv="xatlas"),)), Reporter())
-        self.region = training_region(scene.regions[0], settings.training_pixels)
-        self.window = bounding_window(self.region)
-        points = scene.points(0, region=self.region, textured=True)
+        region = training_region(scene.regions[0], settings.training_pixels)
+        self.window = bounding_window(region)
+        self.inside = region[self.window]
+        points = scene.points(0, region=region, textured=True)
         self.transport = scene.transport(points, directions=settings.training_directions)
-        self.library, self.settings, self.samples = library, settings, {}
+        self.photographs, self.library, self.settings = photographs, library, settings
+        self.images, self.queries = {}, {}
 
-    def images(self, rendered) -> list:
-        """The training images of a kind (`Way.rendered`); the last ones are kept."""
-        if rendered not in self.samples:
-            lights, inside = (
-                LIGHTS[rendered[0]](training_lights(self.settings.training_turns)),
-                self.region[self.window],
-            )
-            names = [n for n in self.library.names() if n not in INDISTINGUISHABLE]
+    def rendered(self, light, shown):
+        """Training images of a kind, one by one (`training.TrainingImage`)."""
+        lights = LIGHTS[light](training_lights(self.settings.training_turns))
+        names = [n for n in self.library.names() if n not in INDISTINGUISHABLE]
 
-            def render(material):
-                images = np.full((lights.count, *inside.shape, 3), np.nan, np.float32)
-                images[:, inside] = self.transport.radiance(material, lights).transpose(1, 0, 2)
-                return images
+        def render(material):
+            images = np.full((lights.count, *self.inside.shape, 3), np.nan, np.float32)
+            images[:, self.inside] = self.transport.radiance(material, lights).transpose(1, 0, 2)
+            return images
 
-            materials = (SHOWN[rendered[1]](self.library.load(n)) for n in names)
-            self.samples = {rendered: list(render_samples(materials, list(lights.names), render, inside))}
-        return self.samples[rendered]
+        materials = (SHOWN[shown](self.library.load(n)) for n in names)
+        return render_samples(materials, list(lights.names), render, self.inside)
 
-    def answers(self, way: Way, photographs) -> dict:
-        """What each photograph, by its folder's name, is taken for."""
-        recogniser = train(
-            self.images(way.rendered),
-            classifier=way.classifier,
-            seed=self.settings.seed,
-            method=way.method,
-            learn=way.learn,
-        )
-        out = {}
-        for p in photographs:
-            photo = load_job(p.folder).photo
+    def described(self, way: Way) -> Described:
+        """Training images as the way describes them, which others may, too: the last ones are kept."""
+        if way.described not in self.images:
+            samples = self.rendered(*way.rendered)
+            self.images = {way.described: described(samples, seed=self.settings.seed, method=way.method)}
+        return self.images[way.described]
+
+    def query(self, photograph, settings):
+        """The descriptors of a photograph."""
+        key = photograph.folder.name, settings
+        if key not in self.queries:
+            photo = load_job(photograph.folder).photo
             radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)[self.window]
-            out[p.folder.name] = recogniser.judged(recogniser.describe(radiance, self.region[self.window])).material
+            self.queries[key] = extract(radiance, self.inside, settings=settings)
+        return self.queries[key]
+
+    def answers(self, way: Way) -> dict:
+        """What each photograph, by its folder's name, is taken for."""
+        how = {"classifier": way.classifier, "seed": self.settings.seed, "method": way.method, "learn": way.learn}
+        recogniser, out = taught(self.described(way), **how), {}
+        for p in self.photographs:
+            vectors = recogniser.encoder.encode(self.query(p, way.method.settings))
+            out[p.folder.name] = recogniser.judged(vectors).material
         return out
 
 
@@ -184,12 +196,12 @@ def answered(folder: Path, objects, ways, library, settings):
     for name in objects:
         some, trained = photos.photographs_in(folder, objects=[name]), None
         every += some
-        for way in sorted(ways, key=lambda w: w.rendered):  # images of a kind are rendered once
+        for way in sorted(ways, key=lambda w: w.described):  # images of a kind are made once
             parts = [way.method, way.classifier, way.rendered, way.learn.__module__, [p.folder.name for p in some]]
             key, at = digest(source_digest(), code, library.digest, settings, *parts), f"{name}: {way.name}"
             if kept.get(at, {}).get("key") != key:
-                trained = trained or Trained(some[0], library, settings)
-                kept[at] = {"key": key, "answers": trained.answers(way, some)}
+                trained = trained or Trained(some, library, settings)
+                kept[at] = {"key": key, "answers": trained.answers(way)}
                 write_text(path, json.dumps(kept, indent=1))
             answers[way.name] |= kept[at]["answers"]
             print(f"{at}: {share(answers[way.name][p.folder.name] == p.material for p in some)}", flush=True)
