@@ -233,7 +233,8 @@ def _at_scale(image, mask, valid, edge, settings) -> Descriptors:
     lightness = image[..., 0] if settings.colours == "opponent" else image @ np.float32(REC709_LUMINANCE)
     box = (2 * half + 1,) * 2
     local_mean = cv2.blur(lightness, box)
-    variance = cv2.blur((lightness - local_mean) ** 2, box)[y, x]
+    # its running sums leave less than nothing where all is black but for a lamp's spot beside
+    variance = np.maximum(cv2.blur((lightness - local_mean) ** 2, box)[y, x], 0)
     low, high = np.percentile(lightness[valid], (0.5, 99.5))
     coded = np.clip((lightness - low) * (255 / max(high - low, 1e-3)), 0, 255).round().astype(np.uint8)
     size = edge / 1.5  # OpenCV's cells are 1.5 keypoint sizes wide

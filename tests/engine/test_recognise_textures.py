@@ -155,6 +155,13 @@ def test_position_in_the_photo_does_not_matter(svm, rng):
     assert recognised(svm, canvas, moved).candidates == recognised(svm, image, mask).candidates
 
 
+def test_black_beside_bright_has_no_contrast_rather_than_less_than_none(rng):
+    image = np.zeros((100, 100, 3), np.float32)
+    image[:, :34] = (np.where(np.arange(34) < 30, 50, 1e-4) * rng.uniform(0.5, 1, (100, 34)))[..., None]
+    contrast = descriptors.extract(image, np.ones((100, 100), bool), settings=descriptors.PAPER).contrast
+    assert np.isfinite(contrast).all() and contrast.min() < 1e-6 and contrast.max() > 0.1
+
+
 def test_too_small_black_or_absent(svm, rng):
     image = photo("fine", rng)
     tiny = np.zeros((SIDE, SIDE), bool)
