@@ -151,7 +151,9 @@ def main(arguments) -> int:
     if given.make:
         make(folder, given.sets)
         return 0
-    kinds = [path for name in given.sets for path in sorted((folder / name).iterdir())]
+    kinds = [path for name in given.sets for path in sorted((folder / name).glob("*"))]
+    if not kinds:
+        options.error(f"{folder} has no photographs of {' and '.join(given.sets)}; make them by --make")
     todo = [(p, k.name) for k in kinds for p in photos.photographs_in(k)]
     todo = list(product(todo, given.knows, (WITHOUT, WITH)))
     rows = [study(photo, folder, kind, *how) for (photo, kind), *how in tqdm(todo)]

@@ -89,7 +89,7 @@ COLUMNS = (
 
 def jobs_in(folder: Path, lights, only: str) -> list:
     """(folder, light, material) of what is studied; of real photographs a kind, and the material is the job's."""
-    real = [p for p in sorted(folder.iterdir()) if (p / "truth.json").exists() and p.name.count("_") == 1]
+    real = [p for p in sorted(folder.glob("*")) if (p / "truth.json").exists() and p.name.count("_") == 1]
     some = [(p, f"{p.name.split('_')[0]}, {p.name.count('-') + 1} lamps", None) for p in real]
     some = some or [(p.folder, p.light, p.material) for p in photos.photographs_in(folder, lights=lights)]
     return [job for job in some if fnmatch.fnmatch(job[0].name, only)]

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.errors import InputError
-from scripts.cycles.lights import studio_lights, true_lighting
+from scripts.cycles.lights import light_path, studio_lights, true_lighting
 from scripts.studies import ROOT, parser
 
 WHITE = "reference/white-diffuse"
@@ -112,12 +112,12 @@ def photographs_in(folder: Path, *, objects=None, materials=None, lights=None) -
 
     Raises InputError where there are none.
     """
-    names = [p for p in sorted(Path(folder).iterdir()) if (p / "job.json").exists() and p.name.count("_") == 2]
+    names = [p for p in sorted(Path(folder).glob("*")) if (p / "job.json").exists() and p.name.count("_") == 2]
     every = [Photograph(p, *p.name.split("_")) for p in names]
     wanted = ((objects, "object"), (materials, "shown"), (lights, "light"))
     some = [p for p in every if all(not given or getattr(p, key) in given for given, key in wanted)]
     if not some:
-        raise InputError(str(folder), "no such jobs OBJECT_MATERIAL_LIGHT", "make them by scripts/study photos")
+        raise InputError(str(folder), "it has no such jobs OBJECT_MATERIAL_LIGHT", "make them by scripts/study photos")
     return some
 
 
@@ -138,6 +138,9 @@ def main(arguments) -> int:
     options.add_argument("--resolution", type=int, default=256)
     options.add_argument("--samples", type=int, default=64, help="of Cycles, a pixel")
     given = options.parse_args(arguments)
+    if unknown := [light for light in given.lights if not light_path(light).exists()]:
+        known = ", ".join(studio_lights())
+        options.error(f"no light is called {', '.join(unknown)}; choose from {known}, or name a map")
     # a material on an object under all lights: the displaced mesh is made once
     grid = itertools.product(given.objects, given.materials, given.lights)
     take([shot(given.folder.resolve(), *g) for g in grid], resolution=given.resolution, samples=given.samples)

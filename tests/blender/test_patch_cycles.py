@@ -7,24 +7,16 @@
 import numpy as np
 import pytest
 
-from btfsep_engine.btf.procedural import Maps, maps
+from btfsep_engine.btf.procedural import maps
 from btfsep_engine.conventions import local_direction
 from btfsep_engine.render.microfacet import layer_albedo
 from btfsep_engine.render.patch import Patch
 from scripts.cycles import patch_scene
+from scripts.studies.check_patch import waves
 
 # degrees; none in the list of 151
 VIEWS = local_direction(*np.radians([(5, 20), (41, 0), (48, 201), (66, 95)]).T)
 LIGHTS = local_direction(*np.radians([(12, 0), (33, 92), (46, 180), (58, 31), (69, 255)]).T)
-
-
-def waves(base, f0, metallic=None):
-    n = 96
-    x = (np.arange(n) + 0.5) / n
-    height = np.tile((0.8 * np.sin(4 * np.pi * x) + 0.2 * np.sin(8 * np.pi * x)).astype(np.float32), (n, 1))
-    colour = np.broadcast_to(np.asarray(base, np.float32), (n, n, 3))
-    metal = None if metallic is None else np.full_like(height, metallic)
-    return Maps("test/waves", colour, height, np.full_like(height, 0.5), 10.0, f0, metal)
 
 
 def compare(m, tmp_path, *, samples, views=VIEWS, lights=LIGHTS, layer=None):
@@ -47,7 +39,7 @@ def compare(m, tmp_path, *, samples, views=VIEWS, lights=LIGHTS, layer=None):
 )
 def test_waves(base, f0, metallic, limit, worst, tmp_path):
     layer = layer_albedo(f0) if f0 and not metallic else None
-    ours, theirs = compare(waves(base, f0, metallic), tmp_path, samples=32, layer=layer)
+    ours, theirs = compare(waves(base, f0, metallic=metallic), tmp_path, samples=32, layer=layer)
     error = np.abs(ours / theirs - 1)
     assert np.median(error) < limit, error
     assert error.max() < worst
