@@ -87,6 +87,13 @@ class LightSolver:
         self.order, self.seed, self.coarsening = order, seed, coarsening
         self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
         self._held = {"lamps": tuple(d for d, _ in self.given), "given": (0.0,) * len(self.given)}
+        self.slopes = None
+
+    def with_slopes(self, slopes) -> "LightSolver":
+        """The same for photographs that may differ by ``slopes`` (p, k, 3) beside noise (`fit.products.Photograph`)."""
+        out = copy.copy(self)
+        out.slopes = slopes
+        return out
 
     def without_given(self, left=None) -> "LightSolver":
         """The same of the same basis images with no lamp given; ``left`` : the number of the one to leave out alone."""
@@ -149,7 +156,8 @@ class LightSolver:
 
     def _photograph(self, radiance, weights, beside: Fit | None) -> Photograph:
         effective = None if beside is None else beside.election.photo.effective
-        return Photograph(self.basis, radiance, weights=weights, coarsening=self.coarsening, effective=effective)
+        how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes}
+        return Photograph(self.basis, radiance, weights=weights, **how)
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
         tint = colour.split(best.x[:, 0] * photo.level)

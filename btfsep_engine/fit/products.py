@@ -6,9 +6,10 @@ Channel by channel, at unit response, a photograph is taken to be
     b = A x + F a + n,    n ~ N(0, h v I),    a ~ N(0, I),    F = D (A x') (o) Y
 
 F is what a model that is nearly right misses: reflectance, tone and shape that are off by a part D, smoothly over the
-normals (Y: harmonics of the normal up to `SMOOTH_ORDER`, each pixel's size as a first fit x' predicts it). Light can
-imitate such a misfit; under this model it need not. How right the model is, D, is for the evidence to say
-(`fit.log_normal`). a is integrated out, so that the inverse covariance is, with W = 1 / (h v),
+normals (Y: harmonics of the normal up to `SMOOTH_ORDER`, each pixel's size as a first fit x' predicts it), and where
+it is told so what the photo changes by if the camera is a little off (`slopes`). Light can imitate such a misfit;
+under this model it need not. How right the model is, D, is for the evidence to say (`fit.log_normal`). a is
+integrated out, so that the inverse covariance is, with W = 1 / (h v),
 
     N^-1 = W - W F (I + F^T W F)^-1 F^T W
 
@@ -16,7 +17,7 @@ and the light enters by A^T N^-1 A and A^T N^-1 b alone, of which R (r, terms) a
 
     (b - A x)^T N^-1 (b - A x) = |R x - y|^2 + rest.
 
-At D and v other than 1 the products are those at 1, scaled along the axes of F^T F and of A^T A; the square root is a
+At v other than 1 the products are those at 1, scaled along the axes of F^T F at D and of A^T A; the square root is a
 pivoted Cholesky factor, so that directions in which the photo says next to nothing cost nothing.
 
 h > 1 is a coarsened posterior (Miller and Dunson 2019: a model that is nearly right is not trusted more the more pixels
@@ -139,11 +140,11 @@ class Rows:
 
 @dataclass(frozen=True)
 class Smooth:
-    """A channel's products of F at D = 1 and W = 1, along the axes of F^T F: what `Photograph.rows` scales.
+    """A channel's products of F at one D and at W = 1, along the axes of F^T F: what `Photograph.rows` scales.
 
     Attributes
     ----------
-    squares : (k,), F^T F there; own : (k of Y, k), the axes
+    squares : (k,), F^T F there; own : (k of F, k), the axes, times what D makes of F's columns
     of_light, of_photo : F^T A (k, terms), F^T b (k,); along : of_light along the axes of A^T A
     """
 
@@ -153,10 +154,10 @@ class Smooth:
     of_photo: np.ndarray
     along: np.ndarray
 
-    def at(self, w: float, discrepancy: float) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, w: float) -> tuple[np.ndarray, np.ndarray]:
         """F^T W F (k,), and what makes F^T A and F^T b those of (I + F^T W F)^(-1/2) F^T W: (k,)."""
-        ff = w * discrepancy**2 * self.squares
-        return ff, w * discrepancy / np.sqrt(1 + ff)
+        ff = w * self.squares
+        return ff, w / np.sqrt(1 + ff)
 
 
 class Photograph:
@@ -169,6 +170,8 @@ class Photograph:
     weights : (p, 3) float in [0, 1], 1 over the variance of each channel of each pixel; None: all 1
     coarsening : how many times less a pixel counts than it would
     effective : how many independent channels the misfit is taken to have; None: learned from a first fit
+    slopes : (p, k, 3) float, what the photo may differ by beside noise, each as large as it usually is: what a camera
+        that is a little off makes; None: nothing
 
     Raises
     ------
@@ -176,7 +179,7 @@ class Photograph:
         When the photo is black there.
     """
 
-    def __init__(self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0, effective=None):
+    def __init__(self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0, effective=None, slopes=None):
         self.basis, self._stiff = basis, coarsening
         b = np.asarray(radiance, np.float64) / basis.response
         weight = np.ones_like(b) if weights is None else np.asarray(weights, np.float64)
@@ -189,6 +192,7 @@ class Photograph:
         self._axes = basis.axes if weights is None else [np.linalg.eigh(gram) for gram in self.grams]
         self.count = weight.sum(0)
         self._weight, self._smooth = weight, None
+        self._slopes = None if slopes is None else slopes / (basis.response * self.level)
         self.moments = [basis.rows(c).T @ (weight[:, c] * self.b[:, c]) for c in range(3)]
         self._axis_rows = [np.ascontiguousarray(own.T) for _, own in self._axes]
         self.energies = (weight * self.b**2).sum(0)
@@ -232,14 +236,30 @@ class Photograph:
         together = left.T @ left
         if self._effective is None:
             self.effective = float(np.trace(together) ** 2 / max((together**2).sum(), 1e-300))
-        self._first, self._smooth = predicted, []
+        self._first, self._smooth, self._products = predicted, {}, []
         for c in range(3):
-            f = self.basis.smooth * predicted[:, c, None]
+            f = self._misfits(c)
             weighted = f * self._weight[:, c, None]
-            size, own = np.linalg.eigh(weighted.T @ f)
-            of_light = own.T @ (weighted.T @ self.basis.rows(c))
-            of_photo = own.T @ (weighted.T @ self.b[:, c])
-            self._smooth.append(Smooth(np.maximum(size, 0), own, of_light, of_photo, of_light @ self._axes[c][1]))
+            self._products.append((weighted.T @ f, weighted.T @ self.basis.rows(c), weighted.T @ self.b[:, c]))
+
+    def _misfits(self, c: int) -> np.ndarray:
+        """F of a channel at D = 1, (p, k): what the photo may differ by beside noise."""
+        f = self.basis.smooth * self._first[:, c, None]
+        return f if self._slopes is None else np.concatenate([f, self._slopes[:, :, c]], 1)
+
+    def _at(self, discrepancy: float) -> list[Smooth]:
+        """The products of F of each channel at D."""
+        if discrepancy not in self._smooth:
+            each = []
+            for c, (gram, of_light, of_photo) in enumerate(self._products):
+                unit = np.ones(len(gram))
+                unit[: self.basis.smooth.shape[1]] = discrepancy
+                size, own = np.linalg.eigh(unit[:, None] * gram * unit)
+                own = unit[:, None] * own
+                light = own.T @ of_light
+                each.append(Smooth(np.maximum(size, 0), own, light, own.T @ of_photo, light @ self._axes[c][1]))
+            self._smooth[discrepancy] = each
+        return self._smooth[discrepancy]
 
     def rows(self, v, discrepancy: float) -> Rows:
         """The products at the pixels' noise v (3,), relative to the channels' levels, and at a discrepancy D >= 0."""
@@ -253,8 +273,8 @@ class Photograph:
             if self._smooth is None:
                 gram = np.diag(sizes)
             else:
-                smooth = self._smooth[c]
-                ff, size = smooth.at(w, discrepancy)
+                smooth = self._at(discrepancy)[c]
+                ff, size = smooth.at(w)
                 fa, fb = size[:, None] * smooth.along[:, kept], size * smooth.of_photo
                 gram, moment, energy = -(fa.T @ fa), moment - fa.T @ fb, energy - fb @ fb
                 np.einsum("ii->i", gram)[:] += sizes
@@ -277,9 +297,9 @@ class Photograph:
             weighted = w * self._weight[:, c] * b[:, c]
             out.append(self.basis.rows(c).T @ weighted)
             if self._smooth is not None:
-                smooth = self._smooth[c]
-                of_f = smooth.own.T @ (self.basis.smooth.T @ (self._first[:, c] * weighted))
-                out[c] = out[c] - smooth.of_light.T @ (np.square(smooth.at(w, discrepancy)[1]) / w * of_f)
+                smooth = self._at(discrepancy)[c]
+                of_f = smooth.own.T @ (self._misfits(c).T @ weighted)
+                out[c] = out[c] - smooth.of_light.T @ (np.square(smooth.at(w)[1]) / w * of_f)
         return np.stack(out)
 
     def misfit(self, x) -> np.ndarray:
@@ -294,8 +314,8 @@ class Photograph:
         """Mean square of b - A x - F a with the most probable a, at the noise v and a discrepancy: (3,)."""
         out = self.misfit(x)
         for c in range(3 if self._smooth is not None else 0):
-            w, smooth = 1 / (v[c] * self.coarsening), self._smooth[c]
-            ff, size = smooth.at(w, discrepancy)
+            w, smooth = 1 / (v[c] * self.coarsening), self._at(discrepancy)[c]
+            ff, size = smooth.at(w)
             score = size * (smooth.of_photo - smooth.of_light @ x[c])  # of a in its own unit, (I + F^T W F)^(1/2) a
             out[c] -= (np.square(score) * (2 + ff) / (1 + ff)).sum() / (w * max(self.count[c], 1e-300))
         return np.maximum(out, 0)

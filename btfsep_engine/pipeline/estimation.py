@@ -30,6 +30,7 @@ from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.outlines import near_outlines
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
+from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
 from btfsep_engine.pipeline.resume import estimate_key
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
@@ -135,6 +136,7 @@ REFINEMENTS = (
     left_as_it_is,
     nearer_materials,
     near_outlines,
+    shifted,
     near_lamps,
     ground,
     key_lights,

@@ -28,6 +28,7 @@ class Problem:
     weights : (p, 3) in [0, 1], 1 over the variance of each value; None: all 1
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     nearness : (p, 3), what near lamps make of the values, which is taken off them (`pipeline.refine.near`); or None
+    slopes : (p, k, 3), what ``measured`` may differ by, since the camera may be a little off; or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
@@ -40,6 +41,7 @@ class Problem:
     weights: np.ndarray | None = None
     scales: np.ndarray | None = None
     nearness: np.ndarray | None = None
+    slopes: np.ndarray | None = None
     left_out: int | None = None
 
     @property
@@ -100,6 +102,7 @@ class Problem:
             measured=None if self.measured is None else self.measured[used],
             weights=None if self.weights is None else self.weights[used],
             nearness=None if self.nearness is None else self.nearness[used],
+            slopes=None if self.slopes is None else self.slopes[used],
         )
 
     def of_materials(self, materials, settings: Settings) -> "Problem":

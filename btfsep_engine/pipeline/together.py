@@ -7,6 +7,7 @@ images do not change, so that they are factorised once and a turn takes millisec
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -75,7 +76,8 @@ def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: 
         return LightSolver(stacked(problems)[0], normals=normals, **how)
 
     parts = [[[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]]
-    return kept.recalled("solver", [*parts, order, settings.seed, float(coarsening), list(given)], made)
+    solver = kept.recalled("solver", [*parts, order, settings.seed, float(coarsening), list(given)], made)
+    return solver if (slopes := all_slopes(problems)) is None else solver.with_slopes(slopes)
 
 
 def given_lamps(jobs) -> tuple:
@@ -92,6 +94,17 @@ def all_weights(problems: list[Problem]):
     if all(p.weights is None for p in problems):
         return None
     return np.concatenate([np.ones((len(p.blocks), 3)) if p.weights is None else p.weights for p in problems])
+
+
+def all_slopes(problems: list[Problem]):
+    """(p, k, 3) of all photos, each moved by itself; None where none has any."""
+    if all(p.slopes is None for p in problems):
+        return None
+    each = [np.zeros((len(p.pixels), 0, 3)) if p.slopes is None else p.slopes for p in problems]
+    ends = np.cumsum([0, *(s.shape[1] for s in each)])
+    return np.concatenate(
+        [np.pad(s, ((0, 0), (a, ends[-1] - b), (0, 0))) for s, (a, b) in zip(each, pairwise(ends), strict=True)]
+    )
 
 
 def stacked(problems: list[Problem]):

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A photo a little beside the geometry: its shading says so, and its light is found nearly as well as in line."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.model import view_problem
+from btfsep_engine.pipeline.refine.shift import differences
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen
+
+WHITE = "reference/white-diffuse"
+SETTINGS = choose("draft", bounces=1, directions=1024)
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    """An egg and a pebble under light from above and a side, their photo with a camera's noise, and the light."""
+    egg, pebble = (trimesh.creation.icosphere(4, 1.0) for _ in range(2))
+    egg.apply_scale([0.5, 0.7, 0.45])
+    pebble.apply_scale([0.3, 0.25, 0.35]).apply_translation([0.55, 0.4, 0.0])
+    scene = PreparedScene(job_of([as_mesh(trimesh.util.concatenate([egg, pebble]))], looking_down()), Reporter())
+    truth = np.zeros((9, 3))
+    truth[0], truth[1], truth[2], truth[3], truth[6] = 3.0, 0.9, 1.2, -1.1, 0.5
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    image = np.zeros((96, 96, 3), np.float32)
+    white = open_library(None).load(WHITE)
+    image[tuple(points.pixels.T)] = scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0]
+    return scene, image * np.random.default_rng(0).normal(1, 0.02, image.shape).astype(np.float32), truth
+
+
+def found_of(scene, image, right=0, down=0):
+    photo = replace(scene.job.photo, radiance=np.roll(image, (down, right), (0, 1)))
+    there = PreparedScene(replace(scene.job, photo=photo), Reporter())
+    return estimate(there, open_library(None), SETTINGS, material=WHITE)
+
+
+def test_differences_are_the_photo_moved_turned_and_magnified(photographed):
+    """Of an image that is quadratic in its own place, whose slopes are known."""
+    scene, _, _ = photographed
+    problem = view_problem(scene, [open_library(None).load(WHITE)], SETTINGS)
+    y, x = np.mgrid[:96, :96].astype(float) - 48
+    image = np.stack([2 + 0.01 * x, 3 - 0.02 * y, 1 + 1e-4 * (x * x + x * y)], -1).astype(np.float32)
+    there = replace(
+        problem, scene=PreparedScene(replace(scene.job, photo=replace(scene.job.photo, radiance=image)), Reporter())
+    )
+    right, down, larger, turned = np.moveaxis(differences(there), 1, 0)
+    well = problem.rings > 3
+    y, x = (problem.pixels - 48.0)[well].T
+    np.testing.assert_allclose(right[well], np.stack([0.01 + 0 * x, 0 * x, 1e-4 * (2 * x + y)], 1), atol=2e-4)
+    np.testing.assert_allclose(down[well], np.stack([0 * x, -0.02 + 0 * x, 1e-4 * x], 1), atol=2e-4)
+    cy, cx = problem.pixels.mean(0)
+    far = np.sqrt(np.square(problem.pixels - [cy, cx]).sum(1).mean())
+    x, y = (problem.pixels[well, 1] - cx)[:, None] / far, (problem.pixels[well, 0] - cy)[:, None] / far
+    np.testing.assert_allclose(larger[well], x * right[well] + y * down[well])
+    np.testing.assert_allclose(turned[well], x * down[well] - y * right[well])
+
+
+def test_a_photo_in_line_says_nothing_of_a_shift(photographed):
+    scene, image, truth = photographed
+    found = found_of(scene, image)
+    assert found.model.problems[0].slopes is None and "shift" not in found.choice
+    assert off_as_seen(found.lighting.coefficients, truth) < 0.05
+
+
+@pytest.mark.parametrize(("right", "down", "words"), [(2, 0, "to the right"), (0, -2, "up"), (-2, 1, "to the left")])
+def test_a_photo_beside_its_place_is_seen_to_be_and_loses_little(photographed, right, down, words, monkeypatch):
+    scene, image, truth = photographed
+    found = found_of(scene, image, right, down)
+    assert words in found.choice["shift"] and found.model.problems[0].slopes is not None
+    monkeypatch.setattr("btfsep_engine.pipeline.refine.shift.SPEAKS", np.inf)
+    fixed = found_of(scene, image, right, down)
+    assert "shift" not in fixed.choice and fixed.fit.evidence < found.fit.evidence
+    assert off_as_seen(found.lighting.coefficients, truth) < 0.75 * off_as_seen(fixed.lighting.coefficients, truth)
