@@ -24,7 +24,7 @@ from btfsep_engine.pipeline.together import fit_together
 DARKEST, BRIGHTEST = 0.02, 0.95
 ROUNDS = 2  # of colours and the light that they are seen under
 SETTLED = 0.05  # of a colour: a change by less is not followed
-AGREE = 0.15  # of what is seen, not explained: one colour leaves 0.03 to 0.11, checks 0.5, clutter 0.15 to 0.9
+AGREE = 0.12  # of what is seen, not explained: one colour leaves 0.03 to 0.12, under hard lamps 0.2, checks 0.5
 AGAINST = 5.0  # of the logarithm of the evidence
 LEAST_COSINE = 0.1  # of the way to the objects: one that looks past their middle lights a part of them
 
@@ -57,7 +57,7 @@ def by_own_pixels(straight, model, light, with_reflections) -> Read | None:
         return None
     first, before = light.fit.evidence, np.inf
     for _ in range(ROUNDS):
-        x, found = light.fit.all_coefficients, []
+        x, found = light.fit.all_coefficients, []  # whatever colour the objects are
         for problem, some, exposure in zip(model.problems, places, light.exposures, strict=True):
             found.append(seen_colours(problem, some, exposure * x, model.settings))
         colours = [{k: colour for k, (colour, _) in each.items()} for each in found]
@@ -103,7 +103,8 @@ def seen_colours(problem, places, x, settings) -> dict:
         weight = sent(points, scene.tracer)[:, None]
         colour = (weight * photo).sum(0) / np.maximum((weight * white).sum(0), 1e-300)
         left = (weight * np.square(photo - colour * white)).sum() / (weight * np.square(photo)).sum()
-        out[k] = np.clip(colour, DARKEST, BRIGHTEST), float(np.sqrt(left))
+        colour *= min(1, BRIGHTEST / colour.max())  # brighter than white: the light is, and the hue stays
+        out[k] = np.maximum(colour, DARKEST), float(np.sqrt(left))
     return out
 
 
