@@ -11,6 +11,7 @@ from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.refine import ground
@@ -95,3 +96,17 @@ def test_places_are_means_of_blocks_of_what_shows_the_table(monkeypatch):
     assert 200 < len(fewer) < 900 and sparse.mean(0) == pytest.approx(radiance.mean(0), rel=0.02)
     hidden = replace(job, photo=replace(job.photo, usable=scene.view.mesh == 0))
     assert places_of(PreparedScene(hidden, Reporter()), 0) is None
+
+
+def test_light_of_any_strength_that_reaches_nothing_is_not_believed(monkeypatch):
+    beside = LightSolver.beside_ground
+
+    def run_away(solver, *given, **more):
+        fit = beside(solver, *given, **more)
+        return replace(fit, all_coefficients=4 * fit.all_coefficients)
+
+    plain = estimated(photographed(positive_light(2), evidence=False))
+    monkeypatch.setattr(LightSolver, "beside_ground", run_away)
+    found = estimated(photographed(positive_light(2), evidence=True))
+    assert found.choice["ground"].startswith("not used as evidence: its light would be 4 times")
+    assert np.array_equal(found.fit.all_coefficients, plain.fit.all_coefficients) and found.light.alone is None

@@ -26,6 +26,7 @@ ENOUGH = 100  # pixels of a block: of a large photo not all are read
 FULL = 0.5  # of a block that has to show the ground
 FINER = 2  # rays to each pixel of the sky's map, a side
 WORSE = 1.3  # of the objects' residual: a ground that asks for so much more speaks of something else than their light
+TOO_BRIGHT = 3.0  # times the light of the objects alone: lamps that reach next to nothing may be of any strength
 NOISIEST = 0.15  # of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, checks 40 %
 WHITE = Lambertian("ground/white", np.ones(3))
 
@@ -129,6 +130,9 @@ def ground(model, light):
     if noise > NOISIEST:
         why = f"not used as evidence: it is not of one colour, or not matte ({100 * noise:.0f} % is not explained)"
         return model, light, {"ground": why}
+    brighter = float(fit.all_coefficients[0].mean() / light.fit.all_coefficients[0].mean())
+    if not brighter < TOO_BRIGHT:  # nor is what is no number
+        return model, light, {"ground": f"not used as evidence: its light would be {brighter:.0f} times the objects'"}
     if fit.residual > WORSE * light.fit.residual:
         model.reporter.warn(
             "what is seen of the ground does not go with the objects: the light that explains its shadows explains "
