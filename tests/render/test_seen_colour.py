@@ -14,7 +14,7 @@ from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.following import Follower
-from btfsep_engine.pipeline.refine.seen_colour import seen_colours, seen_places
+from btfsep_engine.pipeline.refine.seen_colour import BRIGHTEST, seen_colours, seen_places
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -91,6 +91,13 @@ def test_of_permuted_channels_the_colour_is_permuted(shown, found):
     assert 0.005 < left < 0.06
     again = estimated(photo_of(shown)[..., order])
     np.testing.assert_allclose(again.scene.colours[0], found.scene.colours[0][order], rtol=0.1)
+
+
+def test_under_a_light_taken_too_dark_the_hue_stays(found):
+    problem = found.model.problems[0]
+    ((colour, _),) = seen_colours(problem, seen_places(problem.scene), 0.2 * TRUTH, SETTINGS).values()
+    assert colour.max() == pytest.approx(BRIGHTEST)
+    np.testing.assert_allclose(colour[1:] / colour[0], COLOUR[1:] / COLOUR[0], rtol=0.1)
 
 
 def test_where_the_photo_does_not_show_it_nothing_is_read(shown):
