@@ -10,8 +10,10 @@ from .errors import InputError
 MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
     ("MATERIAL", "Choose Material", "Choose the object's material in the library"),
+    ("AGX", "Read as AgX", "Read the photo as a render that was saved with AgX; estimate again afterwards"),
     ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
 )
+READ_AS = {"AGX": "agx", "CURVE": "unknown"}
 
 
 class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):
@@ -33,8 +35,8 @@ class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):
 
     def do(self, context):
         settings = context.scene.btfsep
-        if self.how == "CURVE":
-            settings.curve = "unknown"
+        if self.how in READ_AS:
+            settings.curve = READ_AS[self.how]
             return
         if settings.depth is None:
             named = (n for n, e in enumerate(settings.objects) if e.object and self.object in ("", e.object.name))

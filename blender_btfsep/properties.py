@@ -30,6 +30,7 @@ CURVES = (
     ("auto", "Automatic", "As the image's colour space says: PNG, JPEG, TIFF and WebP in sRGB, EXR and HDR linear"),
     ("srgb", "sRGB", "The file's whole numbers are coded in sRGB"),
     ("linear", "Linear", "The file's whole numbers are in proportion to the light"),
+    ("agx", "AgX", "A render that was saved with AgX, Blender's own view transform"),
     ("unknown", "Unknown", "A curve from linear to steeper than sRGB is found that explains the photo best"),
 )
 OVERLAYS = (

@@ -10,6 +10,7 @@ from .errors import InputError
 READ = {
     "srgb": "read as sRGB",
     "linear": "read as linear light",
+    "agx": "read as a render saved with AgX",
     "unknown": "its tone curve is found from the photo",
 }
 

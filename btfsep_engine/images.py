@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from btfsep_engine import atomic
+from btfsep_engine import agx, atomic
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
 
@@ -26,7 +26,7 @@ import cv2  # noqa: E402
 
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
-COLORSPACES = ("auto", "srgb", "linear")
+COLORSPACES = ("auto", "srgb", "linear", "agx")
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # of what is read, in small letters
 _EXR = b"\x76\x2f\x31\x01"
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
@@ -79,7 +79,8 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     Parameters
     ----------
     path : file
-    colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb" or "linear"
+    colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb", "linear",
+        or "agx": integers are a picture that Blender's view transform made
     max_pixels : refuse larger images, and those that do not say their size, before anything is decoded
 
     Raises InputError: the file is missing, unreadable, truncated, no image, of no size or of an absurd one.
@@ -90,7 +91,11 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
     saturated = clipped.any(-1)
     coded = peak is not None if colorspace == "auto" else colorspace == "srgb"
-    if peak is not None:
+    if peak is not None and colorspace == "agx":
+        stored = np.repeat(stored, 3, -1) if stored.shape[-1] == 1 else stored
+        clipped = np.broadcast_to(clipped, stored.shape)
+        pixels = agx.to_linear(stored / peak).astype(np.float32)
+    elif peak is not None:
         codes = np.arange(peak + 1) / peak
         pixels = (srgb_to_linear(codes) if coded else codes).astype(np.float32)[stored]
     else:

@@ -19,10 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from btfsep_engine import agx
 from btfsep_engine.images import srgb_to_linear
 
 STRAIGHT = 0.04045  # codes below which sRGB is linear
 PRIOR = {0.0: 0.25, 0.25: 0.0625, 0.5: 0.0625, 0.75: 0.0625, 1.0: 0.5, 1.25: 0.0625}  # of the parameter t
+OF_AGX = 0.0625
 OFFSET_PRIOR = 0.2
 DOUBT = 3.0
 LARGEST_OFFSET = 0.05  # of the largest code
@@ -73,7 +75,30 @@ class ToneCurve:
         return text + (f", with codes from {255 * self.offset:.0f} of 255 on above black" if self.offset else "")
 
 
-LINEAR, SRGB = ToneCurve(0.0), ToneCurve(1.0)
+@dataclass(frozen=True)
+class AgX:
+    """Blender's view transform, in the place of a `ToneCurve`: its channels depend on each other (`agx`)."""
+
+    def decode(self, codes) -> np.ndarray:
+        """Linear radiance of codes (..., 3); colours that no light makes are negative. float64."""
+        return agx.to_linear(codes)
+
+    def log_slope(self, codes) -> np.ndarray:
+        """A third of the logarithm of the derivative's determinant, for each channel: (..., 3)."""
+        return np.repeat(agx.log_volume(codes)[..., None] / 3, 3, -1)
+
+    @property
+    def log_prior(self) -> float:
+        """Of it among the candidates."""
+        return float(np.log(OF_AGX) + np.log(1 - OFFSET_PRIOR))
+
+    @property
+    def description(self) -> str:
+        """For people."""
+        return "Blender's view transform AgX"
+
+
+LINEAR, SRGB, AGX = ToneCurve(0.0), ToneCurve(1.0), AgX()
 CANDIDATES = tuple(ToneCurve(t) for t in PRIOR)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.tone_curve import (
+    AGX,
     CANDIDATES,
     SRGB,
     ToneCurve,
@@ -73,12 +74,12 @@ def with_curves(problems, settings: FitSettings) -> list:
     codes = [codes_of(p.scene.job) if _is_sought(p.scene) else None for p in problems]
     if all(c is None for c in codes):
         return problems
-    curves = list(CANDIDATES)
+    curves = [*CANDIDATES, AGX]
     logs = [_log_of(curve, problems, codes, settings) for curve in curves]
     photos = [(c, p.scene.job.photo) for c, p in zip(codes, problems, strict=True) if c is not None]
     offset = min(darkest_offset(c[photo.usable]) for c, photo in photos)
     if offset:
-        at = int(np.argmax(logs))
+        at = int(np.argmax(logs[: len(CANDIDATES)]))
         for near in CANDIDATES[max(at - 1, 0) : at + 2]:
             curves.append(ToneCurve(near.steepness, offset))
             logs.append(_log_of(curves[-1], problems, codes, settings))

@@ -266,13 +266,13 @@ def test_icons_show_the_picture_that_is_kept(lit):
     assert middle[1] > max(middle[0], middle[2]) and middle[3] == 1
 
 
-@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE"])
+@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE", "AGX"])
 def test_doubts_are_mended_where_they_arise(photographed, how):
     bpy.ops.mesh.primitive_monkey_add()
     photographed.btfsep.objects.add().object = bpy.context.object
     assert bpy.ops.btfsep.mend(how=how, object="Suzanne") == {"FINISHED"}
-    if how == "CURVE":
-        assert photographed.btfsep.curve == "unknown"
+    if how in ("CURVE", "AGX"):
+        assert photographed.btfsep.curve == {"CURVE": "unknown", "AGX": "agx"}[how]
         return
     assert photographed.btfsep.active_object == 1
     assert [e.source for e in photographed.btfsep.objects] == ["RECOGNISE", {"MATERIAL": "LIBRARY"}.get(how, how)]

@@ -11,7 +11,7 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.tone_curve import LINEAR, SRGB, ToneCurve
+from btfsep_engine.fit.tone_curve import AGX, LINEAR, SRGB, ToneCurve
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
@@ -64,9 +64,10 @@ def ball():
 def seen(ball, curve, said):
     """The scene with a photo that ``curve`` coded in 8 bits, of a job that says that it is ``said``."""
     scene, image = ball
-    codes = np.linspace(0, 1, 1 << 16)
-    codes = np.round(np.interp(image, curve.decode(codes), codes) * 255) / 255
-    read = LINEAR if said == "linear" else SRGB
+    codes = np.linspace(0, 1, 1 << 12 if curve is AGX else 1 << 16)  # the ball is grey: so is a column of AgX's
+    decoded = curve.decode(np.repeat(codes[:, None], 3, 1))[:, 1] if curve is AGX else curve.decode(codes)
+    codes = np.round(np.interp(image, decoded, codes) * 255) / 255
+    read = {"linear": LINEAR, "agx": AGX}.get(said, SRGB)
     out = PreparedScene(scene.job, Reporter())
     photo = Photo(read.decode(codes).astype(np.float32), np.ones(codes.shape[:2], bool), 0, bits=8)
     out.job = replace(scene.job, photo=photo, image_colorspace=said)
@@ -84,12 +85,25 @@ def test_an_unknown_curve_is_found_and_the_light_with_it(ball, curve):
     scene = seen(ball, curve, "unknown")
     found = estimate(scene, Grey(), SETTINGS, material="grey")
     curves = found.scene.curves
-    share = {c.steepness: share for c, share in zip(curves.curves, curves.shares, strict=True) if not c.offset}
+    pairs = zip(curves.curves, curves.shares, strict=True)
+    share = {c.steepness: share for c, share in pairs if c is not AGX and not c.offset}
     assert share[curve.steepness] > (0.9 if curve in (LINEAR, SRGB) else 0.25)  # seldom ones are believed less
     assert curve.description in found.choice["curve"]
     assert off(found) < 0.15
     if curve is LINEAR:
         assert off(estimate(seen(ball, curve, "srgb"), Grey(), SETTINGS, material="grey")) > 2 * off(found)
+
+
+def test_a_render_saved_with_agx_is_found_said_and_doubted_to_be_one(ball):
+    found = estimate(seen(ball, AGX, "unknown"), Grey(), SETTINGS, material="grey")
+    assert found.scene.curves.curves[0] is AGX and AGX.description in found.choice["curve"] and off(found) < 0.15
+    said = seen(ball, AGX, "agx")
+    stated = estimate(said, Grey(), SETTINGS, material="grey")
+    assert f"{AGX.description}, as stated" in stated.choice["curve"] and off(stated) < 0.15
+    assert not any("tone curve" in each for each in said.reporter.warnings)
+    taken = seen(ball, AGX, "auto")
+    assert off(estimate(taken, Grey(), SETTINGS, material="grey")) > 1.5 * off(stated)
+    assert any("as Blender's view transform AgX the light would" in each for each in taken.reporter.warnings)
 
 
 def test_samples_are_a_mixture_over_the_curves_that_are_nearly_as_probable(ball):

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.fit.stated import restated
-from btfsep_engine.fit.tone_curve import LINEAR, SRGB, ToneCurve, importance, log_probability
+from btfsep_engine.fit.tone_curve import AGX, LINEAR, SRGB, ToneCurve, importance, log_probability
 from btfsep_engine.pipeline.together import all_weights
 from btfsep_engine.pipeline.tone import codes_of, is_coded
 
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
+NAMES = {"srgb": "sRGB", "linear": "linear", "agx": "Blender's view transform AgX"}
 FAR = 15.0  # of the logarithm of the probability: how much more another curve has to explain before it is said
 
 
@@ -64,14 +65,14 @@ def curve_words(problems) -> str:
                 "linear, as floating-point numbers are" if bits is None else "sRGB, as whole numbers are by default"
             )
         else:
-            said.append(f"{'sRGB' if stated == 'srgb' else 'linear'}, as stated")
+            said.append(f"{NAMES[stated]}, as stated")
     return f"the photo's tone curve is {' | '.join(dict.fromkeys(said))}"
 
 
 def curve_doubts(problems, light) -> list[str]:
-    """That an 8-bit photo's own curve, sRGB or linear, explains it far worse than the other would."""
+    """That an 8-bit photo's own curve, sRGB or linear, explains it far worse than the other, or AgX, would."""
     jobs = [p.scene.job for p in problems]
-    if light.solver is None or any(j.photo.bits != 8 or j.image_colorspace == "unknown" for j in jobs):
+    if light.solver is None or any(j.photo.bits != 8 or j.image_colorspace in ("unknown", "agx") for j in jobs):
         return []
     if len({is_coded(j) for j in jobs}) > 1:
         return []
@@ -82,14 +83,17 @@ def curve_doubts(problems, light) -> list[str]:
     own = all_weights(problems)
     weights = importance(codes, np.zeros(codes.shape, bool) if own is None else own < 1)
     logs = []
-    for curve in (LINEAR, SRGB):
+    for curve in (LINEAR, SRGB, AGX):
         read = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
         answer = light.solver.solve(light.radiance(read), weights=weights, start=light.of_objects)
         logs.append(log_probability(answer, curve.log_slope(codes) - np.log(unit), weights))
-    if logs[1 - coded] - logs[coded] < FAR:
+    best = int(np.argmax(logs))
+    if logs[best] - logs[coded] < FAR:
         return []
-    read, other = ("sRGB", "linear") if coded else ("linear", "sRGB")
-    return [
-        f"the photo's tone curve is doubtful: it was read as {read}, and as {other} the light would explain it far "
-        f"better; if you know the curve, state it (image_colorspace), else 'unknown' finds one (--colorspace unknown)"
-    ]
+    read, other = "sRGB" if coded else "linear", (LINEAR, SRGB, AGX)[best].description
+    what = f"the photo's tone curve is doubtful: it was read as {read}, and as {other} the light would explain it far"
+    if best == 2:
+        mend = "if it is a render that was saved with that view, state it (image_colorspace, --colorspace agx)"
+    else:
+        mend = "if you know the curve, state it (image_colorspace), else 'unknown' finds one (--colorspace unknown)"
+    return [f"{what} better; {mend}"]

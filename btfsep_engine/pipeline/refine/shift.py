@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.fit.diagnose import effect
+from btfsep_engine.pipeline.refine.outlines import is_rim_lit
 from btfsep_engine.pipeline.together import all_weights, fit_together, stacked
 
 USUAL = 0.5  # pixels, at the middle of an object's extent: a deviation of each difference
@@ -26,7 +27,8 @@ REACH, BLUR = 2, 1.0  # cells about a pixel of which its slope is; pixels of a G
 
 def shifted(model, light):
     """The refinement: differences that a camera makes which is a little off."""
-    if light.solver is None or any(problem.slopes is not None for problem in model.problems):
+    known = any(problem.slopes is not None for problem in model.problems)
+    if light.solver is None or known or is_rim_lit(model.problems):
         return model, light, {}
     with model.reporter.stage("fit"):
         slopes = [differences(problem) for problem in model.problems]

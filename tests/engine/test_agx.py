@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The inverse of Blender's AgX, against its published approximation and against its own derivative."""
+
+import cv2
+import numpy as np
+import pytest
+
+from btfsep_engine import agx, images
+
+# AgX as other renderers approximate it (B. Wrensch; Filament and three.js, there "based on Blender's implementation")
+TO_2020 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
+INSET = np.array(
+    [
+        [0.856627153315983, 0.0951212405381588, 0.0482516061458583],
+        [0.137318972929847, 0.761241990602591, 0.101439036467562],
+        [0.11189821299995, 0.0767994186031903, 0.811302368396859],
+    ]
+)
+OUTSET = np.array(
+    [
+        [1.1271005818144368, -0.11060664309660323, -0.016493938717834573],
+        [-0.1413297634984383, 1.157823702216272, -0.016493938717834257],
+        [-0.14132976349843826, -0.11060664309660294, 1.2519364065950405],
+    ]
+)
+CURVE = [15.5, -40.14, 31.96, -6.868, 0.4298, 0.1191, -0.00232]
+
+
+def approximately(radiance):
+    """sRGB codes (n, 3) of linear Rec.709 (n, 3)."""
+    x = np.log2(np.maximum(radiance @ TO_2020.T @ INSET.T, 1e-10))
+    x = np.polyval(CURVE, np.clip((x + 12.47393) / 16.5, 0, 1))
+    return images.linear_to_srgb(np.maximum(x @ OUTSET.T, 0) ** 2.2 @ np.linalg.inv(TO_2020).T)
+
+
+def test_greys_stay_grey_and_brighter_codes_are_brighter():
+    codes = np.repeat(np.linspace(0, 1, 256)[:, None], 3, 1)
+    grey = agx.to_linear(codes)
+    assert (np.ptp(grey, axis=1) < 0.04 * grey.max(1))[20:].all()
+    assert (np.diff(grey[:, 1]) > 0).all() and grey[0, 1] < 1e-3 and 15 < grey[-1, 1] < 18
+
+
+def off(found, radiance) -> np.ndarray:
+    """Relative, with one free scale."""
+    found = found * np.median(radiance.sum(1) / found.sum(1))
+    return np.linalg.norm(found - radiance, axis=1) / np.linalg.norm(radiance, axis=1)
+
+
+def test_it_undoes_the_published_approximation_as_nearly_as_that_is_right():
+    bright = np.random.default_rng(0).uniform(-5, 1, (4000, 1))
+    radiance = 2.0**bright * np.random.default_rng(1).uniform(0.2, 1, (4000, 3))
+    codes = np.clip(approximately(radiance), 0, 1)
+    assert np.median(off(agx.to_linear(codes), radiance)) < 0.1
+    assert np.percentile(off(agx.to_linear(codes), radiance), 95) < 0.15
+    assert np.median(off(images.srgb_to_linear(codes), radiance)) > 1.5 * np.median(off(agx.to_linear(codes), radiance))
+
+
+def test_its_volume_is_that_of_small_changes():
+    random = np.random.default_rng(2)
+    codes = (random.integers(2, 22, (50, 3)) + random.uniform(0.3, 0.7, (50, 3))) / 24  # within a cell of the table
+    small = 1e-4 * np.eye(3)
+    columns = np.stack([(agx.to_linear(codes + s) - agx.to_linear(codes - s)) / 2e-4 for s in small], -1)
+    np.testing.assert_allclose(agx.log_volume(codes), np.log(np.abs(np.linalg.det(columns))), atol=0.02)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("p.png", np.uint8), ("p.png", np.uint16), ("grey.png", np.uint8)])
+def test_pictures_are_read_by_it(tmp_path, name, kind):
+    codes = np.random.default_rng(3).uniform(0.1, 0.9, (20, 30) if "grey" in name else (20, 30, 3))
+    stored = np.round(codes * np.iinfo(kind).max).astype(kind)
+    cv2.imwrite(str(tmp_path / name), stored if "grey" in name else stored[..., ::-1])
+    read = images.read_linear(tmp_path / name, colorspace="agx")
+    expected = agx.to_linear(np.broadcast_to((stored / np.iinfo(kind).max).reshape(20, 30, -1), (20, 30, 3)))
+    np.testing.assert_allclose(read.pixels, expected, rtol=1e-5, atol=1e-6)
+    assert read.usable.all() and read.bits == (8 if kind is np.uint8 else 16)
