@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Takes plates as users have them, with Cycles: ``python -m scripts.cycles.plates`` with {"plates", "folder"} as JSON.
+
+Each plate of `scripts.studies.plates` leaves a folder with a job as the add-on exports it, the camera a little off if
+it is to be, and ``linear.exr``, what the camera saw before it was coded. What is there already stays.
+"""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import bpy
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from blender_btfsep import own_surface
+from blender_btfsep.export import export_job
+from btfsep_engine.images import linear_to_srgb
+from scripts.cycles import materials, objects, studio
+
+RESOLUTION, SAMPLES, FILL, TABLE = 256, 64, 0.7, 1.2  # pixels; a pixel; of the frame; metres
+BRIGHT, AT = 98, 0.9  # percentile of the pixels that is exposed so bright
+JPEG = 92
+
+
+def principled(name: str, surface) -> bpy.types.Material:
+    """A material of a plate's colour, roughness and metal."""
+    material = bpy.data.materials.new(name)
+    tree = materials.node_tree(material)
+    bsdf, out = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
+    bsdf.inputs["Base Color"].default_value = (*surface["colour"], 1)
+    bsdf.inputs["Roughness"].default_value = surface["roughness"]
+    bsdf.inputs["Metallic"].default_value = surface["metallic"]
+    tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
+    return material
+
+
+def coded(scene, linear, folder: Path, curve: str) -> Path:
+    """The photo as the user has it: floats, or a JPEG by sRGB or by AgX, exposed for its bright parts."""
+    if curve == "floats":
+        return folder / "linear.exr"
+    stops = math.log2(AT / np.percentile(linear.max(-1), BRIGHT))
+    path, image = folder / "photo.jpg", linear * 2.0**stops
+    if curve == "srgb":
+        codes = np.round(255 * np.clip(linear_to_srgb(np.clip(image, 0, 1)), 0, 1)).astype(np.uint8)
+        cv2.imwrite(str(path), codes[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG])
+        return path
+    view, settings = scene.view_settings, scene.render.image_settings
+    kept = bpy.data.images.load(str(folder / "linear.exr"))
+    view.view_transform, view.exposure = "AgX", stops
+    settings.file_format, settings.quality = "JPEG", JPEG
+    kept.save_render(str(path), scene=scene)
+    return path
+
+
+def take(plate, folder: Path) -> None:
+    """One plate."""
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = studio.clear()
+    scene.world = studio.make_world(plate["light"], rotation_euler=(0, 0, math.radians(plate["turn"])))
+    thing = objects.build(plate["object"], seed=plate["seed"], view=studio.VIEW_FROM)
+    thing.data.materials.append(principled("own", plate["surface"]))
+    if plate["sun"]:
+        studio.add_sun(plate["sun"]["direction"], plate["sun"]["irradiance"], degrees=0.53)
+    table = []
+    if plate["table"]:
+        low = objects.vertex_positions(thing.data)[:, 2].min()
+        table = [studio.add_table(low, TABLE, plate["table"])]
+    data = bpy.data.cameras.new("camera")
+    data.lens, data.sensor_width, data.clip_start = studio.LENS_MM, studio.SENSOR_MM, 0.01
+    scene.camera = bpy.data.objects.new("camera", data)
+    scene.collection.objects.link(scene.camera)
+    scene.render.resolution_x = scene.render.resolution_y = RESOLUTION
+    studio.aim(scene.camera, objects.vertex_positions(thing.data), fill=FILL)
+    bpy.context.view_layer.update()
+    studio.denoise(scene)
+    linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)
+    photo = coded(scene, linear, folder, plate["curve"])
+    told = {"image_path": photo, "objects": [thing], "occluders": table}
+    told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}
+    for name, (right, down) in (("in line", (0, 0)), ("job", plate["off"])):
+        data.shift_x, data.shift_y = -right / RESOLUTION, down / RESOLUTION
+        export_job(scene, folder / name, **told)
+
+
+if __name__ == "__main__":
+    given = json.load(sys.stdin)
+    for plate in tqdm(given["plates"], desc="plates"):
+        where = Path(given["folder"]) / plate["name"]
+        if not (where / "job" / "job.json").exists():
+            with studio.quiet():
+                take(plate, where)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Plates as users have them: everyday surfaces, tables, suns, JPEG by sRGB or AgX, a camera a little off; by Cycles.
+
+scripts/study plates FOLDER --make     takes them, once
+scripts/study plates FOLDER
+
+Objects of a plain Blender material ("as in Blender" in the job), alone or on a coloured table whose material the job
+has, under Blender's studio lights, turned, half of them with a Sun lamp. Each is estimated as the job is (*as it
+is*), with the camera in line (*in line*), and a render that was saved with AgX also as if it were sRGB (*taken for
+sRGB*). The error of plates with a table is that of the light from above it: what comes from below, nothing in such a
+photo shows.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from btfsep_engine import sh
+from btfsep_engine.job.load import load_job
+from scripts.cycles.lights import studio_lights, true_lighting
+from scripts.studies import parser, photos, tables
+from scripts.studies.estimates import estimated, scene_of, worth
+from scripts.studies.ground import above
+from scripts.studies.measures import order2
+
+SETS = {"first": 1, "second": 2}  # seeds; constants of the estimator were looked at on neither
+COUNT = 32
+OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
+COLOURS = {
+    "teal": (0.05, 0.35, 0.33), "red": (0.5, 0.04, 0.03), "clay": (0.55, 0.28, 0.17), "white": (0.78, 0.78, 0.76),
+    "grey": (0.3, 0.3, 0.3), "yellow": (0.75, 0.5, 0.05), "navy": (0.03, 0.05, 0.2), "green": (0.12, 0.3, 0.06),
+}  # fmt: skip
+SURFACES = {"matte": (0.9, 0), "satin": (0.5, 0), "gloss": (0.2, 0), "metal": (0.4, 1)}  # roughness, metallic
+OF_SURFACES = (0.35, 0.3, 0.25, 0.1)
+CURVES = ("srgb", "srgb", "agx", "floats")
+WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
+SUN_COLOUR = np.array([1.05, 1.0, 0.9])
+AS_IS, IN_LINE, AS_SRGB = "as it is", "in line", "taken for sRGB"
+
+
+def drawn(seed: int) -> list[dict]:
+    """The plates of a set, as `scripts.cycles.plates` takes them; ``kinds`` in words."""
+    random, out = np.random.default_rng(seed), []
+    lights, colours = sorted(studio_lights()), list(COLOURS)
+    for i in range(COUNT):
+        kind = random.choice(list(SURFACES), p=OF_SURFACES)
+        colour, light, top = random.choice(colours), str(random.choice(lights)), random.choice(colours)
+        turn, off, way = random.uniform(0, 360), int(random.integers(3)), random.uniform(0, 2 * np.pi)
+        azimuth, height, table = random.uniform(0, 2 * np.pi), random.uniform(0.35, 1.2), random.random() < WITH_TABLE
+        sunny, curve = random.random() < WITH_SUN, str(random.choice(CURVES))
+        towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
+        strength = SUNNY * np.sqrt(4 * np.pi) * true_lighting(light, 0).mean()
+        roughness, metallic = SURFACES[kind]
+        out.append(
+            {
+                "name": f"{i:02d}",
+                "object": OBJECTS[i % len(OBJECTS)],
+                "seed": 11 + i,
+                "surface": {"colour": COLOURS[colour], "roughness": roughness, "metallic": metallic},
+                "light": light,
+                "turn": turn,
+                "sun": {"direction": towards, "irradiance": list(strength * SUN_COLOUR)} if sunny else None,
+                "table": COLOURS[top] if table else None,
+                "curve": curve,
+                "off": [off * np.cos(way), off * np.sin(way)],
+                "kinds": [f"{off} px off" if off else "in line", curve, "on a table" if table else "alone", str(kind)],
+            }
+        )
+    return out
+
+
+def truth(plate) -> np.ndarray:
+    """The light's coefficients (100, 3)."""
+    c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
+    x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+    if plate["sun"]:
+        beam = sh.evaluate(9, np.array([plate["sun"]["direction"]]))[0]
+        x = x + beam[:, None] * plate["sun"]["irradiance"]
+    return x
+
+
+def study(plate, folder: Path, way: str) -> dict:
+    """One estimate."""
+    where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
+    scene = scene_of(load_job(where, colorspace="auto" if way == AS_SRGB else None))
+    found, true = estimated(scene), truth(plate)
+    row = {"name": plate["name"], "way": way, "kinds": plate["kinds"], "choice": found.choice} | worth(found, true)
+    row["error"] = order2(above(found.fit.all_coefficients), above(true)) if plate["table"] else row["order2"]
+    row["over"] = row["error"] / row["stated2"]
+    row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)
+    return row
+
+
+COLUMNS = (
+    ("plates", lambda rows: len(rows)),
+    ("error", tables.spread_of("error")),
+    ("direction", tables.spread_of("direction", "{:.1f}°")),
+    ("stated", tables.median_of("stated2")),
+    ("over stated", tables.spread_of("over")),
+    ("95 % range", tables.percent_of("inside")),
+    ("curve doubted", tables.percent_of("curve doubted")),
+)
+
+
+def groups(rows):
+    """All of each way, then those as they are by what they have."""
+    yield from (((f"**{way}**",), some) for way, some in tables.groups(rows, "way", every=None))
+    own = [r for r in rows if r["way"] == AS_IS]
+    for kind in sorted({k for r in own for k in r["kinds"]}):
+        yield (kind,), [r for r in own if kind in r["kinds"]]
+
+
+def main(arguments) -> int:
+    options = parser("plates", __doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--make", action="store_true", help="take the plates")
+    options.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
+    options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
+    given = options.parse_args(arguments)
+    places = [(given.folder.resolve() / name, drawn(SETS[name])) for name in given.sets]
+    if given.make:
+        for folder, plates in places:
+            photos.in_blender("scripts.cycles.plates", {"plates": plates, "folder": str(folder)})
+        return 0
+    todo = [(plate, folder, way) for folder, plates in places for plate in plates for way in (AS_IS, IN_LINE, AS_SRGB)]
+    todo = [t for t in todo if t[2] != AS_SRGB or t[0]["curve"] == "agx"]
+    todo = [t for t in todo if t[2] != IN_LINE or any(t[0]["off"])]
+    rows = [study(*each) for each in tqdm(todo)]
+    if given.numbers:
+        given.numbers.write_text(json.dumps(rows, default=lambda a: np.asarray(a).tolist()))
+    print(tables.summary(("plates",), COLUMNS, groups(rows)))
+    return 0
