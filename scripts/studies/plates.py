@@ -65,7 +65,7 @@ def drawn(seed: int) -> list[dict]:
                 "table": COLOURS[top] if table else None,
                 "curve": curve,
                 "off": [off * np.cos(way), off * np.sin(way)],
-                "kinds": [f"{off} px off" if off else "in line", curve, "on a table" if table else "alone", str(kind)],
+                "kinds": [f"{off} px off", curve, "on a table" if table else "alone", str(kind)],
             }
         )
     return out
@@ -86,7 +86,8 @@ def study(plate, folder: Path, way: str) -> dict:
     where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
     scene = scene_of(load_job(where, colorspace="auto" if way == AS_SRGB else None))
     found, true = estimated(scene), truth(plate)
-    row = {"name": plate["name"], "way": way, "kinds": plate["kinds"], "choice": found.choice} | worth(found, true)
+    row = {"name": plate["name"], "way": way, "kinds": plate["kinds"], "choice": found.choice}
+    row |= worth(found, true, free_scale=True)
     row["error"] = order2(above(found.fit.all_coefficients), above(true)) if plate["table"] else row["order2"]
     row["over"] = row["error"] / row["stated2"]
     row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)

@@ -12,7 +12,7 @@ def test_plates_are_drawn_alike_and_of_all_kinds():
     one, again, other = plates.drawn(1), plates.drawn(1), plates.drawn(2)
     assert one == again and one != other
     kinds = {k for plate in one + other for k in plate["kinds"]}
-    assert {"in line", "1 px off", "2 px off", "srgb", "agx", "floats", "alone", "on a table"} <= kinds
+    assert {"0 px off", "1 px off", "2 px off", "srgb", "agx", "floats", "alone", "on a table"} <= kinds
     assert all(
         np.hypot(*p["off"]) == pytest.approx(int(p["kinds"][0][0]) if p["kinds"][0][0].isdigit() else 0) for p in one
     )
@@ -24,7 +24,7 @@ def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
     plate = {
         "name": "00", "object": "suzanne", "seed": 0, "light": "sunset", "turn": 130.0, "sun": None, "table": None,
         "surface": {"colour": (0.5, 0.5, 0.5), "roughness": 0.9, "metallic": 0}, "curve": "agx", "off": [0.0, 0.0],
-        "kinds": ["in line", "agx", "alone", "matte"],
+        "kinds": ["0 px off", "agx", "alone", "matte"],
     }  # fmt: skip
     studio_plates.take(plate, tmp_path / "00")
     row = plates.study(plate, tmp_path, plates.AS_IS)

@@ -17,6 +17,9 @@ NEAR = 2  # rings of `render.outlines`, beside the one that is left out
 LEAST = 20  # pixels of a kind; fewer tell no variance
 FLOOR = 0.02  # of the photo's root mean square: so well no pixel is known to be explained
 ALIKE = 0.8  # a weight that is not worth a fit
+SMALLEST = (
+    0.05  # a weight: what is explained worse still is a rim that is lit from behind, rather than a camera's doing
+)
 ROUNDS = 2
 RIM_LIT = 1.6  # of the others' root mean square radiance; on 24 plates by Cycles, lit from all sides, it is 0.2 to 1.5
 
@@ -42,7 +45,7 @@ def near_outlines(model, light):
     if shares is None:
         return model, light, {}
     each = " and ".join(f"{1 / np.sqrt(share):.1f}" for share in shares)
-    why = f"pixels near outlines are explained {each} times as badly as the others, and count by so much less"
+    why = f"pixels near outlines are explained {each} times as badly as the others or worse, and count by so much less"
     return model, light, {"outlines": f"{why}: the camera may be a little off"}
 
 
@@ -67,7 +70,7 @@ def _factor(problem, share: float) -> np.ndarray:
 
 
 def _shares(problems, own, light) -> list[float]:
-    """Of each photo the variance of pixels that are not near outlines over that of those that are, at most 1."""
+    """Of each photo the variance of pixels that are not near outlines over that of those that are: `SMALLEST` to 1."""
     out = []
     left = np.split(light.left_over(problems), np.cumsum([len(w) for w in own])[:-1])
     for problem, weights, rest in zip(problems, own, left, strict=True):
@@ -79,5 +82,5 @@ def _shares(problems, own, light) -> list[float]:
             out.append(1.0)
             continue
         others, beside = (float(square[which].sum() / max(weights[which].sum(), 1e-300)) for which in (~near, near))
-        out.append(min(1.0, max(others, FLOOR**2) / max(beside, 1e-300)))
+        out.append(float(np.clip(max(others, FLOOR**2) / max(beside, 1e-300), SMALLEST, 1.0)))
     return out
