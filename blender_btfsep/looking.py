@@ -56,11 +56,13 @@ def image_editor(context):
 def look_of(scene) -> dict:
     """What of the scene's colour management must change, so that a render shows colours as the photo does.
 
-    A file of whole numbers that is shown in sRGB has been through no view transform but Standard. A linear photo has no
-    look of its own: Standard shows it as Blender's background image does.
+    A file of whole numbers that is shown in sRGB has been through no view transform but Standard, unless it is read as
+    a render saved with AgX. A linear photo has no look of its own: Standard shows it as the background image is shown.
     """
-    view = scene.view_settings
-    return {name: value for name, value in STANDARD.items() if getattr(view, name) != value}
+    view, image = scene.view_settings, scene.btfsep.image
+    agx = scene.btfsep.curve == "agx" and image is not None and not image.is_float
+    wanted = STANDARD | {"view_transform": "AgX"} if agx else STANDARD
+    return {name: value for name, value in wanted.items() if getattr(view, name) != value}
 
 
 class BTFSEP_OT_rendered_view(runs.Greyed, runs.AtOnce, bpy.types.Operator):

@@ -15,6 +15,7 @@ from blender_btfsep import (
     kept_light,
     light_picture,
     lighting_file,
+    looking,
     meshes,
     outlines,
     request,
@@ -250,6 +251,14 @@ def test_the_rendered_view_has_the_photos_colours_and_says_what_it_changed(lit, 
     bpy.ops.ed.undo_push(message="looked")
     bpy.ops.ed.undo()
     assert bpy.context.scene.view_settings.view_transform == "AgX" and not bpy.context.scene.render.film_transparent
+
+
+def test_a_plate_that_is_read_as_agx_is_looked_at_through_agx(lit):
+    lit.btfsep.image, lit.btfsep.curve = bpy.data.images.new("plate", 8, 8), "agx"
+    lit.view_settings.view_transform, lit.view_settings.exposure = "Standard", 0.5
+    assert looking.look_of(lit) == {"view_transform": "AgX", "exposure": 0.0}
+    lit.btfsep.image = bpy.data.images.new("floats", 8, 8, float_buffer=True)
+    assert looking.look_of(lit) == {"exposure": 0.0}
 
 
 def test_icons_show_the_picture_that_is_kept(lit):
