@@ -28,7 +28,6 @@ from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.near import near_lamps
-from btfsep_engine.pipeline.refine.outlines import near_outlines
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
@@ -135,7 +134,6 @@ REFINEMENTS = (
     light_between_surfaces,
     left_as_it_is,
     nearer_materials,
-    near_outlines,
     shifted,
     near_lamps,
     ground,

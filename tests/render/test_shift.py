@@ -71,11 +71,11 @@ def test_a_photo_in_line_says_nothing_of_a_shift(photographed):
     assert off_as_seen(found.lighting.coefficients, truth) < 0.05
 
 
-@pytest.mark.parametrize(("right", "down", "words"), [(2, 0, "to the right"), (0, -2, "up"), (-2, 1, "to the left")])
-def test_a_photo_beside_its_place_is_seen_to_be_and_loses_little(photographed, right, down, words, monkeypatch):
+@pytest.mark.parametrize(("right", "down"), [(2, 0), (0, -2), (-2, 1)])
+def test_a_photo_beside_its_place_is_seen_to_be_and_loses_little(photographed, right, down, monkeypatch):
     scene, image, truth = photographed
     found = found_of(scene, image, right, down)
-    assert words in found.choice["shift"] and found.model.problems[0].slopes is not None
+    assert "a little beside" in found.choice["shift"] and found.model.problems[0].slopes is not None
     monkeypatch.setattr("btfsep_engine.pipeline.refine.shift.SPEAKS", np.inf)
     fixed = found_of(scene, image, right, down)
     assert "shift" not in fixed.choice and fixed.fit.evidence < found.fit.evidence
