@@ -8,12 +8,12 @@ such pixels are left out of a region anyway (`surface.object_region`); a knee be
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import distance_transform_cdt
 
 from btfsep_engine.job.model import Job
 from btfsep_engine.render.surface import View
 
 FINEST = 512  # cells along the longer edge of what is looked at: large photographs are off by more pixels, too
+FARTHEST = 8  # rings are counted up to it
 STEP = 4.0  # cells' edges by which a neighbour lies off the plane of a face: a smooth surface bends by less
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # each pair once
 
@@ -25,7 +25,7 @@ class Outlines:
     Attributes
     ----------
     top, left, edge : of the cells, pixels: place of the first, and size
-    rings : (h, w) int, of each cell: 0 beside an outline, 1 the next, ...
+    rings : (h, w) int, of each cell: 0 beside an outline, 1 the next, up to `FARTHEST`
     """
 
     top: int
@@ -57,10 +57,18 @@ def outlines(view: View, job: Job) -> Outlines:
     bottom, right = min(rows[-1] + edge + 1, shown.shape[0]), min(columns[-1] + edge + 1, shown.shape[1])
     place = np.ix_(*(np.minimum(np.arange(a, b, edge) + edge // 2, b - 1) for a, b in ((top, bottom), (left, right))))
     steps = _steps(*(image[place] for image in (view.mesh, view.face, view.distance)), place, edge, job)
-    far = np.full(steps.shape, max(steps.shape))
-    return Outlines(
-        int(top), int(left), int(edge), distance_transform_cdt(~steps, "chessboard") if steps.any() else far
-    )
+    rings = np.full(steps.shape, FARTHEST)
+    for ring in range(FARTHEST):
+        rings[steps & (rings > ring)] = ring
+        steps = _and_around(steps)
+    return Outlines(int(top), int(left), int(edge), rings)
+
+
+def _and_around(image) -> np.ndarray:
+    """An image, bool, with the eight neighbours of all that is in it."""
+    padded = np.pad(image, 1)
+    rows = padded[:-2] | padded[1:-1] | padded[2:]
+    return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
 
 
 def _steps(mesh, face, distance, place, edge: int, job: Job) -> np.ndarray:
