@@ -64,6 +64,16 @@ def test_differences_are_the_photo_moved_turned_and_magnified(photographed):
     np.testing.assert_allclose(turned[well], x * down[well] - y * right[well])
 
 
+def test_pixels_that_are_no_numbers_have_no_part_in_a_slope(photographed):
+    scene, image, _ = photographed
+    problem = view_problem(scene, [open_library(None).load(WHITE)], SETTINGS)
+    holed = image.copy()
+    holed[20:76:5, ::7] = np.nan
+    photo = replace(scene.job.photo, radiance=holed)
+    there = replace(problem, scene=PreparedScene(replace(scene.job, photo=photo), Reporter()))
+    assert np.isfinite(differences(there)).all() and np.abs(differences(there)).max() > 0
+
+
 def test_a_photo_in_line_says_nothing_of_a_shift(photographed):
     scene, image, truth = photographed
     found = found_of(scene, image)

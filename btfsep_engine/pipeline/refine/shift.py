@@ -57,8 +57,11 @@ def differences(problem) -> np.ndarray:
     own = view.mesh[tuple(problem.pixels.T)]
     same = (places == inside).all(-1) & (view.mesh[inside[..., 0], inside[..., 1]] == own[:, None])
     same &= outlines.at(inside.reshape(-1, 2)).reshape(same.shape) > 0
+    photo = problem.scene.job.photo
+    image = photo.radiance[inside[..., 0], inside[..., 1]].astype(np.float64)
+    same &= np.isfinite(image).all(-1)
+    image[~same] = 0
     weight = same * np.exp(-0.5 * np.square(offsets / BLUR).sum(-1))
-    image = problem.scene.job.photo.radiance[inside[..., 0], inside[..., 1]].astype(np.float64)
     columns = np.concatenate([np.ones((len(offsets), 1)), offsets], 1)
     gram = np.einsum("po,oi,oj->pij", weight, columns, columns) + 1e-3 * np.eye(3)
     _, down, right = np.moveaxis(np.linalg.solve(gram, np.einsum("po,oi,poc->pic", weight, columns, image)), 1, 0)
