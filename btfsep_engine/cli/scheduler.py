@@ -60,7 +60,10 @@ def run_scheduled(
                 if not numbers:
                     return
                 future = next(ends)
-                if future.status in ("cancelled", "lost"):
+                if future.status in ("lost", "pending"):  # its worker went before it gave the result away: done anew
+                    ends.add(future)
+                    continue
+                if future.status == "cancelled":
                     raise OSError("the scheduler was lost, or forgot its tasks")
                 number = numbers.pop(future)
                 yield number, _end_of(future)

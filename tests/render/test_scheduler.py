@@ -74,9 +74,10 @@ def test_a_batch_of_workers_is_one_of_lanes_and_a_lost_worker_loses_no_job(
     code = main(["batch", ".", "--scheduler", cluster.scheduler_address, "--json", *OPTIONS])
     killer.join()
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert code == 3, lines[-1]
     counts = lines[-1]["result"]
     assert counts.pop("kept") <= 2  # what the lost worker had done, and not said, is not done twice
-    assert code == 3 and counts == {"done": 7, "failed": 1, "crashed": 0, "summary": "batch.json"}
+    assert counts == {"done": 7, "failed": 1, "crashed": 0, "summary": "batch.json"}
     entries = json.loads(Path("batch.json").read_text())["jobs"]
     assert [e["job"] for e in entries] == [f"{i:02}" for i in range(8)] and entries[3]["status"] == "failed"
     # with one core, as a worker's thread has: sums are rounded otherwise by several
