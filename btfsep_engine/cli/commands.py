@@ -24,6 +24,7 @@ from btfsep_engine.cli.options import (
     takes_settings,
 )
 from btfsep_engine.errors import InputError
+from btfsep_engine.loading import loading
 
 
 class Commands(click.Group):
@@ -90,7 +91,7 @@ def cache_command(*, clear, reporter):
 @takes_settings(*ESTIMATE)
 def estimate(*, job, library_folder, settings, reporter, **options):
     """Recognises the material and estimates the light of JOB."""
-    with reporter.stage("starting"):  # said before the libraries are loaded
+    with reporter.stage("starting"), loading():  # said before the libraries are loaded
         from btfsep_engine.pipeline.estimation import run_estimate
 
     result = run_estimate(job, opened_library(library_folder), settings, reporter=reporter, **options)

@@ -20,6 +20,7 @@ from btfsep_engine.atomic import plain
 from btfsep_engine.cli.command import INPUT_FAULT
 from btfsep_engine.cli.worker import STOPPED, Worker
 from btfsep_engine.errors import InputError
+from btfsep_engine.loading import loading
 
 NOT_HERE = {"serve"}
 LONGEST = 1 << 20  # bytes of a request
@@ -47,7 +48,8 @@ def run_command(arguments, reporter) -> dict:
 
 def load(_task, _reporter) -> dict:
     """Imports what an estimate needs, and chooses the renderer's backend."""
-    import btfsep_engine.pipeline.estimation  # noqa: F401
+    with loading():
+        import btfsep_engine.pipeline.estimation  # noqa: F401
     from btfsep_engine.render.backend import import_mitsuba
 
     import_mitsuba()

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from btfsep_engine import cache
 from btfsep_engine.errors import InputError
+from btfsep_engine.loading import loading
 
 LLVM_VARIANT, CUDA_VARIANT = "llvm_ad_rgb", "cuda_ad_rgb"
 TRIAL_SECONDS = 120
@@ -218,9 +219,10 @@ def import_mitsuba():
     home = os.environ.get("HOME")
     os.environ["HOME"] = kernel_home()  # read once, when Dr.Jit begins
     try:
-        import mitsuba
+        with loading():
+            import mitsuba
 
-        mitsuba.set_variant(backend.variant)
+            mitsuba.set_variant(backend.variant)
     finally:
         if home is None:
             del os.environ["HOME"]
