@@ -27,11 +27,15 @@ LEAST_COSINE = 1e-3
 
 @dataclass(frozen=True)
 class Departure:
-    """``material`` in place of another, ``description`` : what it is; ``log_prior`` : against the other itself."""
+    """``material`` in place of another, ``description`` : what it is; ``log_prior`` : against the other itself.
+
+    ``further`` : it goes on where the one before it went, and where that is hopeless, so is this
+    """
 
     description: str
     material: Material
     log_prior: float
+    further: bool = False
 
 
 def departures(material: Material) -> list[Departure]:
@@ -41,10 +45,10 @@ def departures(material: Material) -> list[Departure]:
     gloss = gloss_lobe()
     if material.matte_albedo is not None:
         found = [Departure("a little gloss", _table(material, _diffuse(material, 1.0) + gloss), EACH)]
-        for sigma in ROUGHNESSES:
+        for i, sigma in enumerate(ROUGHNESSES):
             rough = _diffuse(material, oren_nayar(sigma)[..., None])
             words = f"roughness (Oren and Nayar's sigma {sigma}) and a little gloss"
-            found.append(Departure(words, _table(material, rough + gloss), 2 * EACH))
+            found.append(Departure(words, _table(material, rough + gloss), 2 * EACH, further=i > 0))
         return found
     mean = material.mean_material().table
     values = mean.angular[..., 0] * mean.texels[0, 0, 0] if mean.texels.shape[-1] == 1 else mean.mean_abrdf

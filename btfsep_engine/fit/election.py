@@ -26,9 +26,14 @@ def rough_light(photo: Photograph, **held) -> Solution:
     return first
 
 
-def natural_light(photo: Photograph, *, rounds: int = ROUNDS, **held) -> Solution:
-    """The most probable field alone, or with lamps that are given (``held``, as of `rough_light`)."""
-    first = rough_light(photo, **held)
+def natural_light(photo: Photograph, *, rounds: int = ROUNDS, start: Solution | None = None, **held) -> Solution:
+    """The most probable field alone, or with lamps that are given (``held``, as of `rough_light`).
+
+    ``start`` : that of the same photograph by another basis, from which the search goes on
+    """
+    first = start or rough_light(photo, **held)
+    if start is not None:
+        photo.learn_from(start.x)
     return solve(photo, first.model, white=first.white, v=first.v, rounds=rounds)
 
 

@@ -149,10 +149,10 @@ class LightSolver:
             photo = self._photograph(radiance, weights, None)
             return self._fit(photo, rough_light(photo, **self._held), None)
 
-    def field_evidence(self, radiance, *, weights=None, beside: Fit | None = None) -> float:
-        """`Fit.evidence` of ``radiance`` under a field alone: quickly, what one basis explains more than another."""
+    def field_alone(self, radiance, *, weights=None, beside=None, start: Solution | None = None) -> Solution:
+        """``radiance`` under a field alone: quickly, what one basis explains more than that which gave ``start``."""
         with one_thread():
-            return natural_light(self._photograph(radiance, weights, beside), **self._held).evidence
+            return natural_light(self._photograph(radiance, weights, beside), start=start, **self._held)
 
     def _photograph(self, radiance, weights, beside: Fit | None) -> Photograph:
         effective = None if beside is None else beside.election.photo.effective

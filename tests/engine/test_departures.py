@@ -76,6 +76,7 @@ def test_tables_are_reciprocal_and_reflect_no_more_than_they_get():
 def test_what_is_tried_beside_a_material():
     near = departures(GREY)
     assert [e.log_prior for e in near] == [EACH, 2 * EACH, 2 * EACH] and all(e.log_prior < 0 for e in near)
+    assert [e.further for e in near] == [False, False, True]  # of two roughnesses the larger
     lambert = np.broadcast_to(GREY.albedo / np.pi, (151, 151, 3))
     np.testing.assert_allclose(near[0].material.angular[..., 0], lambert + gloss_lobe(), rtol=1e-5)
     rough = lambert * oren_nayar(0.3)[..., None] + gloss_lobe()

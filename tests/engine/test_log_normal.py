@@ -102,6 +102,17 @@ def test_red_and_blue_are_alike(rng):
     assert found.evidence == pytest.approx(fit.evidence, abs=0.5)
 
 
+def test_a_field_is_found_from_that_of_another_basis_on(rng):
+    """In no other place than from even light, to what a search is good for."""
+    fit, solver, b = solved(rng, side_light(), pixels=400)
+    normals = half_normals(rng, solver)
+    other = LightSolver(solver.basis.images * (1 + 0.35 * normals[:, :1, None]), normals=normals, order=4)
+    one = solver.field_alone(b, beside=fit)
+    far, near = (other.field_alone(b, beside=fit, start=start) for start in (None, one))
+    assert near.evidence == pytest.approx(far.evidence, abs=1) and abs(far.evidence - one.evidence) > 3
+    assert not np.array_equal(near.white, far.white)
+
+
 def test_a_usual_tint_is_the_lights_and_an_unusual_one_the_objects(rng):
     usual = np.array([1.12, 1.0, 0.88])
     fit, _, _ = solved(rng, side_light() * usual)
