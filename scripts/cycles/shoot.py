@@ -18,7 +18,9 @@ import numpy as np
 from tqdm import tqdm
 
 from blender_btfsep.export import export_job
-from scripts.cycles import studio
+from btfsep_engine.btf import procedural
+from btfsep_engine.errors import InputError
+from scripts.cycles import objects, studio
 
 COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object
 STANDING = ("object", "material", "seed", "variation", "thickness", "fill")  # the same of all that one scene shows
@@ -26,6 +28,10 @@ STANDING = ("object", "material", "seed", "variation", "thickness", "fill")  # t
 
 def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None, denoise=False) -> None:
     """Renders each shot, and writes each folder's job (photo, base mesh, camera) after its first one."""
+    for kind, known in (("object", objects.NAMES), ("material", ("white", *procedural.NAMES))):
+        if unknown := {shot[kind] for shot in shots} - {*known}:  # said before the first picture is taken
+            got = f"no {kind} of the studio is called {' or '.join(sorted(unknown))}"
+            raise InputError("the photographs", got, f"choose from {', '.join(known)}")
     missing = [s for s in shots if not (Path(s["folder"]) / s["name"]).exists() or not _job(s).exists()]
     bar = tqdm(total=len(missing), desc="photographs", disable=not missing)
     for key, group in groupby(missing, lambda s: [s[k] for k in STANDING]):

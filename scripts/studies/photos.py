@@ -25,6 +25,14 @@ WHITE = "reference/white-diffuse"
 MATERIALS = ("white", "leather/brown-grain", "fabric/denim-twill", "wood/walnut-lacquered")
 OBJECTS = ("suzanne", "blob", "vase", "cloth")
 LIGHTS = ("courtyard", "sunset", "city", "interior")
+IN_BLENDER = """import bpy, runpy, sys  # bpy first: it brings bmesh
+from btfsep_engine.errors import InputError
+try:
+    runpy.run_module(sys.argv[1], run_name="__main__")
+except InputError as error:
+    print(f"error: {error}", file=sys.stderr)
+    sys.exit(2)
+"""
 
 
 @dataclass(frozen=True)
@@ -101,8 +109,8 @@ def take(shots, *, resolution: int = 256, samples: int = 64, threads: int = 0, n
 
 def in_blender(module: str, task) -> None:
     """Runs a module that needs Blender, with JSON on its standard input."""
-    code = f"import bpy, runpy; runpy.run_module({module!r}, run_name='__main__')"  # bpy first: it brings bmesh
-    child = subprocess.run([sys.executable, "-c", code], input=json.dumps(task), text=True, cwd=ROOT, check=False)
+    command = [sys.executable, "-c", IN_BLENDER, module]
+    child = subprocess.run(command, input=json.dumps(task), text=True, cwd=ROOT, check=False)
     if child.returncode:
         raise SystemExit(child.returncode)
 

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The objects and materials of the photographs: what the figures rest on has to be what it is said to be."""
 
+from dataclasses import asdict
 from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 
-from scripts.cycles import materials, objects, studio
+from btfsep_engine.errors import InputError
+from scripts.cycles import materials, objects, shoot, studio
+from scripts.studies import photos
 
 
 def tile(n=128, size_mm=30.0):
@@ -148,3 +151,13 @@ def test_what_is_added_lights_as_it_says(tmp_path):
         bpy.data.objects.remove(added)
         assert picture[22:26, 22:26].mean() == pytest.approx(0.8 * expected, rel=0.04)
     assert studio.render_photo(scene, tmp_path / "dark.exr", 4).max() == 0
+
+
+@pytest.mark.parametrize("wrong", [{"object": "suzane"}, {"material": "leather/brown"}])
+def test_a_photograph_of_what_there_is_not_is_refused_before_any_is_taken(tmp_path, wrong):
+    good = photos.shot(tmp_path, "blob", "white", None)
+    shots = [asdict(good), asdict(good) | wrong]
+    with pytest.raises(InputError, match=next(iter(wrong.values()))) as error:
+        shoot.shoot(shots, resolution=8, samples=1)
+    assert "blob" in error.value.do or "white" in error.value.do
+    assert not any(tmp_path.iterdir())
