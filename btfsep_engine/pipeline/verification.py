@@ -141,7 +141,7 @@ class Verification:
         mean = max(float(np.nanmean(image)), 1e-30)
         noise = np.random.default_rng(self.seed).standard_normal(image.shape, np.float32)
         image = np.maximum(image + NOISE * np.sqrt(np.maximum(image, 0) * mean) * noise, 1e-4 * mean)
-        _, texture = recogniser.encoder.cosines(recogniser.describe(image, self.region)[-1], photo.vector)
+        texture = recogniser.encoder.cosines(recogniser.describe(image, self.region)[-1], photo.vector)["sift"]
         return {"texture": texture} | {name: -value for name, value in differences.items()}
 
 

@@ -6,7 +6,7 @@ measured: radiance is divided by the region's mean luminance, its colour is move
 and the logarithm makes shading an offset. Only whole patches inside the mask are used.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -79,11 +79,20 @@ class Descriptors:
     def __len__(self):
         return len(self.xy)
 
+    def picked(self, which) -> "Descriptors":
+        """Some of the places."""
+        return Descriptors(*(values[which] for values in vars(self).values()))
+
     def compact(self) -> "Descriptors":
         """The same in half floats, to be kept."""
         return Descriptors(
             self.colour.astype(np.float16), self.sift, self.contrast.astype(np.float16), self.xy.astype(np.float32)
         )
+
+
+def joined(parts) -> Descriptors:
+    """Of several, one after the other."""
+    return Descriptors(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
@@ -163,10 +172,8 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise")
             f"covers only {int(mask.sum())} pixels, room for {count} of the {settings.minimum} patches needed",
             "take a closer or larger photo, or name the material in the job",
         )
-    fields = ("colour", "sift", "contrast", "xy")
-    joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
-    joined["xy"] += np.array([left, top], np.float32)
-    return Descriptors(**joined)
+    every = joined(parts)
+    return replace(every, xy=every.xy + np.array([left, top], np.float32))
 
 
 def _fill(image, valid):

@@ -18,7 +18,7 @@ from btfsep_engine.lock import locked
 from btfsep_engine.recognise.classifier import Nearest, Svm
 from btfsep_engine.recognise.descriptors import Settings
 from btfsep_engine.recognise.recogniser import Recogniser
-from btfsep_engine.recognise.vlad import Encoder, Encoding
+from btfsep_engine.recognise.vlad import Dictionary, Encoder, Encoding
 
 log = logging.getLogger("btfsep")
 PATIENCE = 900.0  # seconds for which a training by another process is waited for
@@ -26,26 +26,16 @@ ENGINE = Path(__file__).resolve().parents[1]
 # what a training runs through, from the geometry to the classifier
 SOURCES = ("conventions.py", "images.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
 ROOMS = ("btf", "job", "light", "recognise", "render")
-SHAPES = {  # of an entry, see `cache.read`
-    "header": cache.TEXT,
-    "encoder.colour": ("words", "c"),
-    "encoder.sift": ("more words", "axes"),
-    "encoder.sift_mean": ("s",),
-    "encoder.sift_axes": ("s", "axes"),
-    "model.vectors": ("images", "length"),
-}
+OF_KIND = {"words": ("words", "axes"), "mean": ("numbers",), "axes": ("numbers", "axes")}  # of a Dictionary
+SHAPES = {"header": cache.TEXT, "model.vectors": ("images", "length")}  # of an entry, see `cache.read`
+SHAPES |= {f"{k}.{n}": tuple(f"{k} {size}" for size in of) for k in Encoding().kinds for n, of in OF_KIND.items()}
 
 
 def _arrays(recogniser: Recogniser) -> dict:
     """All of a recogniser as arrays by name."""
     model, encoder = recogniser.model, recogniser.encoder
     of_model = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)}
-    arrays = {
-        "encoder.colour": encoder.colour,
-        "encoder.sift": encoder.sift,
-        "encoder.sift_mean": encoder.sift_mean,
-        "encoder.sift_axes": encoder.sift_axes,
-    }
+    arrays = {f"{kind}.{name}": a for kind, own in encoder.dictionaries.items() for name, a in vars(own).items()}
     header = {
         "settings": dataclasses.asdict(recogniser.settings),
         "encoding": dataclasses.asdict(encoder.encoding),
@@ -62,8 +52,9 @@ def _assembled(arrays: dict) -> Recogniser:
     """What :func:`_arrays` took apart."""
     header = json.loads(str(arrays["header"]))
     settings = Settings(**header["settings"] | {"bins": tuple(header["settings"]["bins"])})
-    parts = (arrays[f"encoder.{name}"] for name in ("colour", "sift", "sift_mean", "sift_axes"))
-    encoder = Encoder(*parts, header["half_contrast"], Encoding(**header["encoding"]))
+    encoding = Encoding(**header["encoding"])
+    learnt = {kind: Dictionary(**{name: arrays[f"{kind}.{name}"] for name in OF_KIND}) for kind in encoding.kinds}
+    encoder = Encoder(learnt, header["half_contrast"], encoding)
     kind = {"svm": Svm, "nearest": Nearest}[header["kind"]]
     of_kind = {name.removeprefix("model."): value for name, value in arrays.items() if name.startswith("model.")}
     return Recogniser(settings, encoder, kind(classes=tuple(header["classes"]), **header["numbers"], **of_kind))

@@ -223,11 +223,7 @@ def train(
 
 def _learn_encoder(images: Described, method, seed, learn):
     """Dictionaries from an equal number of descriptors of every image."""
-    kept, random = images.descriptors, copy.deepcopy(images.random)  # what is described can be learned from again
-    share = max(1, SAMPLE // len(kept))
-    picks = [random.permutation(len(d))[:share] for d in kept]
-    parts = [
-        np.concatenate([getattr(d, field)[pick] for d, pick in zip(kept, picks, strict=True)])
-        for field in ("colour", "sift", "contrast")
-    ]
-    return learn(*parts, half_contrast=method.settings.contrast, encoding=method.encoding, seed=seed)
+    random = copy.deepcopy(images.random)  # what is described can be learned from again
+    share = max(1, SAMPLE // len(images.descriptors))
+    sample = dense.joined([d.picked(random.permutation(len(d))[:share]) for d in images.descriptors])
+    return learn(sample, half_contrast=method.settings.contrast, encoding=method.encoding, seed=seed)

@@ -3,8 +3,8 @@
 
     v_j = sum over the x_i whose nearest word is c_j of (x_i - c_j),   v = [v_1, ..., v_k]
 
-A region's vector joins the VLAD of its colour patches and of its SIFT, each normalised on its own so that
-neither outweighs the other.
+A region's vector joins the VLAD of each kind of descriptor (`Encoding.kinds`), its colour patches and its SIFT, each
+normalised on its own so that neither outweighs the other.
 """
 
 from dataclasses import dataclass
@@ -38,6 +38,17 @@ class Encoding:
     power: float = 0.5
     colour_weight: float = 0.5
     windows: int = 4
+
+    @property
+    def kinds(self) -> dict:
+        """Kind of descriptor -> (words, principal components, share of the squared length) of its part of a vector.
+
+        The components are 0 where all are kept, and None where the points are taken as they are, their mean too.
+        """
+        return {
+            "colour": (self.colour_words, None, self.colour_weight),
+            "sift": (self.sift_words, self.sift_components, 1 - self.colour_weight),
+        }
 
 
 DEFAULT = Encoding()
@@ -131,34 +142,50 @@ def split_windows(xy, count: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Encoder:
-    """From descriptors to unit vectors: both dictionaries and the SIFT projection.
+class Dictionary:
+    """The words of one kind of descriptor, in the space that its points are projected to.
 
     Attributes
     ----------
-    colour : (150, 27) float32, words
-    sift : (250, c) float32, words, in the projected space
-    sift_mean : (128,) float32; sift_axes : (128, c) float32
+    words : (k, c) float32
+    mean : (d,) float32; axes : (d, c) float32
+    """
+
+    words: np.ndarray
+    mean: np.ndarray
+    axes: np.ndarray
+
+    def projected(self, points) -> np.ndarray:
+        """(n, c) float32, of points (n, d)."""
+        return (points - self.mean) @ self.axes
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """From descriptors to unit vectors.
+
+    Attributes
+    ----------
+    dictionaries : kind of descriptor -> Dictionary, as in ``encoding.kinds``
     half_contrast : log2 units, see ``descriptors.Settings.contrast``
     """
 
-    colour: np.ndarray
-    sift: np.ndarray
-    sift_mean: np.ndarray
-    sift_axes: np.ndarray
+    dictionaries: dict
     half_contrast: float
     encoding: Encoding
 
-    def project_sift(self, sift, contrast) -> np.ndarray:
-        """(n, c) float32: SIFT, damped where there is little contrast, projected."""
-        points = weighted_sift(sift, contrast, self.half_contrast, root=self.encoding.root_sift)
-        return (points - self.sift_mean) @ self.sift_axes
+    def projected(self, descriptors) -> dict:
+        """Kind -> the points (n, c) float32 of descriptors, in the space of the words."""
+        points = points_of(descriptors, self.half_contrast, root=self.encoding.root_sift)
+        return {kind: dictionary.projected(points[kind]) for kind, dictionary in self.dictionaries.items()}
 
-    def cosines(self, a, b) -> tuple[float, float]:
-        """Cosines of the colour parts and of the SIFT parts of two vectors : (length,) of `encode`."""
-        own, ends = np.asarray(a, np.float64) * b, self.colour.size
-        weight = self.encoding.colour_weight
-        return float(own[:ends].sum() / weight), float(own[ends:].sum() / (1 - weight))
+    def cosines(self, a, b) -> dict:
+        """Kind -> cosine of the parts of two vectors : (length,) of `encode`."""
+        own, out = np.asarray(a, np.float64) * b, {}
+        for kind, (_, _, weight) in self.encoding.kinds.items():
+            part, own = np.split(own, [self.dictionaries[kind].words.size])
+            out[kind] = float(part.sum() / weight)
+        return out
 
     def encode(self, descriptors):
         """The VLAD vectors of an object: one per window, then that of the whole object.
@@ -167,17 +194,26 @@ class Encoder:
         -------
         (windows + 1, length) float32, unit; the last row is the whole object
         """
-        count = self.encoding.windows
-        window = split_windows(descriptors.xy, count)
-        parts = []
-        for points, words, weight in (
-            (np.asarray(descriptors.colour, np.float32), self.colour, self.encoding.colour_weight),
-            (self.project_sift(descriptors.sift, descriptors.contrast), self.sift, 1 - self.encoding.colour_weight),
-        ):
-            sums = aggregate(points, words, window, count)
+        words = {kind: dictionary.words for kind, dictionary in self.dictionaries.items()}
+        return self.joined(descriptors, lambda kind, points, *groups: aggregate(points, words[kind], *groups))
+
+    def joined(self, descriptors, sums_of) -> np.ndarray:
+        """As `encode`, of other sums: ``sums_of`` takes a kind and what `aggregate` takes but for the words."""
+        count, parts = self.encoding.windows, []
+        window, points = split_windows(descriptors.xy, count), self.projected(descriptors)
+        for kind, (_, _, weight) in self.encoding.kinds.items():
+            sums = sums_of(kind, points[kind], window, count)
             sums = np.concatenate([sums, sums.sum(0, keepdims=True)])
             parts.append(np.sqrt(weight) * normalise(sums, self.encoding.power))
         return np.concatenate(parts, 1).astype(np.float32)
+
+
+def points_of(descriptors, half_contrast: float, *, root: bool) -> dict:
+    """Kind of descriptor -> (n, d) float32, the points of which words are learnt; ``root`` : as of `weighted_sift`."""
+    return {
+        "colour": np.asarray(descriptors.colour, np.float32),
+        "sift": weighted_sift(descriptors.sift, descriptors.contrast, half_contrast, root=root),
+    }
 
 
 def weighted_sift(sift, contrast, half_contrast: float, *, root: bool = True) -> np.ndarray:
@@ -199,25 +235,22 @@ def weighted_sift(sift, contrast, half_contrast: float, *, root: bool = True) ->
     return points * scale[:, None]
 
 
-def learn_encoder(colour, sift, contrast, *, half_contrast, encoding=DEFAULT, seed=0) -> Encoder:
-    """Both dictionaries from a sample of descriptors.
-
-    Parameters
-    ----------
-    colour : (n, 27) float; sift : (n, 128) uint8; contrast : (n,) float
-    """
-    points = weighted_sift(sift, contrast, half_contrast, root=encoding.root_sift)
-    mean = points.mean(0)
-    axes = np.eye(points.shape[1], dtype=np.float32)
-    if encoding.sift_components:
+def learn_dictionary(points, count: int, components: int | None, *, seed=0) -> Dictionary:
+    """``count`` words of points (n, d) float32; ``components`` : as of `Encoding.kinds`."""
+    d = points.shape[1]
+    mean, axes = np.zeros(d, np.float32) if components is None else points.mean(0), np.eye(d, dtype=np.float32)
+    if components:
         centred = points - mean
         _, vectors = np.linalg.eigh(centred.T.astype(np.float64) @ centred)
-        axes = np.ascontiguousarray(vectors[:, ::-1][:, : encoding.sift_components], np.float32)
-    return Encoder(
-        learn_words(colour, encoding.colour_words, seed=seed),
-        learn_words((points - mean) @ axes, encoding.sift_words, seed=seed),
-        mean.astype(np.float32),
-        axes,
-        float(half_contrast),
-        encoding,
-    )
+        axes = np.ascontiguousarray(vectors[:, ::-1][:, :components], np.float32)
+    return Dictionary(learn_words((points - mean) @ axes, count, seed=seed), mean.astype(np.float32), axes)
+
+
+def learn_encoder(sample, *, half_contrast, encoding=DEFAULT, seed=0) -> Encoder:
+    """The dictionaries of all kinds from a ``sample`` of `descriptors.Descriptors`."""
+    points = points_of(sample, half_contrast, root=encoding.root_sift)
+    learnt = {
+        kind: learn_dictionary(points[kind], count, components, seed=seed)
+        for kind, (count, components, _) in encoding.kinds.items()
+    }
+    return Encoder(learnt, float(half_contrast), encoding)

@@ -64,27 +64,20 @@ def gradients(points, of: GaussianMixture, groups, group_count: int) -> np.ndarr
 
 @dataclass(frozen=True)
 class FisherEncoder:
-    """From descriptors to unit vectors, as `vlad.Encoder`, whose dictionaries the mixtures began with."""
+    """From descriptors to unit vectors, as `vlad.Encoder`, with whose words the ``mixtures`` of each kind began."""
 
     words: vlad.Encoder
-    colour: GaussianMixture
-    sift: GaussianMixture
+    mixtures: dict
 
     def encode(self, descriptors) -> np.ndarray:
         """(windows + 1, 2 k d of colours and of SIFT) float32, unit; the last row is the whole object."""
-        encoding, parts = self.words.encoding, []
-        window = vlad.split_windows(descriptors.xy, encoding.windows)
-        sift = self.words.project_sift(descriptors.sift, descriptors.contrast)
-        of = (descriptors.colour, self.colour, encoding.colour_weight), (sift, self.sift, 1 - encoding.colour_weight)
-        for points, gaussians, weight in of:
-            sums = gradients(points, gaussians, window, encoding.windows)
-            sums = np.concatenate([sums, sums.sum(0, keepdims=True)])
-            parts.append(np.sqrt(weight) * vlad.normalise(sums, encoding.power))
-        return np.concatenate(parts, 1).astype(np.float32)
+        return self.words.joined(
+            descriptors, lambda kind, points, *groups: gradients(points, self.mixtures[kind], *groups)
+        )
 
 
-def learn_encoder(colour, sift, contrast, *, seed=0, **how) -> FisherEncoder:
-    """Both mixtures from a sample of descriptors; as `vlad.learn_encoder`."""
-    words = vlad.learn_encoder(colour, sift, contrast, seed=seed, **how)
-    of_colour = mixture(colour, words.colour, seed=seed)
-    return FisherEncoder(words, of_colour, mixture(words.project_sift(sift, contrast), words.sift, seed=seed))
+def learn_encoder(sample, *, seed=0, **how) -> FisherEncoder:
+    """The mixtures from a sample of descriptors; as `vlad.learn_encoder`."""
+    words = vlad.learn_encoder(sample, seed=seed, **how)
+    points = words.projected(sample).items()
+    return FisherEncoder(words, {k: mixture(p, words.dictionaries[k].words, seed=seed) for k, p in points})

@@ -40,13 +40,13 @@ def test_the_vector_is_the_gradient_of_the_likelihood(rng):
 
 def test_fisher_vectors_are_laid_out_as_those_of_vlad(rng):
     encoding = vlad.Encoding(colour_words=4, sift_words=6, sift_components=8, colour_weight=0.3)
-    sample = (
+    sample = dense.Descriptors(
         rng.normal(size=(700, 27)).astype(np.float32),
         rng.integers(0, 200, (700, 128)).astype(np.uint8),
         rng.uniform(0, 1, 700).astype(np.float32),
+        rng.uniform(0, 90, (700, 2)).astype(np.float32),
     )
-    encoder = fisher.learn_encoder(*sample, half_contrast=0.05, encoding=encoding)
-    rows = encoder.encode(dense.Descriptors(*sample, rng.uniform(0, 90, (700, 2)).astype(np.float32)))
+    rows = fisher.learn_encoder(sample, half_contrast=0.05, encoding=encoding).encode(sample)
     assert rows.shape == (5, 2 * (4 * 27 + 6 * 8))
     np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1, atol=1e-5)
     np.testing.assert_allclose(np.linalg.norm(rows[:, : 2 * 4 * 27], axis=1) ** 2, 0.3, atol=1e-5)

@@ -114,6 +114,6 @@ def test_the_paper_trains_an_svm_with_offsets_on_plain_vectors(rng):
     images = [training.TrainingImage(name, f"light {k}", photo(name), MASK) for name in textures for k in range(4)]
     recogniser = training.train(images, method=training.METHODS["paper"])
     assert recogniser.model.bias.any() and recogniser.encoder.encoding == vlad.PAPER
-    assert recogniser.encoder.colour.shape == (150, 27) and recogniser.encoder.sift.shape == (250, 128)
+    assert [d.words.shape for d in recogniser.encoder.dictionaries.values()] == [(150, 27), (250, 128)]
     for name in textures:
         assert recogniser.judged(recogniser.describe(photo(name), MASK)).material == name

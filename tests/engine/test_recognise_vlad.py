@@ -36,19 +36,20 @@ def test_power_and_length():
     np.testing.assert_allclose(plain[0], [0.6, -0.8])
 
 
-def descriptors(rng, n):
-    return (
+def described(rng, n=600):
+    return dense.Descriptors(
         rng.normal(size=(n, 27)).astype(np.float32),
         rng.integers(0, 200, (n, 128)).astype(np.uint8),
         rng.uniform(0, 1, n).astype(np.float32),
+        rng.uniform(0, 100, (n, 2)).astype(np.float32),
     )
 
 
 def test_dictionaries_have_the_papers_sizes(rng):
-    encoder = vlad.learn_encoder(*descriptors(rng, 1500), half_contrast=0.05)
-    assert encoder.colour.shape == (150, 27)
-    assert encoder.sift.shape[0] == 250
-    assert len(np.unique(encoder.sift, axis=0)) == 250
+    encoder = vlad.learn_encoder(described(rng, 1500), half_contrast=0.05)
+    assert encoder.dictionaries["colour"].words.shape == (150, 27)
+    words = encoder.dictionaries["sift"].words
+    assert words.shape[0] == 250 and len(np.unique(words, axis=0)) == 250
 
 
 def test_words_are_means_of_their_points(rng):
@@ -72,10 +73,9 @@ def test_projection_keeps_the_distances_it_can(rng):
     sift[:, :6] = rng.integers(1, 200, (400, 6))
     ones = np.ones(400, np.float32)
     encoding = vlad.Encoding(colour_words=2, sift_words=2, sift_components=8)
-    encoder = vlad.learn_encoder(
-        rng.normal(size=(400, 27)).astype(np.float32), sift, ones, half_contrast=0.05, encoding=encoding
-    )
-    roots, projected = vlad.weighted_sift(sift, ones, 0.05), encoder.project_sift(sift, ones)
+    sample = replace(described(rng, 400), sift=sift, contrast=ones)
+    encoder = vlad.learn_encoder(sample, half_contrast=0.05, encoding=encoding)
+    roots, projected = vlad.weighted_sift(sift, ones, 0.05), encoder.projected(sample)["sift"]
     assert projected.shape == (400, 8)
     full = np.linalg.norm(roots[:50, None] - roots[None, :50], axis=-1)
     kept = np.linalg.norm(projected[:50, None] - projected[None, :50], axis=-1)
@@ -88,12 +88,8 @@ def test_a_flat_patch_says_little(rng):
     assert lengths[0] == 0 and lengths[1] == pytest.approx(5 / 5.05)
 
 
-def described(rng, n=600):
-    return dense.Descriptors(*descriptors(rng, n), rng.uniform(0, 100, (n, 2)).astype(np.float32))
-
-
 def test_the_last_vector_is_that_of_the_whole_object(rng):
-    some, encoder = described(rng), vlad.learn_encoder(*descriptors(rng, 900), half_contrast=0.05)
+    some, encoder = described(rng), vlad.learn_encoder(described(rng, 900), half_contrast=0.05)
     rows = encoder.encode(some)
     assert len(rows) == 5
     whole, same = replace(encoder, encoding=replace(encoder.encoding, windows=1)).encode(some)
@@ -107,24 +103,22 @@ def test_the_last_vector_is_that_of_the_whole_object(rng):
 def test_cosines_are_those_of_the_two_parts(rng, weight):
     """Of the same vector 1 and 1; where one part is turned round, that one alone is -1; both add up to the whole's."""
     encoding = replace(vlad.DEFAULT, colour_weight=weight)
-    encoder = vlad.learn_encoder(*descriptors(rng, 900), half_contrast=0.05, encoding=encoding)
+    encoder = vlad.learn_encoder(described(rng, 900), half_contrast=0.05, encoding=encoding)
     a, b = encoder.encode(described(rng))[-1], encoder.encode(described(rng))[-1]
-    assert encoder.cosines(a, a) == pytest.approx((1, 1), abs=1e-4)
+    assert encoder.cosines(a, a) == pytest.approx({"colour": 1, "sift": 1}, abs=1e-4)
     turned = a.copy()
-    turned[: encoder.colour.size] *= -1
-    assert encoder.cosines(a, turned) == pytest.approx((-1, 1), abs=1e-4)
-    colour, sift = encoder.cosines(a, b)
+    turned[: encoder.dictionaries["colour"].words.size] *= -1
+    assert encoder.cosines(a, turned) == pytest.approx({"colour": -1, "sift": 1}, abs=1e-4)
+    colour, sift = encoder.cosines(a, b).values()
     assert weight * colour + (1 - weight) * sift == pytest.approx(float(a @ b), abs=1e-4)
 
 
 def test_the_papers_vectors_are_equation_2_on_raw_sift_and_nothing_else(rng):
     some = described(rng)
-    encoder = vlad.learn_encoder(*descriptors(rng, 900), half_contrast=0.0, encoding=vlad.PAPER)
-    assert encoder.colour.shape == (150, 27) and encoder.sift.shape == (250, 128)
-    parts = (
-        naive_vlad(some.colour, encoder.colour),
-        naive_vlad(some.sift / 512.0, encoder.sift + encoder.sift_mean),
-    )
+    encoder = vlad.learn_encoder(described(rng, 900), half_contrast=0.0, encoding=vlad.PAPER)
+    colour, sift = encoder.dictionaries.values()
+    assert colour.words.shape == (150, 27) and sift.words.shape == (250, 128)
+    parts = naive_vlad(some.colour, colour.words), naive_vlad(some.sift / 512.0, sift.words + sift.mean)
     expected = np.concatenate([p.ravel() / np.linalg.norm(p) for p in parts]) / np.sqrt(2)
     np.testing.assert_allclose(encoder.encode(some)[-1], expected, atol=1e-4)
 
