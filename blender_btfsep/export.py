@@ -55,7 +55,7 @@ def export_job(
     mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
         unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
     known_suns : Sun lamps whose direction is known; None for those that the scene names
-    curve : the photo's tone curve, "auto", "srgb", "linear" or "unknown"; a photo of floats is linear anyway
+    curve : the photo's tone curve, "auto", "srgb", "linear", "agx" or "unknown"; a photo of floats is linear anyway
     warn : called with a sentence for each thing of the occluders or the lens that the job does not have
 
     Returns
@@ -66,28 +66,16 @@ def export_job(
     """
     scene = context_or_scene if isinstance(context_or_scene, bpy.types.Scene) else context_or_scene.scene
     view_layer = getattr(context_or_scene, "view_layer", None) or scene.view_layers[0]
-    camera = camera or scene.camera
-    if camera is None or camera.type != "CAMERA":
-        raise InputError("the camera", "the scene has none", "add the camera that took the photo")
-    objects = list(objects)
-    if depth is not None and objects:
-        raise InputError("the objects", "there is a depth, too", "take the depth or the objects away")
-    if depth is None and not objects:
-        raise InputError("the objects", "none is chosen", "choose the objects that the photo shows")
-    for thing in objects:
-        if not meshes.has_surface(thing):
-            got = "it has no surface, nor has what it instances"
-            raise InputError(f"object '{thing.name}'", got, "choose objects with a surface")
+    camera, objects = camera or scene.camera, list(objects)
+    _check(camera, objects, depth)
     folder = _prepare(folder)
-
     for sentence in meshes.not_as_rendered({*objects, *(scene.objects if occluders is None else occluders)}):
         warn(sentence)
     touched = set(objects) | {o for o in scene.objects if occluders is None or o in occluders}
     with meshes.as_rendered(view_layer, touched, chosen={*objects, *(occluders or ())}):
         view_layer.update()
         depsgraph = view_layer.depsgraph
-        size_name = photo.put(image_path, folder)
-        file_name, colorspace, size = size_name
+        file_name, colorspace, size = photo.put(image_path, folder)
         if curve != "auto" and Path(file_name).suffix not in photo.FLOAT:
             colorspace = curve
         evaluated = camera.evaluated_get(depsgraph)
@@ -100,52 +88,25 @@ def export_job(
         shadowing = [thing for thing in shadowing if thing not in objects]
         gathered = meshes.gather(depsgraph, objects + shadowing)
 
-    names = _FileNames()
-    parts = {thing.name: gathered.get(thing.name_full) for thing in objects}
+    names, parts, fitted = _FileNames(), {SURFACE: None}, []
     if depth is None:
-        parts = {name: part and _mapped(part, mapping, name) for name, part in parts.items()}
-    fitted = []
-    for name in parts if depth is None else [SURFACE]:
-        if depth is None and parts[name] is None:
-            raise InputError(
-                f"object '{name}'",
-                "it has no faces, or the view layer excludes it",
-                "include its collection, or choose another",
-            )
-        file = names.of(name)
-        mask = (masks or {}).get(name)
+        parts = {thing.name: _mapped(gathered.get(thing.name_full), mapping, thing.name) for thing in objects}
+    for name, part in parts.items():
+        file, mask = names.of(name), (masks or {}).get(name)
         fitted.append(
             {
                 "name": name,
-                "mesh": _write(folder, file, parts[name]) if depth is None else None,
+                "mesh": part and _write(folder, file, part),
                 "to_world": None,
                 "mask": None if mask is None else photo.put_mask(mask, folder, f"mask_{Path(file).stem}.png", size),
                 "material": (materials or {}).get(name) or None,
-                "surface": own_surface.of(name, parts.get(name), surfaces, folder, mapping=mapping, warn=warn),
-                "uv": "xatlas" if mapping == "CHARTS" or depth is not None else "mesh",
+                "surface": own_surface.of(name, part, surfaces, folder, mapping=mapping, warn=warn),
+                "uv": "xatlas" if mapping == "CHARTS" or part is None else "mesh",
             }
         )
     corners = [gathered[thing.name_full]["positions"] for thing in objects if thing.name_full in gathered]
-    middle = [np.concatenate(corners).mean((0, 1))] if corners else []
-    casting = []
-    for thing in shadowing:
-        part = gathered.get(thing.name_full)
-        if part is None:
-            continue
-        if surroundings.encloses(part["positions"], np.array(lens["to_world"])[:3, 3], *middle):
-            warn(f"occluder '{thing.name}' stands around objects and camera, as a sky or a room does: it is left out")
-            continue
-        try:
-            surface = surroundings.surface_of(
-                part["areas"], lambda text, of=thing.name: warn(f"occluder '{of}': {text}")
-            )
-        except surroundings.Clear as error:
-            warn(f"occluder '{thing.name}': {error}: it is left out")
-            continue
-        given = {} if surface is None else {"surface": surface}
-        if getattr(thing, "btfsep_evidence", False):  # an export alone knows no panel
-            given["evidence"] = True
-        casting.append({"mesh": _write(folder, names.of(thing.name), part), "to_world": None, **given})
+    around = [np.array(lens["to_world"])[:3, 3], *([np.concatenate(corners).mean((0, 1))] if corners else [])]
+    shadowing = {thing: gathered[thing.name_full] for thing in shadowing if thing.name_full in gathered}
     units = scene.unit_settings
     job = {
         "format": "btfsep-job",
@@ -155,7 +116,7 @@ def export_job(
         "exposure_ev": float(exposure_ev),
         "camera": lens,
         "objects": fitted,
-        "occluders": casting,
+        "occluders": _occluders(shadowing, folder, names, around=around, warn=warn),
         "depth": None if depth is None else photo.put_depth(depth, folder),
         **({} if depth is None or not any(depth_shift) else {"depth_shift": [float(s) for s in depth_shift]}),
         "metres_per_unit": 1.0 if units.system == "NONE" else units.scale_length,
@@ -163,6 +124,40 @@ def export_job(
     }
     atomic.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
     return folder / JOB_FILE
+
+
+def _check(camera, objects, depth) -> None:
+    """Raises InputError where there is no camera, or nothing that it could show."""
+    if camera is None or camera.type != "CAMERA":
+        raise InputError("the camera", "the scene has none", "add the camera that took the photo")
+    if depth is not None and objects:
+        raise InputError("the objects", "there is a depth, too", "take the depth or the objects away")
+    if depth is None and not objects:
+        raise InputError("the objects", "none is chosen", "choose the objects that the photo shows")
+    for thing in objects:
+        if not meshes.has_surface(thing):
+            got = "it has no surface, nor has what it instances"
+            raise InputError(f"object '{thing.name}'", got, "choose objects with a surface")
+
+
+def _occluders(parts: dict, folder: Path, names, *, around, warn) -> list:
+    """The job's occluders, of {Blender's object: its triangles}, those left out that stand ``around`` places (3,)."""
+    out = []
+    for thing, part in parts.items():
+        what = f"occluder '{thing.name}'"
+        if surroundings.encloses(part["positions"], *around):
+            warn(f"{what} stands around objects and camera, as a sky or a room does: it is left out")
+            continue
+        try:
+            surface = surroundings.surface_of(part["areas"], lambda text, what=what: warn(f"{what}: {text}"))
+        except surroundings.Clear as error:
+            warn(f"{what}: {error}: it is left out")
+            continue
+        given = {} if surface is None else {"surface": surface}
+        if getattr(thing, "btfsep_evidence", False):  # an export alone knows no panel
+            given["evidence"] = True
+        out.append({"mesh": _write(folder, names.of(thing.name), part), "to_world": None, **given})
+    return out
 
 
 def _prepare(folder) -> Path:
@@ -176,8 +171,11 @@ def _prepare(folder) -> Path:
     return folder
 
 
-def _mapped(part: dict, mapping: str, name: str) -> dict:
-    """The triangles with the texture coordinates that ``mapping`` names."""
+def _mapped(part: dict | None, mapping: str, name: str) -> dict:
+    """The triangles with the texture coordinates that ``mapping`` names. Raises InputError where there are none."""
+    if part is None:
+        got, do = "it has no faces, or the view layer excludes it", "include its collection, or choose another"
+        raise InputError(f"object '{name}'", got, do)
     if mapping == "UNWRAP":
         return {**part, "uv": unwrap.angle_based(part["positions"], part["vertex"], name)}
     if mapping == "OWN" and part["uv"] is None:
