@@ -211,7 +211,6 @@ class LightSolver:
     def _sampled(self, best: Solution, rival: Solution | None, unit, tint, photo) -> Stated:
         random = np.random.default_rng(self.seed)
         model = self._loose(best.model)
-        shown = photo.shadowed if isinstance(photo, WithGround) else None
         whites, lights = posterior_samples(best, SAMPLES, random, model=model)
         lights = lights[:, : self.basis.terms]
         factors = np.exp(REFLECTANCE * random.standard_normal((SAMPLES, 1))) * tint.draw(SAMPLES, random)
@@ -219,7 +218,7 @@ class LightSolver:
         if rival is not None:
             others = posterior_samples(rival, len(lights[::2]), random, model=self._loose(rival.model))[1]
             lights[::2] = others[:, : self.basis.terms]
-        hidden = hidden_lamps(self.basis, SAMPLES, random, known=len(model.lamps), shown=shown)
+        hidden = hidden_lamps(self.basis, SAMPLES, random, lamps=len(model.lamps), shadowed=photo.shadowed)
         lights += hidden
         samples = lights * (unit * factors)[:, None]
         lamps = []

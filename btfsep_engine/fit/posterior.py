@@ -51,23 +51,23 @@ def posterior_samples(best: Solution, count: int, random, *, model=None) -> tupl
     return whites, model.light(whites)[0].transpose(0, 2, 1)
 
 
-def hidden_lamps(basis: Basis, count: int, random, *, known: int, shown=None) -> np.ndarray:
+def hidden_lamps(basis: Basis, count: int, random, *, lamps: int, shadowed=None) -> np.ndarray:
     """Lamps in the directions from which hardly a pixel is lit: (count, terms, 3), most of them none.
 
-    A field's logarithm is Gaussian, and has no lamps; those that the photo shows, ``known`` of them, have been found.
+    A field's logarithm is Gaussian, and has no lamps; those that the photo shows, ``lamps`` of them, have been found.
     Of others, behind the object as a rule, nothing is known but that lamps are, and that they come in company: their
     density is that of the known ones where they could be seen, under a Gamma prior of `HIDDEN_LAMPS` in one sphere.
-    ``shown`` says of directions (n, 3) in which of them something else than a pixel that is lit would show a lamp.
+    ``shadowed`` : as of `products.Photograph`: what else than a pixel that is lit would show a lamp.
     Each is as bright as `fit.light_model` takes lamps to be, or half of its spread from it.
     """
     field = natural_field()
     response = basis.mean_response @ field.to_coefficients
     places = field.directions[response < HIDDEN * response.max()]
-    if shown is not None:
-        places = places[~shown(places)]
+    if shadowed is not None:
+        places = places[~shadowed(places)]
     out = np.zeros((count, basis.terms, 3))
     share = len(places) / len(field.directions)
-    lit = random.random(count) < -np.expm1(-share * (HIDDEN_LAMPS + known) / (2 - share))
+    lit = random.random(count) < -np.expm1(-share * (HIDDEN_LAMPS + lamps) / (2 - share))
     if lit.any():
         d = places[random.integers(len(places), size=lit.sum())]
         irradiance = 2 * np.pi * np.exp(BRIGHTNESS / 2 * random.standard_normal(len(d)))

@@ -200,6 +200,9 @@ class Photograph:
         self.mean_square = np.maximum(self.energies / np.maximum(self.count, 1e-300), 1.0)
         self._effective, self.effective = effective, 1.0 if effective is None else effective
 
+    shadowed = None
+    """(n, 3) directions -> (n,) bool, those of lamps whose shadow would be seen; None: nothing shows shadows."""
+
     @property
     def fields(self) -> tuple[LogField, LogField]:
         """The natural and the even field, with as many coefficients as the products are of."""

@@ -25,6 +25,9 @@ SAMPLES_PER_CELL = 24  # map samples that share out the light around a direction
 class Lightings(Protocol):
     """M lights. The last axis of the arrays has 3 channels, or 1 where all channels are alike."""
 
+    returns: bool
+    """Whether every photo asks for the same ones again: what is made of them is kept."""
+
     @property
     def count(self) -> int:
         """M"""
@@ -61,6 +64,7 @@ class SHBasis:
     """The spherical harmonics up to ``order`` as (order + 1)^2 lights, the same in all channels; they go negative."""
 
     order: int
+    returns = True
 
     @property
     def count(self) -> int:
@@ -81,7 +85,7 @@ class SHBasis:
 class _SmoothLight:
     """One light that hardly changes over a cell, as the basis."""
 
-    count = 1
+    count, returns = 1, False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -131,6 +135,7 @@ class EnvironmentMaps:
 
     maps: np.ndarray
     names: tuple[str, ...]
+    returns = False
 
     def __post_init__(self):
         object.__setattr__(self, "maps", np.asarray(self.maps))

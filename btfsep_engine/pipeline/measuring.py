@@ -152,22 +152,18 @@ def measure_maps(
             )
         checkpoints.remove()
         speed = found.speed()
-    return {
-        "name": full,
-        "class": material_class,
-        "library": str(library),
-        "file": entry.file,
-        "size": entry.size,
-        "relative_error": entry.relative_error,
-        "components": entry.components,
+    of_run = {"measured": not was_there, "speed": speed, "warnings": list(reporter.warnings)}
+    return {"name": full, "class": material_class, "library": str(library)} | _record(entry, read) | of_run
+
+
+def _record(entry, read) -> dict:
+    """What is said of a measured material: of its entry in the library, and of the maps that were read."""
+    numbers = ("file", "size", "relative_error", "components", "texel_mm")
+    return {key: getattr(entry, key) for key in numbers} | {
         "texels": list(entry.texels),
-        "texel_mm": entry.texel_mm,
         "relief_mm": round(read.relief_mm, 4),
         "maps": read.files,
         "normal_convention": read.normal_convention,
-        "measured": not was_there,
-        "speed": speed,
-        "warnings": list(reporter.warnings),
     }
 
 

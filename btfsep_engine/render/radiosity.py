@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from btfsep_engine import kept
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.render.arrays import dr
 from btfsep_engine.render.tracer import OFFSET, Tracer
 
@@ -249,7 +248,7 @@ class Indirect:
                     again.append(net.gather @ again[-1])
             return out
 
-        if not isinstance(self.lightings, SHBasis):
+        if not self.lightings.returns:
             return found()
         parts = [self.tracer.key, self.samples, self.seed, self.lightings, times]  # whatever the material
         return kept.recalled("irradiance", parts, found)
@@ -259,7 +258,7 @@ class Indirect:
 
         A mirror shows the surfaces themselves: what its reflected ray meets.
         """
-        if not isinstance(self.lightings, SHBasis):
+        if not self.lightings.returns:
             return self._reflected(transport, material)
         how = [list(self.albedos), self.bounces, self.samples, self.seed, self.lightings]
         parts = [transport.key, material, *how]

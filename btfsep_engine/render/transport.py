@@ -18,7 +18,6 @@ import numpy as np
 from btfsep_engine import kept
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.weights import Weights
@@ -90,7 +89,7 @@ class Transport:
         -------
         (p, M, 3) float32, the channels outermost in memory; of a basis it is kept for the next photo, and not writable
         """
-        if isinstance(lightings, SHBasis):
+        if lightings.returns:
             return kept.recalled("basis", [self.key, material, lightings], lambda: self._radiance(material, lightings))
         return self._radiance(material, lightings)
 

@@ -200,7 +200,7 @@ def test_of_lamps_behind_the_object_the_range_knows(rng):
     seen = rng.random(len(normals)) < -normals[:, 1]  # as a camera sees it
     solver = LightSolver(basis[seen], normals=normals[seen], order=4)
     fit = solver.solve(shown(basis[seen], sky(), rng, 0.1))
-    alone, lamps = (hidden_lamps(solver.basis, 2000, np.random.default_rng(1), known=k) for k in (0, 2))
+    alone, lamps = (hidden_lamps(solver.basis, 2000, np.random.default_rng(1), lamps=k) for k in (0, 2))
     lit = lamps[:, 0, 0] > 0
     assert 0.02 < (alone[:, 0, 0] > 0).mean() < 0.1 and 3.5 < lit.mean() / (alone[:, 0, 0] > 0).mean() < 5.5
     towards = lamps[lit][:, [3, 1, 2], 0] * [-1, -1, 1]

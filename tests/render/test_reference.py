@@ -33,6 +33,7 @@ class Some:
 
     lights: object
     chosen: tuple
+    returns = False
 
     @property
     def count(self):
