@@ -95,10 +95,10 @@ class LightSolver:
         out.slopes = slopes
         return out
 
-    def without_given(self, left=None) -> "LightSolver":
-        """The same of the same basis images with no lamp given; ``left`` : the number of the one to leave out alone."""
+    def without_given(self, number=None) -> "LightSolver":
+        """The same of the same basis images with no lamp given; ``number`` : of the one to leave out alone."""
         out = copy.copy(self)
-        out.given = () if left is None else (*self.given[:left], *self.given[left + 1 :])
+        out.given = () if number is None else (*self.given[:number], *self.given[number + 1 :])
         out._held = {"lamps": tuple(d for d, _ in out.given), "given": (0.0,) * len(out.given)}
         return out
 

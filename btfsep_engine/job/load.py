@@ -46,9 +46,9 @@ def load_job(
     if colorspace is not None:
         schema = schema.model_copy(update={"image_colorspace": colorspace})
     camera = camera_of(schema.camera)
-    told = [(lamp.direction, lamp.direction_stddev_degrees) for lamp in schema.known_lamps]
+    directions = [(lamp.direction, lamp.direction_stddev_degrees) for lamp in schema.known_lamps]
     if suns is None:
-        lamps = known_lamps(told, "job.json: known_lamps")
+        lamps = known_lamps(directions, "job.json: known_lamps")
     else:
         lamps = known_lamps([(direction_of_angles(*s[:2]), *(s[2:] or [KNOWN_TO])) for s in suns], "--sun")
     notes: list[str] = []
@@ -85,15 +85,15 @@ def load_job(
     )
 
 
-def known_lamps(told, what: str) -> tuple[KnownLamp, ...]:
-    """Lamps of which direction (3,), of any length, and standard deviation in degrees are ``told``, checked.
+def known_lamps(directions, what: str) -> tuple[KnownLamp, ...]:
+    """Lamps of ``directions``, each (3,), of any length, with its standard deviation in degrees, checked.
 
     ``what`` : what to call them in an error. Raises InputError.
     """
-    if len(told) > MAX_KNOWN_LAMPS:
-        raise InputError(what, f"it has {len(told)} lamps", f"name at most {MAX_KNOWN_LAMPS}: the brightest")
+    if len(directions) > MAX_KNOWN_LAMPS:
+        raise InputError(what, f"it has {len(directions)} lamps", f"name at most {MAX_KNOWN_LAMPS}: the brightest")
     out: list[KnownLamp] = []
-    for i, (direction, degrees) in enumerate(told):
+    for i, (direction, degrees) in enumerate(directions):
         direction = np.array(direction, np.float64)
         length = float(np.linalg.norm(direction))
         if not (np.isfinite(direction).all() and length > 1e-12):

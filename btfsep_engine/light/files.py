@@ -187,16 +187,16 @@ def _suns(name: str, schema: LightingSchema) -> tuple[Sun, ...]:
 def _checked(name: str, key: str, schema: LightingSchema, beams: dict[str, BeamSchema]) -> tuple[Sun, ...]:
     """The suns that ``beams`` tell of, by where each stands in the file; with the sky of ``key`` they are the light."""
     sky = getattr(schema, key).sky
-    for where, told in beams.items():
-        if not 0.99 < np.linalg.norm(told.direction) < 1.01:
-            got = f"its length is not 1: {told.direction}"
+    for where, beam in beams.items():
+        if not 0.99 < np.linalg.norm(beam.direction) < 1.01:
+            got = f"its length is not 1: {beam.direction}"
             raise InputError(f"{name}: {where}.direction", got, "write a unit vector")
     if len(sky) != len(schema.coefficients):
         got = f"it has {len(sky)} rows, and the coefficients have {len(schema.coefficients)}"
         raise InputError(f"{name}: {key}.sky", got, "write the coefficients without what stands beside it")
     suns = tuple(
-        Sun(**told.model_dump(exclude={"sky", "widest_degrees", "evidence", "near"}), near=_near(told))
-        for told in beams.values()
+        Sun(**beam.model_dump(exclude={"sky", "widest_degrees", "evidence", "near"}), near=_near(beam))
+        for beam in beams.values()
     )
     with np.errstate(over="ignore", invalid="ignore"):  # of numbers as large as they come; they do not add up then
         off = np.abs(np.array(sky) + sum(sun.coefficients(schema.order) for sun in suns) - schema.coefficients).max()
@@ -206,8 +206,8 @@ def _checked(name: str, key: str, schema: LightingSchema, beams: dict[str, BeamS
     return suns
 
 
-def _near(told: BeamSchema) -> Near | None:
-    near = getattr(told, "near", None)
+def _near(beam: BeamSchema) -> Near | None:
+    near = getattr(beam, "near", None)
     return near and Near(near.centre, near.distance, *(near.distance_range or [near.distance] * 2))
 
 

@@ -29,25 +29,25 @@ def named_files(tree: dict) -> list[str]:
     return list(dict.fromkeys(name.replace("\\", "/") for name in names if name))
 
 
-def write_job(source: Path, out: Path, found: Alignment) -> None:
+def write_job(source: Path, out: Path, alignment: Alignment) -> None:
     """Copies a job that was read without fault, with the camera that was found; of a depth, with the shift."""
     tree = json.loads((source / "job.json").read_text(encoding="utf-8-sig"))
     for name in named_files(tree):
         atomic.write_bytes(out / name, atomic.read_bytes(source / name))
-    if found.shift is None:
-        tree["camera"] |= camera_keys(found.camera)
+    if alignment.shift is None:
+        tree["camera"] |= camera_keys(alignment.camera)
     else:
-        tree["depth_shift"] = [a + b for a, b in zip(tree.get("depth_shift", (0, 0)), found.shift, strict=True)]
+        tree["depth_shift"] = [a + b for a, b in zip(tree.get("depth_shift", (0, 0)), alignment.shift, strict=True)]
     write_json(out / "job.json", tree)
 
 
-def write_overlay(path: Path, scene: PreparedScene, found: Alignment) -> None:
+def write_overlay(path: Path, scene: PreparedScene, alignment: Alignment) -> None:
     """The photo with the outline of the geometry before, red, and, where it was moved, after, green."""
     photo, seen = scene.job.photo.radiance.astype(np.float64), scene.view.mesh >= 0
     picture = report.display(photo, report.exposure(photo, seen))
     drawn = [(scene.view, BEFORE)]
-    if found.aligned:
-        drawn.append((with_camera(scene, found.camera).view, AFTER))
+    if alignment.aligned:
+        drawn.append((with_camera(scene, alignment.camera).view, AFTER))
     for view, colour in drawn:
         seen = view.mesh >= 0
         edge = seen & ~binary_erosion(seen, border_value=1)
@@ -82,22 +82,22 @@ def run_align(folder, *, out=None, reporter) -> dict:
         raise InputError("--out", "it is the job's own folder, whose job.json stays", "name another folder")
     scene = PreparedScene(job, reporter)
     with reporter.stage("alignment"):
-        found = align(scene)
+        alignment = align(scene)
     with reporter.stage("writing"):
-        write_job(job.folder, out, found)
-        write_overlay(out / OVERLAY, scene, found)
+        write_job(job.folder, out, alignment)
+        write_overlay(out / OVERLAY, scene, alignment)
     result = {
         "format": "btfsep-alignment",
         "version": 1,
         "job_digest": job.digest,
-        "aligned": found.aligned,
-        "why": found.why,
-        "moved_px": found.moved_px,
-        "degrees": found.degrees,
-        "focal_percent": found.focal_percent,
-        "depth_shift": found.shift,
-        "gain": None if found.gain is None else vars(found.gain),
-        "objective": {"before": _left(found.before), "after": _left(found.after)},
+        "aligned": alignment.aligned,
+        "why": alignment.why,
+        "moved_px": alignment.moved_px,
+        "degrees": alignment.degrees,
+        "focal_percent": alignment.focal_percent,
+        "depth_shift": alignment.shift,
+        "gain": None if alignment.gain is None else vars(alignment.gain),
+        "objective": {"before": _left(alignment.before), "after": _left(alignment.after)},
         "warnings": list(reporter.warnings),
         "seconds": {stage: round(seconds, 4) for stage, seconds in reporter.seconds.items()},
         "peak_memory_mb": peak_memory_mb(),

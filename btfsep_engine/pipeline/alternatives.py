@@ -78,13 +78,13 @@ def alternatives(model: Model, light: SolvedLight, library) -> list[Alternative]
     return out
 
 
-def mixture(found: list[Alternative]) -> Fit:
+def mixture(choices: list[Alternative]) -> Fit:
     """The first one's fit, with the spread and the ranges of all alternatives together.
 
     How much the materials reflect sets the light's scale, which leaves no coefficient undetermined.
     """
-    first = found[0].light.fit
-    fits, shares = [a.light.fit for a in found], [a.probability for a in found]
+    first = choices[0].light.fit
+    fits, shares = [a.light.fit for a in choices], [a.probability for a in choices]
     counts = np.round(np.diff(np.append(0, np.cumsum(shares))) * len(first.samples)).astype(int)
     parts, x = [fit.samples[: max(1, n)] for fit, n in zip(fits, counts, strict=True)], first.all_coefficients
     scales = [(f.all_coefficients * x).sum() / max(np.square(f.all_coefficients).sum(), 1e-300) for f in fits]
@@ -93,7 +93,7 @@ def mixture(found: list[Alternative]) -> Fit:
     return replace(first, state=lambda: stated)
 
 
-def mixture_words(found: list[Alternative]) -> str:
+def mixture_words(choices: list[Alternative]) -> str:
     """Between which materials the photo leaves the choice, and what that made of the light."""
-    each = [f"{', '.join(a.names)} ({100 * a.probability:.0f} %)" for a in found]
+    each = [f"{', '.join(a.names)} ({100 * a.probability:.0f} %)" for a in choices]
     return f"{' or '.join(each)}: the light is fitted with each, and its ranges cover them all"

@@ -149,9 +149,9 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
 
     ``others`` are PreparedScenes of further photographs under the same light, each with an exposure of its own.
     """
-    found = found_light(scene, library, settings, material=material, others=others)
-    say_doubts(found)
-    return found
+    answer = found_light(scene, library, settings, material=material, others=others)
+    say_doubts(answer)
+    return answer
 
 
 @one_thread()
@@ -186,25 +186,25 @@ def light_of(model: Model, library) -> Estimate:
     return Estimate(model, light, choice, others)
 
 
-def say_doubts(found: Estimate) -> None:
+def say_doubts(answer: Estimate) -> None:
     """Warns of what speaks against an estimate."""
-    reporter = found.scene.reporter
+    reporter = answer.scene.reporter
     with reporter.stage("checks"):
-        doubts = all_doubts(found)
+        doubts = all_doubts(answer)
     for doubt in doubts:
         reporter.warn(doubt)
 
 
-def write_light(out: Path, found: Estimate, *, earlier) -> list[Path]:
+def write_light(out: Path, answer: Estimate, *, earlier) -> list[Path]:
     """Writes ``lighting.json`` and ``lighting.exr`` into ``out``; returns their paths.
 
     ``earlier`` : files of a run before, which would belong to another light; they go first.
     """
     paths = [out / "lighting.json", out / "lighting.exr"]
-    with found.scene.reporter.stage("writing"):
+    with answer.scene.reporter.stage("writing"):
         remove(*earlier)
-        write_lighting(paths[0], found.lighting)
-        write_exr(paths[1], found.map, compressed=False)  # a tenth larger, and written in a tenth of the time
+        write_lighting(paths[0], answer.lighting)
+        write_exr(paths[1], answer.map, compressed=False)  # a tenth larger, and written in a tenth of the time
     return paths
 
 
@@ -234,19 +234,19 @@ def run_estimate(
             reporter.warn(note)
     out = Path(out) if out is not None else jobs[0].folder / "result"
     scene, *further = (mended(PreparedScene(job, reporter), settings) for job in jobs)
-    found = found_light(scene, library, settings, material=material, others=further)
+    answer = found_light(scene, library, settings, material=material, others=further)
     record, picture = out / "result.json", out / "report.png"
-    written = write_light(out, found, earlier=[record, picture])
+    written = write_light(out, answer, earlier=[record, picture])
     lighting = str(written[0])
     reporter.light(lighting)
-    say_doubts(found)
+    say_doubts(answer)
     if with_report:
         with reporter.stage("report"):
-            report.write_estimate_report(picture, found)
+            report.write_estimate_report(picture, answer)
         written.append(picture)
     with reporter.stage("record"):
         key = estimate_key([job.digest for job in jobs], library, settings, material)
-        result = result_record(found) | {"key": key, "files": {path.name: digest(path) for path in written}}
+        result = result_record(answer) | {"key": key, "files": {path.name: digest(path) for path in written}}
         result["seconds"]["total"] = round(time.perf_counter() - started, 4)
         write_json(record, result)
     return {**result, "out": str(out), "lighting": lighting}

@@ -36,7 +36,7 @@ CHOSEN, ELECTED, FOLLOWED = "model chosen", "light elected", "light followed"
 
 
 @dataclass(frozen=True)
-class Found:
+class FollowedEstimate:
     """An Estimate, and what of it was found for its own photo: `CHOSEN`, `ELECTED` or `FOLLOWED`."""
 
     estimate: Estimate
@@ -60,9 +60,9 @@ class Follower:
             return out
         return read_by(out, Curves(codes_of(out.job), known.curves, known.shares))
 
-    def found(self, scene: PreparedScene) -> Found:
+    def estimate(self, scene: PreparedScene) -> FollowedEstimate:
         """The light of a scene with objects like those of the first, named and numbered as these."""
-        found = self._found(scene)
+        found = self._estimate(scene)
         self._last = found.estimate
         if found.how != FOLLOWED:
             self._elected = found.estimate
@@ -71,7 +71,7 @@ class Follower:
         return found
 
     @one_thread()
-    def _found(self, scene: PreparedScene) -> Found:
+    def _estimate(self, scene: PreparedScene) -> FollowedEstimate:
         with scene.reporter.stage("transport"):
             simplest = first_model([scene], self.chosen.model.materials[:1], self.chosen.model.settings)
         if not hangs_on_light(self.chosen.model):
@@ -83,13 +83,13 @@ class Follower:
                 beside = solver.first_look(problem.radiance(), weights=problem.weights)
             light = self._followed(model, beside)
             if light is not None:
-                return Found(self._completed(model, light), FOLLOWED)
+                return FollowedEstimate(self._completed(model, light), FOLLOWED)
             with scene.reporter.stage("fit"):
                 light = fit_together(model.problems, model.settings, beside=beside)
             found = self._completed(model, light)
             if not tells_more(found, self.chosen):
-                return Found(found, ELECTED)
-        return Found(light_of(simplest, self.library), CHOSEN)
+                return FollowedEstimate(found, ELECTED)
+        return FollowedEstimate(light_of(simplest, self.library), CHOSEN)
 
     def _followed(self, model: Model, beside: Fit | None) -> SolvedLight | None:
         """The light of a model from the last one on, of whatever view; None where it does not stand still.
@@ -123,13 +123,13 @@ def stands_still(fit: Fit, elected: Fit) -> bool:
     return abs(change) < AS_WELL and np.sqrt(np.square(moved).mean()) < STILL
 
 
-def tells_more(found: Estimate, chosen: Estimate) -> bool:
+def tells_more(estimate: Estimate, chosen: Estimate) -> bool:
     """Whether a photo may ask for another model than the one that was chosen.
 
     It explains it much worse; or there are lamps and were none: only under these a departure is believed.
     """
-    worse = found.light.fit.residual > WORSE * chosen.light.fit.residual
-    return worse or bool(found.fit.lamps and not chosen.fit.lamps)
+    worse = estimate.light.fit.residual > WORSE * chosen.light.fit.residual
+    return worse or bool(estimate.fit.lamps and not chosen.fit.lamps)
 
 
 def hangs_on_light(model: Model) -> bool:

@@ -12,11 +12,11 @@ MOST_PIXELS, MOST_DEGREES = 6.0, 4.0  # of a move: 4 pixels and 2 degrees, and w
 MOST_OF_A_DEPTH = 5.0  # of a shift: 4 pixels, and what is found beside them
 
 
-def mends(scene: PreparedScene, found) -> bool:
+def mends(scene: PreparedScene, alignment) -> bool:
     """Whether an estimate takes an `alignment.Alignment` of its scene."""
-    most = MOST_PIXELS if found.shift is None else MOST_OF_A_DEPTH
-    small = found.moved_px <= most and found.degrees <= MOST_DEGREES
-    return found.aligned and small and shift_doubt(scene) is not None
+    most = MOST_PIXELS if alignment.shift is None else MOST_OF_A_DEPTH
+    small = alignment.moved_px <= most and alignment.degrees <= MOST_DEGREES
+    return alignment.aligned and small and shift_doubt(scene) is not None
 
 
 def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
@@ -29,26 +29,28 @@ def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
     from btfsep_engine.pipeline.alignment import align, with_camera  # most photos are in line, and start without it
 
     with scene.reporter.stage("alignment"):
-        found = align(scene)
-    if not mends(scene, found):
+        alignment = align(scene)
+    if not mends(scene, alignment):
         return scene
-    out = with_camera(scene, found.camera)
-    out.mended_by = found
-    turned = f" and {found.degrees:.1f}°" if found.shift is None else ""
-    moved = "camera is moved" if found.shift is None else "photo is shifted against the depth"
+    out = with_camera(scene, alignment.camera)
+    out.mended_by = alignment
+    turned = f" and {alignment.degrees:.1f}°" if alignment.shift is None else ""
+    moved = "camera is moved" if alignment.shift is None else "photo is shifted against the depth"
     scene.reporter.warn(
-        f"geometry and photo did not line up: for this estimate the {moved} by {found.moved_px:.1f} pixels{turned} "
-        f"({found.why}); the job stays as it is; btfsep align writes one that is in line"
+        f"geometry and photo did not line up: for this estimate the {moved} by {alignment.moved_px:.1f} pixels{turned} "
+        f"({alignment.why}); the job stays as it is; btfsep align writes one that is in line"
     )
     return out
 
 
 def mending_record(scene: PreparedScene) -> dict | None:
     """For ``result.json``: what was moved, and the camera that stood for the job's; None where nothing was."""
-    found = scene.mended_by
-    if found is None:
+    alignment = scene.mended_by
+    if alignment is None:
         return None
     from btfsep_engine.pipeline.alignment import camera_keys
 
-    moved = {"moved_px": found.moved_px, "degrees": found.degrees, "focal_percent": found.focal_percent}
-    return moved | ({"camera": camera_keys(found.camera)} if found.shift is None else {"depth_shift": found.shift})
+    moved = {"moved_px": alignment.moved_px, "degrees": alignment.degrees, "focal_percent": alignment.focal_percent}
+    if alignment.shift is None:
+        return moved | {"camera": camera_keys(alignment.camera)}
+    return moved | {"depth_shift": alignment.shift}

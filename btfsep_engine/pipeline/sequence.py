@@ -25,7 +25,7 @@ from btfsep_engine.job.poses import posed_jobs
 from btfsep_engine.light.files import MAP_SIZE, write_lighting, write_lighting_exr
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.estimation import Estimate, found_light
-from btfsep_engine.pipeline.following import CHOSEN, Follower, Found
+from btfsep_engine.pipeline.following import CHOSEN, FollowedEstimate, Follower
 from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.record import determined_words, run_record
@@ -76,21 +76,21 @@ class Frames:
     ----------
     job : without a photo; library, settings, reporter : of the run
     material : a name for all objects; else the job's, else as recognised in the first frame
-    posed : stem of a file -> JobSchema, of those in which something is elsewhere than the job says
+    poses : stem of a file -> JobSchema, of those in which something is elsewhere than the job says
     """
 
-    def __init__(self, job: Job, library, settings: Settings, *, material, posed, reporter):
+    def __init__(self, job: Job, library, settings: Settings, *, material, poses, reporter):
         self._still, self._library, self._settings, self._material = job, library, settings, material
-        self._posed, self._reporter = posed, reporter
+        self._poses, self._reporter = poses, reporter
         self._pose, self._job = None, job  # of the last frame
         self._scene, self._follower = None, None
         self.first = None  # its Estimate
 
-    def found(self, file: Path) -> tuple[Estimate, dict]:
+    def estimate(self, file: Path) -> tuple[Estimate, dict]:
         """The light of a frame; and its line of ``sequence.json``, without the light's place."""
         reporter = FrameReporter(seconds=self._reporter.seconds, run=self._reporter, is_first=self.first is None)
         with reporter.timed("reading"):
-            self._move_to(self._posed.get(file.stem))
+            self._move_to(self._poses.get(file.stem))
             photo = read_photo(file, self._job.camera, colorspace=self._job.image_colorspace, notes=reporter.warnings)
         begun = time.perf_counter()
         try:
@@ -126,15 +126,15 @@ class Frames:
             told = {"colorspace": self._settings.colorspace, "suns": self._settings.sun}
             self._job = load_job(self._still.folder, with_photo=False, schema=pose, **told)
 
-    def _light(self, photo: Photo, reporter: Reporter) -> Found:
-        """The Estimate of a photo, and what of it was found for it alone (`following.Found`)."""
+    def _light(self, photo: Photo, reporter: Reporter) -> FollowedEstimate:
+        """The Estimate of a photo, and what of it was found for it alone (`following.FollowedEstimate`)."""
         if self._scene is None:
             self._scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
         if self._follower is None:
             self.first = found_light(self._scene, self._library, self._settings, material=self._material)
             self._follower = Follower(self.first, self._library)
-            return Found(self.first, CHOSEN)
-        return self._follower.found(self._follower.scene_of(self._scene, photo, reporter))
+            return FollowedEstimate(self.first, CHOSEN)
+        return self._follower.estimate(self._follower.scene_of(self._scene, photo, reporter))
 
 
 def run_sequence(
@@ -180,13 +180,13 @@ def run_sequence(
         for stem in posed.keys() - {file.stem for file in files}:
             reporter.warn(f"{Path(poses).name}: it says a pose of '{stem}', and no frame is called so")
     out = Path(out) if out is not None else job.folder / "sequence"
-    solver = Frames(job, library, settings, material=material, posed=posed, reporter=reporter)
+    solver = Frames(job, library, settings, material=material, poses=posed, reporter=reporter)
     said, lines = set(), []
 
     def solved():
         """(line, Frame) of each file."""
         for file in files:
-            estimate, line = solver.found(file)
+            estimate, line = solver.estimate(file)
             for warning in line["warnings"]:
                 kind = _DIGITS.sub("", warning)  # of a hundred frames each says the same, in other numbers
                 if kind not in said:

@@ -135,7 +135,7 @@ def test_a_further_frame_keeps_the_colour(shown, found):
     image = photo_of(shown, positive_light(2, seed=5))
     scene = PreparedScene(job_with(None), Reporter())
     scene = follower.scene_of(scene, Photo(image.astype(np.float32), np.ones((SIZE, SIZE), bool), 0), Reporter())
-    frame = follower.found(scene)
+    frame = follower.estimate(scene)
     assert frame.how != "model chosen"
     assert np.array_equal(frame.estimate.scene.colours[0], found.scene.colours[0])
     assert off_as_seen(frame.estimate.fit.coefficients, positive_light(2, seed=5)) < 0.08

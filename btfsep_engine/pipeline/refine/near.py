@@ -46,7 +46,7 @@ class Place:
     ----------
     lamp : its number in the fit's model; away : (3,), from the objects' middle, radii
     more : logarithm of how much brighter the lamp is than in the fit, whose free sky has taken a part of it for its own
-    fit : of the photo as from afar; taken : (p, 3), the nearness of all lamps, which was taken off
+    fit : of the photo as from afar; correction : (p, 3), the nearness of all lamps, which was taken off
     impossible : nothing would be left of the photo, and ``fit`` is that of the place before
     """
 
@@ -54,7 +54,7 @@ class Place:
     away: np.ndarray
     more: float
     fit: Fit
-    taken: np.ndarray
+    correction: np.ndarray
     impossible: bool = False
 
     @property
@@ -88,28 +88,28 @@ class Photographed:
         """`fit.near_lamp.nearness` (p, 3) of a lamp so far away, in radii, (3,)."""
         return nearness(self.basis, self.position, self.centre + self.radius * away, self.centre)
 
-    def solve(self, taken, start: Fit | None) -> Fit:
-        """The light of the photograph less ``taken`` (p, 3), of the model of ``start``; None: elected anew."""
+    def solve(self, correction, start: Fit | None) -> Fit:
+        """The light of the photograph less ``correction`` (p, 3), of the model of ``start``; None: elected anew."""
         solver = self.light.solver
-        return solver.solve(self.photo - taken, weights=self.weights, start=start, beside=self.light.fit)
+        return solver.solve(self.photo - correction, weights=self.weights, start=start, beside=self.light.fit)
 
     def place(self, lamp: int, away, more: float, start: Fit, others) -> Place:
         """A lamp at a place; ``others`` (p, 3): the nearness of those that were found before."""
         fit, of_one = start, self.nearness(away)
         for _ in range(TURNS):
-            taken = others + np.exp(more) * fit.election.lamps[lamp][1] * of_one
-            rest = self.photo - taken if self.weights is None else self.weights * (self.photo - taken)
+            correction = others + np.exp(more) * fit.election.lamps[lamp][1] * of_one
+            rest = self.photo - correction if self.weights is None else self.weights * (self.photo - correction)
             if rest.sum(0).max() <= 0:
-                return Place(lamp, away, more, fit, taken, impossible=True)
-            fit = self.solve(taken, fit)
-        return Place(lamp, away, more, fit, taken)
+                return Place(lamp, away, more, fit, correction, impossible=True)
+            fit = self.solve(correction, fit)
+        return Place(lamp, away, more, fit, correction)
 
-    def left(self, fit: Fit, taken) -> np.ndarray:
-        """(p, 3), what a fit of the photograph less ``taken`` leaves over, each channel in its material's unit."""
+    def residual(self, fit: Fit, correction) -> np.ndarray:
+        """(p, 3), what a fit of the photograph less ``correction`` leaves over, each channel in its material's unit."""
         solver = self.light.solver
-        return (self.photo - taken - solver.basis.predicted(fit.shown)) / solver.basis.response
+        return (self.photo - correction - solver.basis.predicted(fit.shown)) / solver.basis.response
 
-    def asked(self, at: Place) -> tuple[np.ndarray, np.ndarray]:
+    def next_step(self, at: Place) -> tuple[np.ndarray, np.ndarray]:
         """By how much a lamp's misfit asks it to move (2 angles across, logarithms of distance and brightness: (4,));
         and how well that is known: its covariance (4, 4)."""
         solver, photo = self.light.solver, at.fit.election.photo
@@ -117,7 +117,7 @@ class Photographed:
         project, weight = solver.smoother(at.fit), 1 / solver.basis.response
         changes = [(self.nearness(moved(at.away, turn)) - of_one) / SMALL for turn in SMALL * np.eye(3)]
         columns = np.stack([(project(brightness * c) * weight).ravel() for c in (*changes, of_one)], 1)
-        left = self.left(at.fit, at.taken).ravel()
+        left = self.residual(at.fit, at.correction).ravel()
         # a number counts as one of so many that are independent (`Photograph.coarsening`)
         precision = columns.T @ columns / max(float(np.square(left).mean()) * photo.coarsening, 1e-300)
         wanted = precision @ np.linalg.lstsq(columns, left, rcond=None)[0]
@@ -136,10 +136,10 @@ def moved(away, step) -> np.ndarray:
     return turned * (np.clip(distance * np.exp(step[2]), NEAREST, FARTHEST) / np.linalg.norm(turned))
 
 
-def speaks_for_nearness(scene: Photographed, fit: Fit, taken, direction) -> float:
+def speaks_for_nearness(scene: Photographed, fit: Fit, correction, direction) -> float:
     """chi^2 of how much a misfit looks like what nearness would make of a lamp; 0: of the opposite."""
     column = scene.light.solver.smoother(fit)(scene.nearness(RADII[0] * direction)) / scene.light.solver.basis.response
-    found = effect(scene.left(fit, taken), column[None], scene.blocks)
+    found = effect(scene.residual(fit, correction), column[None], scene.blocks)
     return found.chi2 if found.size[0] > 0 else 0.0
 
 
@@ -156,14 +156,14 @@ def near_lamps(model, light):
         if curve_doubts(model.problems, light):
             why = "light is taken to come from far away: what looks like a lamp nearby may be the photo's tone curve"
             return model, light, {"near": why}
-        found = places(scene)
-    if not found:
+        places = found_places(scene)
+    if not places:
         why = "light is taken to come from far away: no lamp nearby explains the photo clearly better"
         return model, light, {"near": why}
-    return nearer(scene, model, light, found)
+    return nearer(scene, model, light, places)
 
 
-def places(scene: Photographed) -> list[Place]:
+def found_places(scene: Photographed) -> list[Place]:
     """Of each lamp that stands near, the brightest first; the last one's fit and what was taken off are of all."""
     start, others, found = scene.light.fit, np.zeros_like(scene.photo), []
     if not start.election.found:
@@ -176,20 +176,20 @@ def places(scene: Photographed) -> list[Place]:
         if best.evidence < start.election.evidence_of_photo + scene.clearly:
             break
         # lamps that stood in for nearness are gone from a light that is elected anew
-        anew = scene.solve(best.taken, None)
+        anew = scene.solve(best.correction, None)
         numbers = [lamp_towards(anew, p.away) for p in (*found, best)]
         if None not in numbers:
             *rest, lamp = numbers
             found = [replace(p, lamp=i) for p, i in zip(found, rest, strict=True)]
             best = followed(scene, scene.place(lamp, best.away, best.more, anew, others), others)
-        start, others = best.fit, best.taken
+        start, others = best.fit, best.correction
         found.append(best)
     return found
 
 
-def brightest_left(fit: Fit, found) -> int:
-    """The brightest of a fit's lamps that is not among those that were found, by its number."""
-    lamps, done = fit.election.lamps, [place.lamp for place in found]
+def brightest_left(fit: Fit, places) -> int:
+    """The brightest of a fit's lamps that is at none of the ``places`` yet, by its number."""
+    lamps, done = fit.election.lamps, [place.lamp for place in places]
     return max((i for i in fit.election.found if i not in done), key=lambda i: lamps[i][1].mean())
 
 
@@ -214,7 +214,7 @@ def search(scene: Photographed, lamp: int, start: Fit, others) -> Place:
 def followed(scene: Photographed, at: Place, others) -> Place:
     """A place moved where its misfit asks for it, as long as the evidence rises."""
     for _ in range(MOVES):
-        step, _ = scene.asked(at)
+        step, _ = scene.next_step(at)
         step *= min(1.0, FARTHEST_TURN / max(np.linalg.norm(step[:2]), 1e-9), FARTHEST_ZOOM / max(abs(step[2]), 1e-9))
         for part in (step, step / 3):
             more = float(np.clip(at.more + part[3], 0, MOST_MORE))
@@ -227,17 +227,17 @@ def followed(scene: Photographed, at: Place, others) -> Place:
     return at
 
 
-def nearer(scene: Photographed, model, light, found):
-    """The model whose photos are less what was ``found``, its light, and what is said of it."""
-    last, lamps = found[-1], []
-    for place in found:
-        _, covariance = scene.asked(replace(place, fit=last.fit, taken=last.taken))
+def nearer(scene: Photographed, model, light, places):
+    """The model whose photos are less what lamps at ``places`` make of them, its light, and what is said of it."""
+    last, lamps = places[-1], []
+    for place in places:
+        _, covariance = scene.next_step(replace(place, fit=last.fit, correction=last.correction))
         sigma, radii = np.hypot(np.sqrt(covariance[2, 2]), BLUR), place.radii
         between = np.clip(radii * np.exp(1.96 * sigma * np.array([-1, 1])), NEAREST, FARTHEST)
         distance, (low, high) = scene.radius * radii, scene.radius * between
         lamps.append((place.away / radii, Near(scene.centre, distance, float(low), float(high))))
-    fit = max(scene.solve(last.taken, None), last.fit, key=lambda f: f.evidence)
-    parts = np.split(last.taken, np.cumsum([len(p.pixels) for p in model.problems])[:-1])
+    fit = max(scene.solve(last.correction, None), last.fit, key=lambda f: f.evidence)
+    parts = np.split(last.correction, np.cumsum([len(p.pixels) for p in model.problems])[:-1])
     parts = [part * e for part, e in zip(parts, light.exposures, strict=True)]
     looks = {
         appearance: [replace(p, nearness=part) for p, part in zip(problems, parts, strict=True)]

@@ -36,18 +36,18 @@ class Read:
     ``sure`` : whether nothing speaks against these
     """
 
-    straight: object
+    direct: object
     model: object
     light: object
     sure: bool
 
 
-def by_own_pixels(straight, model, light, with_reflections) -> Read | None:
+def by_own_pixels(direct, model, light, with_reflections) -> Read | None:
     """What the photos show of occluders whose surface is not known; None where they show nothing of it.
 
     Parameters
     ----------
-    straight, model : Model without and with light between surfaces; light : SolvedLight of the second
+    direct, model : Model without and with light between surfaces; light : SolvedLight of the second
     with_reflections : Model -> the same with light between surfaces
     """
     if light.fit.evidence is None:
@@ -65,11 +65,11 @@ def by_own_pixels(straight, model, light, with_reflections) -> Read | None:
         if np.all(np.abs(flat / before - 1) < SETTLED):
             break
         before = flat
-        straight = with_colours(straight, colours)
-        model = replace(with_reflections(straight), appearance=model.appearance)
+        direct = with_colours(direct, colours)
+        model = replace(with_reflections(direct), appearance=model.appearance)
         light = fit_together(model.problems, replace(model.modelled, order=light.order), beside=light.fit)
     agree = all(left < AGREE for each in found for _, left in each.values())
-    return Read(straight, model, light, agree and light.fit.evidence > first - AGAINST)
+    return Read(direct, model, light, agree and light.fit.evidence > first - AGAINST)
 
 
 def with_colours(model, colours):

@@ -34,28 +34,28 @@ class Greys:
     samples: tuple
 
 
-def by_photo(straight, model, light, with_reflections):
+def by_photo(direct, model, light, with_reflections):
     """A model with light between surfaces, what is not known in it as the photo has it; and its light.
 
     Parameters
     ----------
-    straight, model : Model without and with light between surfaces; light : SolvedLight of the second
+    direct, model : Model without and with light between surfaces; light : SolvedLight of the second
     with_reflections : Model -> the same with light between surfaces
     """
 
-    def with_greys(straight, model, light):
+    def with_greys(direct, model, light):
         def of_grey(grey):
-            return with_reflections(straight.changed(lambda p: replace(p, scene=p.scene.with_grey(grey))))
+            return with_reflections(direct.changed(lambda p: replace(p, scene=p.scene.with_grey(grey))))
 
         return by_grey(model, light, of_grey)
 
-    read = by_own_pixels(straight, model, light, with_reflections)
+    read = by_own_pixels(direct, model, light, with_reflections)
     if read is None:
-        return with_greys(straight, model, light)
-    coloured = with_greys(read.straight, read.model, read.light)
+        return with_greys(direct, model, light)
+    coloured = with_greys(read.direct, read.model, read.light)
     if read.sure:
         return coloured
-    greys = with_greys(straight, model, light)
+    greys = with_greys(direct, model, light)
     return max(coloured, greys, key=lambda each: each[1].fit.evidence)
 
 
