@@ -147,10 +147,10 @@ def recognise_object(scene: PreparedScene, index: int, library, settings: Recogn
     return answer
 
 
-def several(names, *, most: int = 3) -> str:
-    """Names for people, "a or b": of many the first, and how many others."""
-    named = " or ".join(names[:most])
-    return named if len(names) <= most else f"{named}, or one of {len(names) - most} others"
+def several(names) -> str:
+    """Names for people, "a or b": of many the first three, and how many others."""
+    named = " or ".join(names[:3])
+    return named if len(names) <= 3 else f"{named}, or one of {len(names) - 3} others"
 
 
 def recognised(photo, region, window, recogniser: Recogniser, library, verification, *, name: str) -> Recognition:

@@ -235,10 +235,6 @@ class PreparedScene:
         )
         return out + np.einsum("pnc,nc->pc", per_beam, np.concatenate([*strength, np.zeros((0, 3))]).astype(np.float32))
 
-    def photo_at(self, points: SurfacePoints) -> np.ndarray:
-        """The photograph's radiance (p, 3) float32 at the points' pixels."""
-        return self.job.photo.radiance[points.pixels[:, 0], points.pixels[:, 1]]
-
     def usable(self, points: SurfacePoints) -> np.ndarray:
         """Which points' pixels are not saturated: (p,) bool."""
         return self.job.photo.usable[points.pixels[:, 0], points.pixels[:, 1]]

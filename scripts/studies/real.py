@@ -53,7 +53,7 @@ def facing(scene: PreparedScene) -> tuple[np.ndarray, np.ndarray]:
     points = [scene.points(i, textured=False) for i in range(len(scene.regions))]
     points = [p.take(np.flatnonzero(scene.usable(p))) for p in points]
     normal = np.concatenate([p.normal for p in points])
-    b = np.concatenate([scene.photo_at(p).mean(1) for p in points]).astype(np.float64)
+    b = np.concatenate([scene.job.photo.radiance[tuple(p.pixels.T)].mean(1) for p in points]).astype(np.float64)
     to_camera = scene.job.camera.to_world[:3, 3] - np.concatenate([p.position for p in points])
     seen = (normal * to_camera).sum(1) > FACING * np.linalg.norm(to_camera, axis=1)
     return normal[seen], b[seen]

@@ -91,4 +91,5 @@ def look(folder, *, count: int, shadows: bool = True):
     points = points.take(np.flatnonzero(scene.usable(points)))
     points = points.take(spread(points, count))
     visible = scene.tracer.visible(points.position, points.flat_normal, directions()) if shadows else np.ones((1, 1))
-    return Seen(points.normal, points.to_eye, visible), scene.photo_at(points).astype(np.float64)
+    photo = scene.job.photo.radiance[tuple(points.pixels.T)]
+    return Seen(points.normal, points.to_eye, visible), photo.astype(np.float64)
