@@ -6,8 +6,10 @@ from itertools import combinations, pairwise
 
 import pytest
 
+from btfsep_engine import images
 from btfsep_engine.errors import InputError
-from btfsep_engine.pipeline.settings import PRESETS, Settings, changed, choose, meanings
+from btfsep_engine.job.schema import JobSchema
+from btfsep_engine.pipeline.settings import CURVES, PRESETS, Settings, changed, choose, meanings
 from btfsep_engine.recognise import METHODS
 
 COSTS = ("pixels", "reflections", "surface_samples", "training_directions", "training_pixels", "training_turns")
@@ -77,6 +79,11 @@ def test_texts_of_a_command_line_are_taken_for_what_they_say():
     found = choose("draft", order="0", bounces="auto", pixels="70", colorspace="linear", verify=False)
     assert found == replace(PRESETS["draft"], order=0, bounces="auto", pixels=70, colorspace="linear", verify=False)
     assert isinstance(found.order, int)
+
+
+def test_a_photos_curves_are_those_of_a_job_and_of_what_reads_it():
+    assert list(CURVES) == JobSchema.model_json_schema()["properties"]["image_colorspace"]["enum"]
+    assert CURVES == (*images.COLORSPACES, "unknown")
 
 
 def test_values_that_do_not_go_together():
