@@ -194,11 +194,20 @@ def _told(scene) -> tuple:
     camera = s.camera or scene.camera
     shape = [getattr(r, name) for name in SHAPE]
     suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known(scene)]
-    evidence = tuple(sorted(thing.session_uid for thing in scene.objects if thing.btfsep_evidence))
     shift = tuple(s.depth_shift)
-    own = (suns, s.occluders, evidence, s.mapping, s.exposure_ev, s.curve, shift)
+    own = (suns, s.occluders, _beside(scene), s.mapping, s.exposure_ev, s.curve, shift)
     own += (camera and camera.session_uid,)
     return (*own, pictures, made, shape, engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s))
+
+
+def _beside(scene) -> list:
+    """What casts shadows beside the objects, and whether it is evidence: no update tells of an object that is gone."""
+    if scene.btfsep.occluders == "NONE":
+        return []
+    fitted = [entry.object for entry in request.listed(scene.btfsep)]
+    shown = meshes.rendered_objects(Place(scene).view_layer).difference(fitted)
+    found = (thing for thing in shown if thing.visible_shadow and meshes.has_surface(thing))
+    return sorted((thing.session_uid, thing.btfsep_evidence) for thing in found)
 
 
 SHAPE = (
@@ -245,9 +254,10 @@ def _heard(scene, depsgraph):
         return
     if depsgraph.view_layer.name != Place(scene).view_layer.name:
         return  # of another window: it is told of the same later, also of what the export did
-    # all of them: what the scene's settings were is remembered
-    if any([_matters(update, scene) for update in depsgraph.updates]) and kept_light.kept(scene):
-        _follower.changed(scene)
+    if any(_matters(update, scene) for update in depsgraph.updates):
+        _known[scene.session_uid] = _told(scene)  # what is told a second time is no second change
+        if kept_light.kept(scene):
+            _follower.changed(scene)
 
 
 @persistent

@@ -92,11 +92,36 @@ def mask(scene):
 
 
 def beside(scene):
+    settle(scene)
+    bpy.ops.mesh.primitive_cube_add(location=(2, 0, 0))
+    scene.view_layers[0].objects.active.data.materials.append(bpy.data.materials.new("Beside"))
+
+
+def settle(scene):
+    """What was changed so far is how the scene was before."""
     scene.view_layers[0].update()
     live._known[scene.session_uid] = live._told(scene)
     live._follower.give_way()
-    bpy.ops.mesh.primitive_cube_add(location=(2, 0, 0))
-    scene.view_layers[0].objects.active.data.materials.append(bpy.data.materials.new("Beside"))
+
+
+def as_evidence(scene):
+    beside(scene)
+    settle(scene)
+    thing = scene.view_layers[0].objects.active
+    thing.btfsep_evidence = True
+    thing.update_tag()  # as the panel does
+
+
+def gone(scene):
+    beside(scene)
+    settle(scene)
+    bpy.data.objects.remove(scene.view_layers[0].objects.active)
+
+
+def not_rendered(scene):
+    beside(scene)
+    settle(scene)
+    scene.view_layers[0].objects.active.hide_render = True
 
 
 def edit(scene, path, value):
@@ -113,6 +138,9 @@ CHANGES = {
     "own material": lambda scene: setattr(material(scene), "roughness", 0.3),
     "mask": mask,
     "another object": lambda scene: beside(scene),
+    "another object as evidence": as_evidence,
+    "another object that goes": gone,
+    "another object that is not rendered any more": not_rendered,
     "curve": lambda scene: edit(scene, "curve", "linear"),
     "order": lambda scene: edit(scene, "order", 2),
 }
@@ -132,6 +160,8 @@ INDIFFERENT = {
 @pytest.mark.parametrize("name", [*CHANGES, *INDIFFERENT])
 def test_what_the_light_follows(photographed, asked, name):
     (CHANGES | INDIFFERENT)[name](photographed)
+    follow()
+    photographed.update_tag()  # it is told again, with something that matters not
     follow()
     assert presets(asked) == (["draft", "balanced"] if name in CHANGES else [])
 
