@@ -3,7 +3,7 @@
 
 import bpy
 
-from . import kept_light, runs, use_photo
+from . import kept_light, photo, runs, use_photo
 from .errors import InputError
 
 STANDARD = {"view_transform": "Standard", "look": "None", "exposure": 0.0, "gamma": 1.0}
@@ -60,7 +60,7 @@ def look_of(scene) -> dict:
     a render saved with AgX. A linear photo has no look of its own: Standard shows it as the background image is shown.
     """
     view, image = scene.view_settings, scene.btfsep.image
-    agx = scene.btfsep.curve == "agx" and image is not None and not image.is_float
+    agx = scene.btfsep.curve == "agx" and image is not None and not photo.of_floats(image)
     wanted = STANDARD | {"view_transform": "AgX"} if agx else STANDARD
     return {name: value for name, value in wanted.items() if getattr(view, name) != value}
 

@@ -72,6 +72,22 @@ def taken_as_is(image, path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and space in (LINEAR if path.suffix.lower() in FLOAT else CODED)
 
 
+def of_floats(image) -> bool:
+    """Whether the photo ``image`` is linear light, whatever its curve; `is_float` are 16 bits, too."""
+    path = file_of(image)
+    if path is not None and path.suffix.lower() in FLOAT:
+        return True
+    coded = path is not None and image.source != "GENERATED" and not image.is_dirty and taken_as_is(image, path)
+    return image.is_float and not coded
+
+
+def lacks_pixels(image) -> str:
+    """Why ``image``, which has no pixels, has none, and what to do, in two parts with a colon."""
+    if image.type == "MULTILAYER":
+        return "is an EXR of many layers: save the one with the photo as an EXR of its own"
+    return "has no pixels: choose it again"
+
+
 def _put_image(image, folder: Path, stem: str = "photo"):
     space = image.colorspace_settings.name
     path = file_of(image)
@@ -155,7 +171,7 @@ def put_depth(image, folder) -> str:
 def _size(image) -> tuple[int, int]:
     width, height = image.size
     if not (width and height):
-        raise InputError(f"the photo {image.name}", "it has no pixels", "choose the photo again")
+        raise InputError(f"the photo {image.name}", *f"it {lacks_pixels(image)}".split(": "))
     return width, height
 
 

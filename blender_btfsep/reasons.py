@@ -51,7 +51,7 @@ def _of_shape(scene, image) -> str:
     if not (width and height):
         if image.source == "SEQUENCE":
             return ""  # it has pixels only at the frames where the scene has it: the export looks at its file
-        return f"The photo '{image.name}' has no pixels: choose it again"
+        return f"The photo '{image.name}' {photo.lacks_pixels(image)}"
     if pinhole.shown(scene, (width, height)) is not None:
         return ""
     wide, high = pinhole.render_region(scene)[2:]

@@ -34,8 +34,7 @@ def is_behind(scene) -> bool:
 
 def read_as(image, curve: str) -> str:
     """How the engine is told to read the photo, in words; ``curve``: the panel's."""
-    path = photo.file_of(image)
-    if image.is_float or (path is not None and path.suffix.lower() in photo.FLOAT):
+    if photo.of_floats(image):
         return "read as linear light (floats)"
     if curve != "auto":
         return READ[curve]
@@ -105,7 +104,7 @@ class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         settings.image = image = settings.image or background(camera)
         size = photo.size_of(image)
         if not all(size):
-            raise InputError(f"the photo '{image.name}'", "it has no pixels", "choose it again")
+            raise InputError(f"the photo '{image.name}'", *f"it {photo.lacks_pixels(image)}".split(": "))
         words = fit_render(scene, size)
         put_behind(scene, camera, image, size)
         light_picture.small(image)  # for the picture of the light, later

@@ -256,7 +256,8 @@ def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Phot
         got = f"{len(rows)} pixels are NaN or infinite, first x {columns[0]}, y {rows[0]}"
         raise InputError(name, got, "render or export the photo again")
     if not image.usable.any():
-        raise InputError(name, "every pixel is saturated or transparent", "give a photo with a shorter exposure")
+        cure = "give one that is opaque, with a shorter exposure"
+        raise InputError(name, "every pixel is saturated or transparent", cure)
     saturated = int(image.saturated.sum())
     if saturated:
         notes.append(f"{name}: {saturated} of {width * height} pixels are saturated")

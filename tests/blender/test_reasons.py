@@ -26,6 +26,16 @@ def lost_photo(scene, tmp_path):
     (tmp_path / "photo.png").unlink()
 
 
+def many_layers(scene, tmp_path):
+    picture = scene.render.image_settings
+    if hasattr(picture, "media_type"):  # Blender 5
+        picture.media_type = "MULTI_LAYER_IMAGE"
+    picture.file_format, scene.render.filepath = "OPEN_EXR_MULTILAYER", str(tmp_path / "layers.exr")
+    scene.cycles.samples = 1
+    bpy.ops.render.render(write_still=True)
+    scene.btfsep.image = bpy.data.images.load(str(tmp_path / "layers.exr"))
+
+
 def another_shape(scene, tmp_path):
     scene.render.resolution_x = 90
 
@@ -71,6 +81,7 @@ def empty_list(scene, tmp_path):
         (without_camera, "The scene has no camera"),
         (without_photo, "Choose the photo first"),
         (lost_photo, "The photo's file photo.png is not there"),
+        (many_layers, "The photo 'layers.exr' is an EXR of many layers: save the one"),
         (another_shape, "The photo is 48 x 32, the scene renders 90 x 32"),
         (excluded, "'Cube' is in no collection of this view layer"),
         (unknown_material, "The library has no material 'wood/oke'"),

@@ -4,6 +4,7 @@
 import json
 
 import bpy
+import cv2
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
@@ -27,6 +28,9 @@ from tests.blender.lit import LIGHTING
 
 
 def photo(path, width, height, *, space=None):
+    if path.stem == "deep":  # of 16 bits, of which Blender makes floats
+        cv2.imwrite(str(path), np.full((height, width, 3), 30000, np.uint16))
+        return bpy.data.images.load(str(path))
     image = bpy.data.images.new("made", width, height, float_buffer=path.suffix == ".exr")
     image.filepath_raw = str(path)
     image.file_format = {".png": "PNG", ".exr": "OPEN_EXR"}[path.suffix]
@@ -131,6 +135,8 @@ def test_a_photo_of_another_shape_than_the_region_is_one_of_the_whole_picture(ph
         ("a.png", None, "unknown", "its tone curve is found from the photo"),
         ("a.png", None, "linear", "read as linear light"),
         ("a.exr", None, "srgb", "read as linear light (floats)"),
+        ("deep.png", None, "auto", "read as sRGB"),
+        ("deep.png", None, "linear", "read as linear light"),
     ],
 )
 def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name, space, curve, words):
@@ -253,10 +259,12 @@ def test_the_rendered_view_has_the_photos_colours_and_says_what_it_changed(lit, 
     assert bpy.context.scene.view_settings.view_transform == "AgX" and not bpy.context.scene.render.film_transparent
 
 
-def test_a_plate_that_is_read_as_agx_is_looked_at_through_agx(lit):
+def test_a_plate_that_is_read_as_agx_is_looked_at_through_agx(lit, tmp_path):
     lit.btfsep.image, lit.btfsep.curve = bpy.data.images.new("plate", 8, 8), "agx"
     lit.view_settings.view_transform, lit.view_settings.exposure = "Standard", 0.5
     assert looking.look_of(lit) == {"view_transform": "AgX", "exposure": 0.0}
+    lit.btfsep.image = photo(tmp_path / "deep.png", 8, 8)
+    assert lit.btfsep.image.is_float and looking.look_of(lit) == {"view_transform": "AgX", "exposure": 0.0}
     lit.btfsep.image = bpy.data.images.new("floats", 8, 8, float_buffer=True)
     assert looking.look_of(lit) == {"exposure": 0.0}
 
