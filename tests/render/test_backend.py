@@ -21,6 +21,20 @@ print(float((mi.Float([0.25, 0.75]) * 2).numpy()[0] * 2), os.environ.get("HOME")
 """
 
 
+REWRITTEN = """
+import linecache
+from btfsep_engine.render.backend import import_mitsuba
+mi = import_mitsuba()
+import drjit
+box = mi.load_dict(mi.cornell_box())
+def sources():  # that were read to be rewritten
+    return [name for name in linecache.cache if name.endswith("prb.py")]
+print(len(sources()), drjit.syntax is drjit.ast.syntax)
+image = mi.render(box, spp=1, integrator=mi.load_dict({"type": "prb"}))
+print(len(sources()), image.numpy().mean() > 0)
+"""
+
+
 @pytest.fixture(autouse=True)
 def fresh(tmp_path, monkeypatch):
     """An empty cache, and no memory of an earlier choice."""
@@ -36,6 +50,11 @@ def test_this_machine_has_a_backend_and_remembers_it():
     chosen = backend.choose_backend()
     assert chosen.variant in (backend.LLVM_VARIANT, backend.CUDA_VARIANT)
     assert str(cache.read(backend.remembered())["library"]) == chosen.library
+
+
+def test_what_mitsuba_differentiates_with_is_rewritten_when_it_is_first_called():
+    run = subprocess.run([sys.executable, "-P", "-c", REWRITTEN], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["0", "True", "1", "True"]
 
 
 def test_a_library_that_is_none_is_refused_with_a_remedy(tmp_path, monkeypatch):
