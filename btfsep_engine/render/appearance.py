@@ -9,7 +9,7 @@ import numpy as np
 
 from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Tabulated
-from btfsep_engine.render.arrays import DirectionTaps, dr, floats, mi
+from btfsep_engine.render.arrays import DirectionTaps, aligned, dr, mi
 from btfsep_engine.render.surface import SurfacePoints
 
 PROBE_TEXELS = 1.5  # between look-ups within a pixel: with one for all of it, single pixels are 5 to 15 % wrong
@@ -134,11 +134,11 @@ class LightTables:
         triangle = (taps[:, 0].astype(np.int64) * self.views + taps[:, 1]) * self.views + taps[:, 2]
         order = np.argsort(triangle, kind="stable")
         ends = np.flatnonzero(np.diff(triangle[order], append=-1)) + 1
-        tables = np.empty((len(points), self.lights * 4), np.float32)
+        tables = aligned((len(points), self.lights * 4), np.float32)  # of a report's points 100 MB: not copied again
         for some in np.split(order, ends[:-1]):
             if len(some):
                 tables[some] = rows[some] @ self._angular[taps[some[0]]].reshape(rows.shape[1], -1)
-        return floats(tables)
+        return mi.Float(tables.ravel())
 
     def _view_taps(self, points):
         """Three views and their weights for each point: (n, 3) int and (n, 3) float32."""

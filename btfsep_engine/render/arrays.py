@@ -31,28 +31,34 @@ class _AtFirstUse:
 dr, mi = _AtFirstUse("drjit"), _AtFirstUse("mitsuba")
 
 
-def _aligned(values, kind) -> np.ndarray:
-    """A flat copy at an address that is a multiple of `ALIGNMENT`.
+def aligned(shape, kind) -> np.ndarray:
+    """An array yet to be filled, at an address that is a multiple of `ALIGNMENT`.
 
     Dr.Jit borrows NumPy's memory, and compiles other kernels for memory that is not aligned: without this, chance would
     decide whether a kernel is found in the cache.
     """
-    values = np.asarray(values)
-    room = np.empty(values.size * np.dtype(kind).itemsize + ALIGNMENT, np.uint8)
+    size = int(np.prod(shape)) * np.dtype(kind).itemsize
+    room = np.empty(size + ALIGNMENT, np.uint8)
     start = -room.ctypes.data % ALIGNMENT
-    flat = room[start : start + values.size * np.dtype(kind).itemsize].view(kind)
-    flat.reshape(values.shape)[...] = values
-    return flat
+    return room[start : start + size].view(kind).reshape(shape)
+
+
+def _copied(values, kind) -> np.ndarray:
+    """A flat aligned copy."""
+    values = np.asarray(values)
+    out = aligned(values.shape, kind)
+    out[...] = values
+    return out.ravel()
 
 
 def floats(values):
     """An array of any shape to a flat Mitsuba Float."""
-    return mi.Float(_aligned(values, np.float32))
+    return mi.Float(_copied(values, np.float32))
 
 
 def integers(values):
     """An array of any shape, of numbers >= 0, to a flat Mitsuba UInt32."""
-    return mi.UInt32(_aligned(values, np.uint32))
+    return mi.UInt32(_copied(values, np.uint32))
 
 
 def vector(values):
