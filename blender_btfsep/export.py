@@ -167,7 +167,8 @@ def _prepare(folder) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / JOB_FILE).unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"the folder {folder}", error, "choose a folder that can be written") from error
+        cure = "choose a folder that can be written, or do not keep jobs beside the .blend (preferences)"
+        raise InputError(f"the folder {folder}", error.strerror or error, cure) from error
     return folder
 
 

@@ -27,6 +27,17 @@ def chosen(entry):
     return BLENDER if entry.source == BLENDER and not stands_for else None
 
 
+def words(thing) -> str:
+    """What an object (or None) is made of as in Blender, for the panel."""
+    if thing is None:
+        return "It has no material of its own"
+    if thing.instance_type == "COLLECTION":
+        return "As what it instances"
+    names = dict.fromkeys(f"'{slot.material.name}'" for slot in thing.material_slots if slot.material)
+    own = ", ".join(names) + (": their mean" if len(names) > 1 else "")
+    return library_assets.material_named_by(thing) or own or "It has no material: white"
+
+
 def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn) -> dict | None:
     """The "surface" of an object in the job.
 
@@ -54,6 +65,8 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
     if surface is None:
         why = told[0] if told else "what it reflects is not known"
         raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")
+    if len(part["areas"]) > 1:
+        told.append(f"it has {len(part['areas'])} materials, whose mean is taken; separate it by material")
     for sentence in told:
         warn(f"object '{name}': {sentence}")
     image = texture_of(part["areas"])

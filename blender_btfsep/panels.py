@@ -11,9 +11,9 @@ from . import (
     icons,
     kept_light,
     library,
-    library_assets,
     mending,
     outlines,
+    own_surface,
     preferences,
     request,
     runs,
@@ -25,7 +25,7 @@ from . import (
 from . import camera as pinhole
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
-SHOWN = 3  # candidates in the panel
+SHOWN = 3  # candidates, or lamps, in the panel
 MARGIN = 105  # pixels of the sidebar's width that a label with an icon in a box cannot have, at scale 1
 
 
@@ -73,8 +73,8 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
             if settings.curve == "auto":
                 read = use_photo.read_as(image, "auto")
                 _wrapped(context, layout, read[:1].upper() + read[1:], icon="INFO")
-        wrong = there and pinhole.shown(scene, image.size) is None
-        if wrong:
+        behind = use_photo.is_behind(scene)
+        if behind and there and pinhole.shown(scene, image.size) is None:
             box = layout.box()
             box.alert = True
             _wrapped(
@@ -83,8 +83,8 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
                 f"The photo is {image.size[0]} x {image.size[1]}; the scene renders another shape.",
                 icon="ERROR",
             )
-            box.operator("btfsep.use_photo", text="Set Resolution")
-        if not use_photo.is_behind(scene) and not wrong:
+            box.operator("btfsep.use_photo")
+        elif not behind:
             found = use_photo.background(camera) if image is None else None
             words = f"Use '{found.name}' of the Camera" if found else "Use Photo"
             layout.operator("btfsep.use_photo", text=words, icon="CAMERA_DATA")
@@ -138,9 +138,7 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
             split.prop(entry, "roughness")
             split.prop(entry, "metallic")
         elif entry.source == "BLENDER":
-            material = entry.object and entry.object.active_material
-            words = library_assets.material_named_by(entry.object) or (material and f"'{material.name}'")
-            _wrapped(context, layout, words or "It has no material: white", icon="MATERIAL")
+            _wrapped(context, layout, own_surface.words(entry.object), icon="MATERIAL")
         elif entry.source == "LIBRARY":
             self._library(context, layout, entry)
         elif entry.candidates:
@@ -165,7 +163,7 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
                 layout.label(text="Reading the library …", icon="SORTTIME")
         chosen = preferences.get(context)
         if isinstance(chosen, bpy.types.AddonPreferences):
-            layout.prop(chosen, "library", text="")
+            layout.prop(chosen, "library", text="", placeholder="The library that comes with it")
         layout.operator("btfsep.measure_material", icon="NODE_MATERIAL")
 
     def _candidates(self, context, layout, entry):
@@ -289,6 +287,10 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             name.active, name.scale_y = False, 0.8
             name.label(text=label)
             _wrapped(context, row.column(), words, share=0.7)
+        others = [f"'{lamp.name}'" for lamp in sun_lamp.others(context.scene)]
+        if others:
+            shine = f"{', '.join(others[:SHOWN])}{' …' * (len(others) > SHOWN)} shine{'s' * (len(others) == 1)}"
+            _wrapped(context, box, f"{shine} beside this light: hide in renders what should not", icon="INFO")
         for warning in card.get("warnings") or ():
             _wrapped(context, box, warning["short"], icon="ERROR")
             mend, about = warning["mend"], next((w for n, w, _ in mending.MENDS if n == warning["mend"]), "")

@@ -55,7 +55,7 @@ def _of_shape(scene, image) -> str:
     if pinhole.shown(scene, (width, height)) is not None:
         return ""
     wide, high = pinhole.render_region(scene)[2:]
-    return f"The photo is {width} x {height}, the scene renders {wide} x {high}: set the resolution to the photo's"
+    return f"The photo is {width} x {height}, the scene renders {wide} x {high}: press Use Photo"
 
 
 def _of_entry(name: str, entry, view_layer, settings) -> str:
@@ -63,6 +63,8 @@ def _of_entry(name: str, entry, view_layer, settings) -> str:
     if thing is not None and settings.depth is None:
         if not meshes.has_surface(thing):
             return f"'{name}' has no surface: take it off the list"
+        if not thing.users_collection:
+            return f"'{name}' was deleted: take it off the list"
         if thing.name not in view_layer.objects:
             return f"'{name}' is in no collection of this view layer: include its collection, or take it off the list"
         if settings.mapping == "OWN" and thing.type == "MESH" and not thing.data.uv_layers and not thing.modifiers:

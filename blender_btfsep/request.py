@@ -29,8 +29,9 @@ def fitted(settings, ids=None) -> dict:
 
 def may_be_evidence(settings, thing) -> bool:
     """Whether an object (or None) stands beside what is fitted, and has a surface."""
-    listed_too = thing is not None and any(entry.object == thing for entry in listed(settings))
-    return thing is not None and meshes.has_surface(thing) and not (listed_too and settings.depth is None)
+    things = [entry.object for entry in listed(settings)]
+    beside = settings.depth is not None or (bool(things) and thing not in things)
+    return beside and thing is not None and meshes.has_surface(thing)
 
 
 def ids_of(settings) -> dict:

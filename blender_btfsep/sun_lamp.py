@@ -39,6 +39,12 @@ def beside(scene) -> str:
     return {0: "", 1: ", with one Sun lamp beside it"}.get(count, f", with {count} Sun lamps beside it")
 
 
+def others(scene) -> list:
+    """Lamps of ``scene`` that a render shows beside the light, and that the light knows nothing of."""
+    ours = {*lamps(scene), *known(scene)}
+    return [t for t in scene.objects if t.type == "LIGHT" and not t.hide_render and t not in ours]
+
+
 def known(scene) -> list:
     """The Sun lamps of ``scene`` whose direction the user knows, each once: ours or others."""
     settings = getattr(scene, "btfsep", None)  # a light can be put into a scene without the add-on's panel

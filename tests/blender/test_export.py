@@ -341,6 +341,6 @@ def test_wrong_scenes_are_refused_in_words(scene, tmp_path, add_camera):
     with pytest.raises(InputError, match="'Empty mesh'; it has no faces"):
         export.export_job(scene, job, image_path=photo, objects=[empty])
     (tmp_path / "file").write_text("in the way")
-    with pytest.raises(InputError, match="choose a folder"):
+    with pytest.raises(InputError, match="File exists; choose a folder that can be written, or do not keep jobs"):
         export.export_job(scene, tmp_path / "file", image_path=photo, objects=[cube])
     assert not (job / "job.json").exists()

@@ -158,6 +158,7 @@ def test_a_table_is_evidence_where_its_object_says_so(addon, scene, tmp_path, ad
     job = json.loads(path.read_text())
     assert [o.get("evidence") for o in job["occluders"]] == [None, True] and "evidence" not in job["objects"][0]
     assert [o.evidence for o in load_job(path.parent).occluders] == [False, True]
+    assert not any(request.may_be_evidence(scene.btfsep, o) for o in (thing, *tables))  # beside nothing
     scene.btfsep.objects.add().object = thing
     assert [request.may_be_evidence(scene.btfsep, o) for o in (None, thing, camera, *tables)] == [False] * 3 + [
         True

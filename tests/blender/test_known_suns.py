@@ -97,6 +97,18 @@ def test_an_estimate_neither_moves_nor_loses_it_and_makes_it_as_bright_as_found(
     assert not sun_lamp.lamps(photographed)
 
 
+def test_a_lamp_that_the_light_knows_nothing_of_is_told_from_ours_and_from_a_known_one(photographed, lamp):
+    assert not sun_lamp.others(photographed)
+    mine = bpy.data.objects.new("Mine", bpy.data.lights.new("Mine", "SUN"))
+    photographed.collection.objects.link(mine)
+    assert sun_lamp.others(photographed) == [mine]
+    bpy.ops.btfsep.freeze_sun(name="Mine")
+    assert not sun_lamp.others(photographed)
+    bpy.ops.btfsep.free_sun(name="Mine")
+    mine.hide_render = True
+    assert not sun_lamp.others(photographed)
+
+
 def test_the_previous_world_comes_back_without_it(photographed, lamp):
     bpy.ops.btfsep.freeze_sun(name=lamp.name)
     assert bpy.ops.btfsep.restore_world() == {"FINISHED"}

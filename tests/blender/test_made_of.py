@@ -72,6 +72,31 @@ def test_as_in_blender_is_what_its_material_says(photographed, cube, tmp_path):
     assert surface["specular"] == pytest.approx(0.5, abs=0.01) and surface["metallic"] == 0
 
 
+def test_of_several_materials_the_mean_is_taken_and_that_is_said(photographed, cube, tmp_path):
+    from blender_btfsep import own_surface
+
+    cube.source, thing = "BLENDER", cube.object
+    assert own_surface.words(thing) == "It has no material: white"
+    thing.data.materials.append(material())
+    assert own_surface.words(thing) == "'Own'"
+    job_of(photographed, tmp_path)
+    warnings = bpy.context.window_manager.btfsep.warnings
+    assert not warnings
+    thing.data.materials.append(material(colour=(0.6, 0.4, 0.5, 1)))
+    for face in thing.data.polygons[:3]:
+        face.material_index = 1
+    thing.data.update()
+    surface = job_of(photographed, tmp_path)["surface"]
+    assert np.allclose(surface["base_color"], (0.4, 0.4, 0.3))
+    assert [w.name for w in warnings] == [
+        "object 'Cube': it has 2 materials, whose mean is taken; separate it by material"
+    ]
+    assert own_surface.words(thing) == "'Own', 'Own.001': their mean"
+    holder = bpy.data.objects.new("Holder", None)
+    holder.instance_type, holder.instance_collection = "COLLECTION", photographed.collection
+    assert own_surface.words(holder) == "As what it instances" and own_surface.words(None).startswith("It has no")
+
+
 def test_as_in_blender_takes_the_texture_by_its_uv(photographed, cube, tmp_path):
     image = bpy.data.images.new("Checks", 4, 4)
     pixels = np.ones((4, 4, 4), np.float32)

@@ -50,6 +50,12 @@ def excluded(scene, tmp_path):
     bpy.context.view_layer.update()
 
 
+def deleted(scene, tmp_path):
+    bpy.ops.object.select_all(action="DESELECT")
+    scene.btfsep.objects[0].object.select_set(True)
+    bpy.ops.object.delete()
+
+
 def unknown_material(scene, tmp_path):
     bpy.context.window_manager.btfsep.library.add().name = "wood/oak"
     scene.btfsep.objects[0].source, scene.btfsep.objects[0].material = "LIBRARY", "wood/oke"
@@ -84,6 +90,7 @@ def empty_list(scene, tmp_path):
         (many_layers, "The photo 'layers.exr' is an EXR of many layers: save the one"),
         (another_shape, "The photo is 48 x 32, the scene renders 90 x 32"),
         (excluded, "'Cube' is in no collection of this view layer"),
+        (deleted, "'Cube' was deleted: take it off the list"),
         (unknown_material, "The library has no material 'wood/oke'"),
         (no_material, "Choose the material of 'Cube'"),
         (no_uv, "'Cube' has no UV map"),

@@ -80,7 +80,7 @@ def test_what_cannot_be_estimated_is_said_before_the_click(photographed, tmp_pat
             operator()
     photographed.camera.data.type = "ORTHO"
     settings.image = photo(tmp_path / "wide.png", 60, 20)
-    assert "set the resolution" in said()
+    assert "press Use Photo" in said()
     bpy.ops.btfsep.use_photo()
     assert said() == ""
     (tmp_path / "wide.png").unlink()
