@@ -133,6 +133,8 @@ class Follower:
                 if self.asked == WHOLE:  # a draft is there as soon as it is said
                     runs.redraw(at_once=True)
             return
+        if sun_lamp.are_moved(scene):
+            return  # what the engine says waits
         for message in self.run.poll():
             if isinstance(message, engine_process.Light) and not self._cancelled:
                 answer.take_light(scene, message.lighting)

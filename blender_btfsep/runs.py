@@ -12,7 +12,7 @@ import time
 
 import bpy
 
-from . import durations, engine_process, preferences, resident
+from . import durations, engine_process, preferences, resident, sun_lamp
 from .errors import InputError
 
 INTERVAL = 0.05  # seconds between polls
@@ -172,7 +172,7 @@ class EngineOperator:
             elif not self._prepared():
                 self._no_timer(context)
                 return {"CANCELLED"}
-        else:
+        elif not self._waits():
             for message in current.poll():
                 if current.over and isinstance(message, engine_process.LAST):
                     last = message
@@ -196,6 +196,11 @@ class EngineOperator:
             current.kill()  # the engine that stays does so
             current = None
         run_state().running = False
+
+    def _waits(self) -> bool:
+        """Whether what the engine says has to wait for the user."""
+        scene = next((each for each in bpy.data.scenes if each.session_uid == self._scene), None)
+        return scene is not None and sun_lamp.are_moved(scene)
 
     def _no_timer(self, context) -> None:
         context.window_manager.event_timer_remove(self._timer)

@@ -33,6 +33,16 @@ def lamps(scene) -> list:
     return [thing for thing in scene.objects if LAMP_TAG in thing and thing.library is None]
 
 
+def are_moved(scene) -> bool:
+    """Whether the user has some of them in hand (G, R, S): Blender dies of the removal of what it moves."""
+    windows = bpy.context.window_manager.windows
+    if not any(o.bl_idname.startswith("TRANSFORM_OT") for w in windows for o in getattr(w, "modal_operators", ())):
+        return False
+    near = scene.tool_settings.use_proportional_edit_objects  # then also what is not selected
+    held = {thing for layer in scene.view_layers for thing in (layer.objects if near else layer.objects.selected)}
+    return any(lamp in held for lamp in lamps(scene))
+
+
 def beside(scene) -> str:
     """What is to be said of them after "the World is the light": how many there are; of none, nothing."""
     count = len(lamps(scene))

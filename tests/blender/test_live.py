@@ -7,7 +7,7 @@ import time
 import bpy
 import pytest
 
-from blender_btfsep import answer, lighting_file, live, meshes, runs, world
+from blender_btfsep import answer, lighting_file, live, meshes, runs, sun_lamp, world
 from tests.blender.lit import LIGHTING
 from tests.blender.test_addon_operators import coefficients
 
@@ -177,6 +177,23 @@ def test_it_follows_nothing_where_it_is_off_or_there_is_no_light(photographed, a
     photographed.camera.location.x += 0.1
     follow()
     assert asked == []
+
+
+def test_a_light_waits_until_the_user_has_put_its_lamps_down(photographed, asked, monkeypatch):
+    photographed.world.node_tree.nodes[0].inputs["Y 0 0"].default_value = (0, 0, 0)
+    held = [True]
+    monkeypatch.setattr(sun_lamp, "are_moved", lambda scene: scene == photographed and held[0])
+    photographed.camera.location.x += 0.1
+    bpy.context.view_layer.update()
+    until(lambda: live._follower.step() and asked)
+    for _ in range(100):  # meanwhile it has answered
+        assert live._follower.step() and coefficients(photographed.world)[0] == (0, 0, 0)
+        time.sleep(live.INTERVAL)
+    held[0] = False
+    follow()
+    assert coefficients(photographed.world)[0] == tuple(LIGHTING["coefficients"][0])
+    monkeypatch.undo()
+    assert not sun_lamp.are_moved(photographed)  # no hand, nothing held
 
 
 def test_the_newest_change_wins(photographed, asked, fake_engine, tmp_path):
