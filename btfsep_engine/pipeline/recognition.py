@@ -150,7 +150,8 @@ def recognise_object(scene: PreparedScene, index: int, library, settings: Recogn
 def several(names) -> str:
     """Names for people, "a or b": of many the first three, and how many others."""
     named = " or ".join(names[:3])
-    return named if len(names) <= 3 else f"{named}, or one of {len(names) - 3} others"
+    more = len(names) - 3
+    return named if more < 1 else f"{named}, or one {'more' if more == 1 else f'of {more} others'}"
 
 
 def recognised(photo, region, window, recogniser: Recogniser, library, verification, *, name: str) -> Recognition:

@@ -4,7 +4,6 @@
 import json
 
 import bpy
-import cv2
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
@@ -28,10 +27,12 @@ from tests.blender.lit import LIGHTING
 
 
 def photo(path, width, height, *, space=None):
-    if path.stem == "deep":  # of 16 bits, of which Blender makes floats
-        cv2.imwrite(str(path), np.full((height, width, 3), 30000, np.uint16))
-        return bpy.data.images.load(str(path))
     image = bpy.data.images.new("made", width, height, float_buffer=path.suffix == ".exr")
+    if path.stem == "deep":  # of 16 bits, of which Blender makes floats
+        saved = bpy.context.scene.render.image_settings
+        saved.file_format, saved.color_depth = "PNG", "16"
+        image.save_render(str(path))
+        return bpy.data.images.load(str(path))
     image.filepath_raw = str(path)
     image.file_format = {".png": "PNG", ".exr": "OPEN_EXR"}[path.suffix]
     image.save()

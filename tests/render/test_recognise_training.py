@@ -170,6 +170,7 @@ def test_what_the_photo_does_not_tell_apart_is_named_together(monkeypatch, scene
     assert all(name in said for name in answer.likely[:3])
     assert recognition.several(("a", "b")) == "a or b"
     assert recognition.several(tuple("abcde")) == "a or b or c, or one of 2 others"
+    assert recognition.several(tuple("abcd")) == "a or b or c, or one more"
 
 
 def test_another_classifier_has_the_order_of_the_cues_and_its_own_limit(monkeypatch, scene, library, settings):
