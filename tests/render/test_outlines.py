@@ -10,7 +10,7 @@ from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from btfsep_engine.render.outlines import outlines
+from btfsep_engine.render.outlines import FARTHEST, STEP, outlines
 from btfsep_engine.render.surface import camera_view
 from btfsep_engine.render.tracer import Tracer
 from tests.render.scenes import as_mesh, job_of, looking_down
@@ -37,7 +37,8 @@ def has_another_beside(image):
 
 
 def test_one_part_of_an_object_before_another_has_an_outline():
-    view, found = seen(trimesh.util.concatenate([slab(0.0), slab(0.4, half=0.2, at=(0.1, 0.05))]), looking_down())
+    low, high = slab(0.0, half=0.4, at=(-0.45, 0.2)), slab(0.4, half=0.15, at=(-0.35, 0.15))  # not in the middle
+    view, found = seen(trimesh.util.concatenate([low, high]), looking_down())
     rows, columns = np.nonzero(view.mesh >= 0)
     heights = np.full(view.mesh.shape, -1.0)
     origin, direction = np.array([0, 0, 4.0]), looking_down().rays(columns + 0.5, rows + 0.5)[1]
@@ -69,6 +70,36 @@ def test_a_large_photo_is_looked_at_in_cells():
     assert (found.at(np.argwhere(steps)) <= 1).all()
     beside = found.beside(view.mesh.shape)
     assert 0.9 < beside[steps].mean() and beside.sum() < 5 * has_another_beside(view.mesh + (view.distance < 3.8)).sum()
+
+
+@pytest.mark.parametrize(("cells", "is_outline"), [(0.6, False), (1.6, True)])
+@pytest.mark.parametrize("size", [96, 1200])
+def test_a_step_is_an_outline_from_a_few_edges_of_its_own_cells_on(size, cells, is_outline):
+    """As large as a pixel shows on the surface, times the pixels of a cell, times `STEP`."""
+    camera = looking_down(size=size, focal=2.1 * size)
+    edge = seen(slab(0.0), camera)[1].edge
+    assert edge == (2 if size == 1200 else 1)
+    height = cells * STEP * edge * 4.0 / (2.1 * size)
+    view, found = seen(trimesh.util.concatenate([slab(0.0), slab(height, half=0.2)]), camera)
+    step = has_another_beside(view.distance < 4.0 - height / 2) & (view.mesh == 0)
+    step &= ~has_another_beside(view.mesh)
+    assert step.sum() > size / 4 and (found.at(np.argwhere(step)).min() == 0) == is_outline
+
+
+def test_objects_that_touch_have_an_outline_between_them_and_only_objects_count():
+    """Two halves of a plate, flush, on a table that the whole picture shows."""
+    parts = [as_mesh(slab(0.0, half=0.25, at=(x, 0.0)), flat=True) for x in (-0.25, 0.25)]
+    table = as_mesh(slab(-0.3, half=3.0), flat=True)
+    camera = looking_down(size=1200, focal=2500.0)
+    job = job_of(parts, camera, occluders=[table])
+    view = camera_view(Tracer([*parts, table], [2]), job)
+    found = outlines(view, job)
+    assert set(np.unique(view.mesh)) == {0, 1, 2} and found.edge == 2  # cells are those of the plates, not the table's
+    column = int(np.flatnonzero(view.mesh[600] == 1).min())  # where the second begins
+    away = np.arange(-20, 20)
+    rings = found.at(np.stack([np.full(40, 600), column + away], 1))
+    expected = np.minimum(np.where(away < 0, -1 - away, away) // found.edge, FARTHEST)
+    assert np.abs(rings - expected).max() <= 1 and rings[19] == rings[20] == 0 and rings.max() == FARTHEST
 
 
 def test_no_fit_uses_what_lies_beside_an_outline():
