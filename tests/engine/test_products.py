@@ -14,13 +14,14 @@ NOISE = np.array([0.004, 0.006, 0.01])
 SIZES = (0.02, 0.08)  # of the discrepancy: as good as exact, and nearly right (docs/results/fit.md)
 
 
-@pytest.fixture(params=[False, True], ids=["alike", "weighted"])
+@pytest.fixture(params=["alike", "weighted", "with slopes"])
 def dense(request, rng):
-    """The products, and by hand: A (3, p, terms), b (3, p), W's own weights (3, p), F (3, p, 24) of size 1."""
+    """The products, and by hand: A (3, p, terms), b (3, p), W's own weights (3, p), F (3, p, k) by its size."""
     basis, normals, _ = half_sphere(rng, pixels=PIXELS)
     b = shown(basis, side_light(), rng, 0.1)
-    weights = rng.uniform(0.1, 1, b.shape) if request.param else None
-    photo = Photograph(Basis(basis, normals), b, weights=weights)
+    weights = rng.uniform(0.1, 1, b.shape) if request.param == "weighted" else None
+    slopes = 0.3 * rng.normal(size=(PIXELS, 4, 3)) * b[:, None] if request.param == "with slopes" else None
+    photo = Photograph(Basis(basis, normals), b, weights=weights, slopes=slopes)
     first = 0.9 * side_light().T / photo.level[:, None]
     photo.learn_from(first)
     response = basis[:, 0].mean(0) * np.sqrt(4 * np.pi)
@@ -31,7 +32,13 @@ def dense(request, rng):
     measured = (b / response).T / level[:, None]
     y = sh.evaluate(4, normals)[:, 1:] * np.sqrt(4 * np.pi)  # each of mean square 1 over the sphere
     f = 1 / np.sqrt(24) * np.einsum("cpt,ct->cp", a, first)[..., None] * y
-    return photo, a, measured, w, f
+    moves = np.zeros((3, PIXELS, 0)) if slopes is None else np.moveaxis(slopes / response / level, 2, 0)
+    return photo, a, measured, w, lambda size: np.concatenate([size * f, moves], -1)  # a slope's size is its own
+
+
+def one(f):
+    """I, as large as F has columns."""
+    return np.eye(f.shape[-1])
 
 
 def covariance(photo, w, f, c):
@@ -42,7 +49,7 @@ def covariance(photo, w, f, c):
 @pytest.mark.parametrize("size", SIZES)
 def test_the_rows_are_a_square_root_of_the_dense_inverse_covariance(dense, size, rng):
     photo, a, b, w, f = dense
-    f = size * f
+    f = f(size)
     rows = photo.rows(NOISE, size)
     x = side_light().T / photo.level[:, None] * rng.uniform(0.5, 1.5, (3, 100))
     square = 0.0
@@ -55,20 +62,20 @@ def test_the_rows_are_a_square_root_of_the_dense_inverse_covariance(dense, size,
         square += left @ inverse @ left
     assert np.square(rows.residual(x)).sum() + rows.rest == pytest.approx(square, rel=0.01)
     scale = [w[c] / (photo.coarsening * NOISE[c]) for c in range(3)]
-    stated = [np.linalg.slogdet(np.eye(24) + f[c].T @ (f[c] * scale[c][:, None]))[1] for c in range(3)]
+    stated = [np.linalg.slogdet(one(f) + f[c].T @ (f[c] * scale[c][:, None]))[1] for c in range(3)]
     assert rows.log_determinant == pytest.approx(sum(stated) / 2, rel=1e-6)
 
 
 @pytest.mark.parametrize("size", SIZES)
 def test_the_misfit_and_what_of_it_is_no_discrepancy(dense, size):
     photo, a, b, w, f = dense
-    f = size * f
+    f = f(size)
     x = 1.1 * side_light().T / photo.level[:, None]
     for c in range(3):
         left = b[c] - a[c] @ x[c]
         assert photo.misfit(x)[c] == pytest.approx((w[c] * left**2).sum() / w[c].sum())
         scale = w[c] / (photo.coarsening * NOISE[c])
-        best = np.linalg.solve(np.eye(24) + (f[c] * scale[:, None]).T @ f[c], f[c].T @ (scale * left))
+        best = np.linalg.solve(one(f) + (f[c] * scale[:, None]).T @ f[c], f[c].T @ (scale * left))
         rest = (w[c] * (left - f[c] @ best) ** 2).sum() / w[c].sum()
         assert photo.noise(x, NOISE, size)[c] == pytest.approx(rest)
         assert rest < (0.9 if size == 0.08 else 1) * photo.misfit(x)[c]
@@ -77,7 +84,7 @@ def test_the_misfit_and_what_of_it_is_no_discrepancy(dense, size):
 @pytest.mark.parametrize("size", SIZES)
 def test_scores_of_other_values(dense, size, rng):
     photo, a, _, w, f = dense
-    f = size * f
+    f = f(size)
     values = rng.normal(size=(PIXELS, 3))
     found = photo.scores(values, NOISE, size)
     for c in range(3):
