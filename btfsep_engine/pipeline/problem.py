@@ -28,7 +28,8 @@ class Problem:
     weights : (p, 3) in [0, 1], 1 over the variance of each value; None: all 1
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     nearness : (p, 3), what near lamps make of the values, which is taken off them (`pipeline.refine.near`); or None
-    slopes : (p, k, 3), what ``measured`` may differ by, since the camera may be a little off; or None
+    slopes : (p, k, 3), what it may differ by in the first photograph's exposure, since the camera may be a little off;
+        or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
@@ -87,6 +88,12 @@ class Problem:
             image = self.scene.job.photo.radiance if photo is None else photo
             values = self.values_of(image).astype(np.float64)  # floats overflow when squared
         return values if self.nearness is None else values - self.nearness
+
+    def as_measured(self, values) -> np.ndarray:
+        """The photograph's values (p, …, 3) over the objects' scales, where these are free."""
+        if self.scales is None:
+            return values
+        return np.concatenate([part / s for part, s in zip(self.by_object(values), self.scales, strict=True)])
 
     def by_object(self, values) -> list:
         """Rows of all points, (p, …), cut by object; views into them."""

@@ -41,8 +41,8 @@ def as_real_photo(problem: Problem, settings: FitSettings, *, recognised) -> Pro
     scales = scales_of(problem, recognised)
     if scales is None:
         return problem
-    parts = [b / s for b, s in zip(problem.by_object(problem.radiance()), scales, strict=True)]
-    return replace(problem, measured=np.concatenate(parts), scales=scales)
+    problem = replace(problem, scales=scales)
+    return replace(problem, measured=problem.as_measured(problem.radiance()))
 
 
 def _some_of_each(problem: Problem, kept) -> np.ndarray:

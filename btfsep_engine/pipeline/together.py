@@ -21,6 +21,7 @@ from btfsep_engine.pipeline.settings import FitSettings
 
 TURNS = 30
 SETTLED = 1e-4  # relative change of an exposure
+ELECTED_ANEW = 0.1  # as such: the light was of another photograph
 APART = 1 << 30  # blocks' numbers of one photo
 
 
@@ -122,17 +123,19 @@ def fit_together(problems: list[Problem], settings: FitSettings, *, beside: Fit 
     """
     solver = light_solver(problems, settings) if settings.estimator == "map" else None
     basis, blocks = (None, None) if solver else stacked([p.up_to(settings.order) for p in problems])
-    light, weights = SolvedLight(None, solver, [1.0] * len(problems)), all_weights(problems)
+    light, weights, start = SolvedLight(None, solver, [1.0] * len(problems)), all_weights(problems), None
     for _ in range(TURNS if len(problems) > 1 else 1):
         b, before = light.radiance(problems), light
         if solver:
-            fit = solver.solve(b, weights=weights, start=before.fit, beside=beside)
+            fit = solver.solve(b, weights=weights, start=start, beside=beside)
         else:
             fit = solve(basis, b, blocks=blocks)
         factors = [exposure_of(p, fit) for p in problems]
         light = SolvedLight(fit, solver, [e / factors[0] for e in factors])  # what all photos miss alike is no exposure
-        if max(abs(a / e - 1) for a, e in zip(before.exposures, light.exposures, strict=True)) < SETTLED:
+        change = max(abs(a / e - 1) for a, e in zip(before.exposures, light.exposures, strict=True))
+        if change < SETTLED:
             break
+        start = None if change > ELECTED_ANEW else fit
     return light
 
 

@@ -11,7 +11,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
-from btfsep_engine.pipeline.refine.shift import differences
+from btfsep_engine.pipeline.refine.shift import INNER, _moved, differences, shifted
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -90,3 +90,91 @@ def test_a_photo_beside_its_place_is_seen_to_be_and_loses_little(photographed, r
     fixed = found_of(scene, image, right, down)
     assert "shift" not in fixed.choice and fixed.fit.evidence < found.fit.evidence
     assert off_as_seen(found.lighting.coefficients, truth) < 0.75 * off_as_seen(fixed.lighting.coefficients, truth)
+
+
+def chi2_of(scene, images, exposures=(1, 1)):
+    """What `_moved` says of two photographs of the scene, and their light."""
+    scenes = []
+    for image, e in zip(images, exposures, strict=True):
+        photo = replace(scene.job.photo, radiance=np.float32(e) * image)
+        scenes.append(PreparedScene(replace(scene.job, photo=photo), Reporter()))
+    found = estimate(scenes[0], open_library(None), SETTINGS, material=WHITE, others=scenes[1:])
+    problems = [replace(p, slopes=None) for p in found.model.problems]
+    return _moved(problems, [differences(p) for p in problems], found.light), found
+
+
+def test_of_two_photos_each_is_moved_by_itself_and_the_order_does_not_matter(photographed):
+    scene, image, _ = photographed
+    beside = np.roll(image, (0, 2), (0, 1))
+    each, _ = chi2_of(scene, (image, beside))
+    np.testing.assert_allclose(chi2_of(scene, (beside, image))[0][::-1], each, rtol=0.1)
+    assert each[1] > 1.5 * each[0]
+
+
+@pytest.mark.parametrize("right", [0, 2])
+def test_two_photos_of_other_exposures_are_explained_as_well_as_of_one(photographed, right):
+    scene, image, _ = photographed
+    images = image, np.roll(image, (0, right), (0, 1))
+    found, brighter = (chi2_of(scene, images, (1, e))[1] for e in (1, 8))
+    assert brighter.light.exposures[1] == pytest.approx(8 * found.light.exposures[1], rel=1e-3)
+    assert brighter.fit.evidence == pytest.approx(found.fit.evidence, abs=1)
+    np.testing.assert_allclose(brighter.fit.coefficients, found.fit.coefficients, atol=0.01)
+    for one, other in zip(found.model.problems, brighter.model.problems, strict=True):
+        assert (one.slopes is None) == (other.slopes is None) == (right == 0)
+        if right:
+            np.testing.assert_allclose(other.slopes, one.slopes, rtol=1e-3, atol=1e-4)
+
+
+def test_slopes_are_half_a_pixels_in_the_unit_of_what_is_fitted(photographed, monkeypatch):
+    """Of an object whose reflectance is not its material's the photo is fitted over that factor."""
+    scene, image, _ = photographed
+    problem = view_problem(scene, [open_library(None).load(WHITE)], SETTINGS)
+    photo = replace(scene.job.photo, radiance=image)
+    problem = replace(problem, scene=PreparedScene(replace(scene.job, photo=photo), Reporter()))
+    scales = np.array([[0.5, 1.0, 2.0]])
+    found = estimate(problem.scene, open_library(None), SETTINGS, material=WHITE)
+    scaled = replace(problem, scales=scales, measured=problem.radiance() / scales)
+    for name in ("SPEAKS", "CLEARLY"):
+        monkeypatch.setattr(f"btfsep_engine.pipeline.refine.shift.{name}", -np.inf)
+    free, _, _ = shifted(replace(found.model, looks={"mean": [scaled]}), found.light)
+    half_a_pixel = 0.5 * differences(problem) / scales
+    np.testing.assert_allclose(free.problems[0].slopes, half_a_pixel)
+
+
+def test_what_explains_no_more_is_not_kept(photographed, monkeypatch):
+    """Wherever it is asked for: of a photo in line the evidence is against it."""
+    scene, image, _ = photographed
+    monkeypatch.setattr("btfsep_engine.pipeline.refine.shift.SPEAKS", -np.inf)
+    assert "shift" not in found_of(scene, image).choice
+
+
+def test_what_is_left_over_near_an_outline_says_nothing(photographed):
+    scene, image, _ = photographed
+    found = found_of(scene, image, 1)
+    (problem,) = found.model.problems
+    slopes = [differences(problem)]
+
+    def chi2_with(changed):
+        values = np.where(changed[:, None], 1.5 * problem.radiance(), problem.radiance())
+        return _moved([replace(problem, measured=values)], slopes, found.light)
+
+    before = chi2_with(np.zeros(len(problem.pixels), bool))
+    assert chi2_with(problem.rings <= INNER) == before and chi2_with(problem.rings == INNER + 1) != before
+
+
+def test_slopes_are_of_the_surface_itself_in_pixels_of_a_photo_of_any_size():
+    """Two plates, one above the other and both beyond the picture: no slope has a part of a step between them."""
+    for size in (96, 1200):
+        low, high = (trimesh.creation.box((10.0, 10.0, 0.02)) for _ in range(2))
+        high.apply_translation([5.1, 0.0, 0.5])
+        camera = looking_down(size=size, focal=2.1 * size)
+        scene = PreparedScene(job_of([as_mesh(trimesh.util.concatenate([low, high]), flat=True)], camera), Reporter())
+        problem = view_problem(scene, [open_library(None).load(WHITE)], choose("draft", bounces=1, directions=64))
+        y, x = np.mgrid[:size, :size] / size
+        image = np.stack([1 + x, 2 - 3 * y, x + y], -1) + 50.0 * (scene.view.distance < 3.8)[..., None]
+        photo = replace(scene.job.photo, radiance=image.astype(np.float32))
+        there = replace(problem, scene=PreparedScene(replace(scene.job, photo=photo), Reporter()))
+        right, down = np.moveaxis(differences(there), 1, 0)[:2] * size
+        assert scene.outlines.edge == (1 if size == 96 else 3) and len(right) > 1500
+        np.testing.assert_allclose(right, np.broadcast_to([1, 0, 1], right.shape), atol=0.05)
+        np.testing.assert_allclose(down, np.broadcast_to([0, -3, 1], down.shape), atol=0.05)

@@ -17,9 +17,7 @@ FAR = 15.0  # of the logarithm of the probability: how much more another curve h
 
 def _read_by(curve: ToneCurve, problem, codes):
     """The problem with its photo's ``codes`` (p, 3) read by a curve."""
-    values = curve.decode(codes)
-    if problem.scales is not None:
-        values = np.concatenate([b / s for b, s in zip(problem.by_object(values), problem.scales, strict=True)])
+    values = problem.as_measured(curve.decode(codes))
     # every curve has 1 for the largest code
     return replace(problem, measured=np.where(problem.clipped, problem.radiance(), values))
 

@@ -30,7 +30,7 @@ def shifted(model, light):
     if light.solver is None or any(problem.slopes is not None for problem in model.problems):
         return model, light, {}
     with model.reporter.stage("fit"):
-        slopes = [differences(problem) for problem in model.problems]
+        slopes = [p.as_measured(differences(p)) / e for p, e in zip(model.problems, light.exposures, strict=True)]
         if max(_moved(model.problems, slopes, light)) < SPEAKS:
             return model, light, {}
         looks = {
@@ -63,7 +63,7 @@ def differences(problem) -> np.ndarray:
     image[~same] = 0
     weight = same * np.exp(-0.5 * np.square(offsets / BLUR).sum(-1))
     columns = np.concatenate([np.ones((len(offsets), 1)), offsets], 1)
-    gram = np.einsum("po,oi,oj->pij", weight, columns, columns) + 1e-3 * np.eye(3)
+    gram = np.einsum("po,oi,oj->pij", weight, columns, columns) + np.diag([1e-9, 1e-3, 1e-3])
     _, down, right = np.moveaxis(np.linalg.solve(gram, np.einsum("po,oi,poc->pic", weight, columns, image)), 1, 0)
     y, x = (problem.pixels - problem.pixels.mean(0)).T
     far = max(np.sqrt(np.mean(x * x + y * y)), 1e-9)
