@@ -63,7 +63,7 @@ def photographed_regions(scene: PreparedScene, settings: Settings) -> list:
         if share > THRESHOLDS.clipped:
             what = (
                 "; the saturated ones count as at least as bright as they are"
-                if (unusable & bounds).any()
+                if bounds.any()
                 else " and were left out: what they saw of the light is not in the estimate"
             )
             scene.reporter.warn(

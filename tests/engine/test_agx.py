@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine import agx, images
+from btfsep_engine.fit.tone_curve import AGX, LINEAR, SRGB
 
 # AgX as other renderers approximate it (B. Wrensch; Filament and three.js, there "based on Blender's implementation")
 TO_2020 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
@@ -61,6 +62,20 @@ def test_its_volume_is_that_of_small_changes():
     small = 1e-4 * np.eye(3)
     columns = np.stack([(agx.to_linear(codes + s) - agx.to_linear(codes - s)) / 2e-4 for s in small], -1)
     np.testing.assert_allclose(agx.log_volume(codes), np.log(np.abs(np.linalg.det(columns))), atol=0.02)
+
+
+def test_a_large_photo_is_undone_in_parts(monkeypatch):
+    codes = np.random.default_rng(4).uniform(size=(7, 3, 3))
+    whole = agx.to_linear(codes)
+    monkeypatch.setattr(agx, "AT_ONCE", 5)
+    np.testing.assert_array_equal(agx.to_linear(codes), whole)
+
+
+def test_as_a_tone_curve_its_slopes_are_its_volume_and_it_is_a_seldom_one():
+    codes = np.random.default_rng(5).uniform(0.1, 0.9, (40, 3))
+    np.testing.assert_allclose(AGX.log_slope(codes).sum(-1), agx.log_volume(codes))
+    np.testing.assert_array_equal(AGX.decode(codes), agx.to_linear(codes))
+    assert AGX.log_prior < min(LINEAR.log_prior, SRGB.log_prior) and AGX.log_prior < 0
 
 
 @pytest.mark.parametrize(("name", "kind"), [("p.png", np.uint8), ("p.png", np.uint16), ("grey.png", np.uint8)])
