@@ -36,18 +36,24 @@ def has_another_beside(image):
     return np.any([each != image for each in around], 0)
 
 
+def heights(view, camera):
+    """(h, w) of what is seen above z = 0; -1: nothing."""
+    rows, columns = np.nonzero(view.mesh >= 0)
+    out = np.full(view.mesh.shape, -1.0)
+    down = camera.rays(columns + 0.5, rows + 0.5)[1][:, 2]
+    out[rows, columns] = np.round(4.0 + down * view.distance[rows, columns], 3) + 0.0
+    return out
+
+
 def test_one_part_of_an_object_before_another_has_an_outline():
     low, high = slab(0.0, half=0.4, at=(-0.45, 0.2)), slab(0.4, half=0.15, at=(-0.35, 0.15))  # not in the middle
     view, found = seen(trimesh.util.concatenate([low, high]), looking_down())
-    rows, columns = np.nonzero(view.mesh >= 0)
-    heights = np.full(view.mesh.shape, -1.0)
-    origin, direction = np.array([0, 0, 4.0]), looking_down().rays(columns + 0.5, rows + 0.5)[1]
-    heights[rows, columns] = np.round((origin + direction * view.distance[rows, columns][:, None])[:, 2], 3)
-    assert set(np.unique(heights)) == {-1.0, 0.0, 0.4}
-    expected = has_another_beside(heights) & (heights >= 0)
+    above = heights(view, looking_down())
+    assert set(np.unique(above)) == {-1.0, 0.0, 0.4}
+    expected = has_another_beside(above) & (above >= 0)
     np.testing.assert_array_equal(found.beside(view.mesh.shape) & (view.mesh >= 0), expected)
     assert set(np.unique(found.at(np.argwhere(expected)))) == {0}
-    next_ones = has_another_beside(expected) & ~expected & (heights >= 0)
+    next_ones = has_another_beside(expected) & ~expected & (above >= 0)
     assert set(np.unique(found.at(np.argwhere(next_ones)))) == {1}
 
 
@@ -81,8 +87,9 @@ def test_a_step_is_an_outline_from_a_few_edges_of_its_own_cells_on(size, cells, 
     assert edge == (2 if size == 1200 else 1)
     height = cells * STEP * edge * 4.0 / (2.1 * size)
     view, found = seen(trimesh.util.concatenate([slab(0.0), slab(height, half=0.2)]), camera)
-    step = has_another_beside(view.distance < 4.0 - height / 2) & (view.mesh == 0)
-    step &= ~has_another_beside(view.mesh)
+    above = heights(view, camera) > height / 2
+    step = has_another_beside(above)
+    assert above.mean() == pytest.approx((0.4 * 2.1 / 4) ** 2, rel=0.1) and (view.mesh[step] == 0).all()
     assert step.sum() > size / 4 and (found.at(np.argwhere(step)).min() == 0) == is_outline
 
 
