@@ -11,11 +11,12 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.near_lamp import nearness
+from btfsep_engine.fit.near_lamp import CLOSEST, nearness
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun
 from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.refine import near
 from btfsep_engine.pipeline.refine.near import moved
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
@@ -58,9 +59,9 @@ def off(found, truth) -> float:
     return float(np.linalg.norm((x * t).sum() / (x * x).sum() * x - t) / np.linalg.norm(t))
 
 
-def estimated(scene):
+def estimated(scene, others=()):
     settings = choose("draft", bounces=1, directions=1024)
-    return estimate(scene, open_library(None), settings, material="reference/white-diffuse")
+    return estimate(scene, open_library(None), settings, material="reference/white-diffuse", others=others)
 
 
 @pytest.mark.parametrize("distance", [2.5, 5.0])
@@ -71,6 +72,7 @@ def test_a_lamp_nearby_is_found_with_its_distance(distance, monkeypatch):
     assert np.degrees(np.arccos(sun.direction @ direction)) < 5
     assert sun.near.low < distance * size < sun.near.high < 1.8 * sun.near.low
     np.testing.assert_allclose(sun.near.centre, centre)
+    assert sun.near.distance == pytest.approx(np.sqrt(sun.near.low * sun.near.high), rel=1e-6)  # in the scene's unit
     assert f"{0.05 * sun.near.distance:.2g} m away" in found.choice["key_light"]
     assert off(found, truth) < 0.08
     assert not any("nearby" in text for text in scene.reporter.warnings)
@@ -82,6 +84,54 @@ def test_a_lamp_nearby_is_found_with_its_distance(distance, monkeypatch):
     monkeypatch.setattr("btfsep_engine.pipeline.refine.near.SPEAKS", np.inf)
     far = estimated(photographed(distance)[0])
     assert all(s.near is None for s in far.lighting.suns) and off(far, truth) > 2 * off(found, truth)
+
+
+@pytest.fixture(scope="module")
+def far_answer():
+    """The estimate of a photo of a lamp nearby that is taken to be far away."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(near, "SPEAKS", np.inf)
+        return estimated(photographed(2.5)[0])
+
+
+def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer):
+    scene = near.Photographed(far_answer.model, far_answer.light)
+    direction = far_answer.light.solver.brightest_direction(far_answer.fit)
+    added = scene.nearness(near.RADII[0] * direction)
+    explained = scene.photo - far_answer.light.solver.basis.predicted(far_answer.fit.shown)
+    for left, speaks in ((added, True), (-added, False)):  # what a photo would leave over that has so much of it
+        assert (near.speaks_for_nearness(scene, far_answer.fit, explained - left, direction) > 0) == speaks
+
+
+def test_what_was_found_before_stays_taken_off_and_no_more_is_than_the_lamp_sends(far_answer, monkeypatch):
+    monkeypatch.setattr(near, "TURNS", 1)
+    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    fit = fit if fit.election.found else far_answer.light.solver.with_lamp(fit)
+    lamp, others = fit.election.found[0], np.random.default_rng(0).uniform(0, 0.01, scene.photo.shape)
+    direction, irradiance = fit.election.lamps[lamp]
+    alone, beside = (scene.place(lamp, 4 * direction, 0.1, fit, o).correction for o in (0.0, others))
+    np.testing.assert_allclose(beside - alone, others, atol=1e-12)
+    np.testing.assert_allclose(alone, np.exp(0.1) * irradiance * scene.nearness(4 * direction))
+
+
+def test_a_place_is_believed_where_the_evidence_is_clear_and_of_a_depth_clearer(far_answer, monkeypatch):
+    assert near.Photographed(far_answer.model, far_answer.light).clearly == near.CLEARLY
+    (problem,) = far_answer.model.problems
+    scene = PreparedScene(problem.scene.job, Reporter())
+    scene.job = replace(scene.job, objects=(replace(scene.job.objects[0], unseen=balls()),))
+    model = replace(far_answer.model, looks={"mean": [replace(problem, scene=scene)]})
+    assert near.Photographed(model, far_answer.light).clearly == near.OF_A_DEPTH > near.CLEARLY
+    monkeypatch.setattr(near, "CLEARLY", np.inf)
+    assert "no lamp nearby explains" in estimated(photographed(2.5)[0]).choice["near"]
+
+
+def test_of_two_photos_each_loses_it_in_its_own_exposure():
+    scene = photographed(2.5)[0]
+    photo = replace(scene.job.photo, radiance=4 * scene.job.photo.radiance)
+    both = estimated(scene, others=[PreparedScene(replace(scene.job, photo=photo), Reporter())])
+    one, other = (problem.nearness for problem in both.model.problems)
+    np.testing.assert_allclose(other, 4 * one, rtol=1e-3, atol=1e-6)
+    assert all(photo.residuals[0] < 0.06 for photo in both.photos)
 
 
 def test_a_lamp_far_away_stays_there():
@@ -107,10 +157,12 @@ def test_what_nearness_adds_is_the_inverse_square_and_another_direction():
     away = place - position
     far = np.linalg.norm(away, axis=1)
     d = np.linalg.norm(place - centre)
-    near = by_cosine((away * normal).sum(1) / far) * (d / far) ** 2
-    expected = near - by_cosine(normal @ (place - centre) / d)
+    there = by_cosine((away * normal).sum(1) / far) * (d / far) ** 2
+    expected = there - by_cosine(normal @ (place - centre) / d)
     np.testing.assert_allclose(nearness(basis, position, place, centre), np.repeat(expected[:, None], 3, 1), atol=1e-12)
     np.testing.assert_allclose(nearness(basis, position, 1e7 * place, centre), 0, atol=1e-5)
+    (touching,) = nearness(basis[:1], [place], place, np.zeros(3))  # no nearer than a part of the lamp's distance
+    assert np.isfinite(touching).all() and np.abs(touching).max() < 1.5 / CLOSEST**2
 
 
 def test_a_place_is_turned_and_moved():
@@ -125,8 +177,8 @@ def test_how_near_a_lamp_stands_is_in_the_file(tmp_path):
     sun = Sun([0, 0, 1], [1, 2, 3], np.zeros(3), near=Near([1, 2, 3], 4.0, 3.0, 5.0))
     light = Lighting(2, sun.coefficients(2), np.zeros((9, 3)), np.ones(9, bool), 0.0, (sun,))
     write_lighting(tmp_path / "a.json", light)
-    near = read_lighting(tmp_path / "a.json").suns[0].near
-    assert (near.distance, near.low, near.high) == (4, 3, 5) and near.centre.tolist() == [1, 2, 3]
+    there = read_lighting(tmp_path / "a.json").suns[0].near
+    assert (there.distance, there.low, there.high) == (4, 3, 5) and there.centre.tolist() == [1, 2, 3]
     data = json.loads((tmp_path / "a.json").read_text())
     for wrong in ({"centre": [1, 2, 3]}, {"centre": [1, 2], "distance": 1}, {"centre": [1, 2, 3], "distance": -1}):
         data["suns"]["lamps"][0]["near"] = wrong

@@ -14,11 +14,12 @@ from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.following import Follower
-from btfsep_engine.pipeline.refine.seen_colour import BRIGHTEST, seen_colours, seen_places
+from btfsep_engine.pipeline.refine.seen_colour import BRIGHTEST, LEAST_COSINE, seen_colours, seen_places, sent
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.reference import Reference
+from btfsep_engine.render.surface import surface_points
 from tests.render.prepared import ball
 from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
 
@@ -91,6 +92,44 @@ def test_of_permuted_channels_the_colour_is_permuted(shown, found):
     assert 0.005 < left < 0.06
     again = estimated(photo_of(shown)[..., order])
     np.testing.assert_allclose(again.scene.colours[0], found.scene.colours[0][order], rtol=0.1)
+
+
+def test_places_count_by_what_the_middle_of_the_objects_receives_of_them():
+    """cos / r^2 of the piece of surface that a pixel shows, its area from where the corners' rays meet the wall."""
+    scene = PreparedScene(job_with(None, focal=100.0), Reporter())
+    points = surface_points(scene.view, scene.job, 1, region=scene.view.mesh == 1)
+    x, camera = -1.05, scene.job.camera
+    corners = []
+    for right, down in ((0, 0), (1, 0), (0, 1)):
+        origins, directions = camera.rays(points.pixels[:, 1] + right, points.pixels[:, 0] + down)
+        corners.append(origins + directions * ((x - origins[:, :1]) / directions[:, :1]))
+    area = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
+    way = np.zeros(3) - points.position  # the ball's middle
+    distance = np.linalg.norm(way, axis=1)
+    cosine = way[:, 0] / distance
+    usual = (cosine > LEAST_COSINE) & (distance > 1.2 * scene.tracer.radius)
+    share = sent(points, scene.tracer)[usual] / (cosine * area / distance**2)[usual]
+    assert usual.sum() > 100
+    np.testing.assert_allclose(share / np.median(share), 1, atol=0.1)
+
+
+def test_a_colour_is_the_mean_of_its_places_as_they_count_and_what_is_known_is_not_read(found):
+    """It is linear in the photo: what the half that counts most adds, is its share of the light that is received."""
+    problem = found.model.problems[0]
+    problem = replace(problem, scene=problem.scene.with_colours({0: COLOUR}))
+    ((points, photo),) = seen_places(problem.scene).values()
+    weight = sent(points, problem.scene.tracer)
+    most = weight > np.median(weight)
+
+    def read(values):
+        return seen_colours(problem, {0: (points, values)}, 2 * TRUTH, SETTINGS)[0][0]  # too bright: nothing is bounded
+
+    part = (weight[most, None] * photo[most]).sum(0) / (weight[:, None] * photo).sum(0)
+    assert (part[:2] > 0.6).all()
+    np.testing.assert_allclose((read(photo * most[:, None]) / read(photo))[:2], part[:2], rtol=1e-6)
+    known = Surface(tuple(COLOUR), roughness=1.0, specular=0.0)
+    job = replace(problem.scene.job, occluders=(replace(problem.scene.job.occluders[0], surface=known),))
+    assert seen_places(PreparedScene(job, Reporter())) == {}
 
 
 def test_under_a_light_taken_too_dark_the_hue_stays(found):
