@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A lamp whose direction is given: it stays there, its power is free, and the photo may be explained without it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,10 @@ from btfsep_engine.fit.light_model import LightModel, across
 from btfsep_engine.fit.log_normal import Lamp, LightSolver
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import LAMP_COST, solve
+from btfsep_engine.job.model import KnownLamp
 from btfsep_engine.light.log_field import even_field, natural_field
 from btfsep_engine.pipeline.doubts import given_lamp_doubts
+from btfsep_engine.pipeline.together import given_lamps
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, off, shown
 
 BACK = np.array([0.35, 0.9, 0.26]) / np.linalg.norm([0.35, 0.9, 0.26])  # behind the sphere, which is seen from -y
@@ -68,7 +72,8 @@ def test_in_samples_it_turns_by_what_is_stated(rng):
         vectors = -samples[:, [3, 1, 2]] * [1, 1, -1]
         vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
         spread[degrees] = float(np.degrees(np.sqrt(np.square(vectors @ across(SUN).T).sum(1).mean())))
-    assert spread[8.0] > spread[0.0] + 2.0
+    turns = np.sqrt(spread[8.0] ** 2 - spread[0.0] ** 2)
+    assert turns == pytest.approx(8.0, rel=0.15)
 
 
 def test_a_wrong_direction_leaves_the_photo_to_others(rng):
@@ -88,6 +93,25 @@ def test_two_are_known(rng):
     first, second = fit.lamps[:2]
     assert first.given and second.given and first.direction @ SUN > 0.999999 and second.direction @ FILL > 0.999999
     np.testing.assert_allclose([first.irradiance.mean(), second.irradiance.mean()], [3.0, 1.5], rtol=0.2)
+
+
+def test_what_several_photos_know_is_known_of_their_light_each_lamp_once():
+    jobs = [SimpleNamespace(known_lamps=[KnownLamp(d, s) for d, s in each]) for each in ([(SUN, 2.0)], [(FILL, 3.0)])]
+    jobs.append(SimpleNamespace(known_lamps=[KnownLamp(turned(SUN, 0.5), 1.0), KnownLamp(turned(FILL, 5.0), 4.0)]))
+    directions, degrees = zip(*given_lamps(jobs), strict=True)
+    np.testing.assert_array_equal(directions, [SUN, FILL, turned(FILL, 5.0)])
+    assert degrees == (2.0, 3.0, 4.0)
+
+
+def test_one_can_be_left_out_alone(rng):
+    basis, normals, _ = half_sphere(rng, pixels=200)
+    solver = LightSolver(basis, normals=normals, order=2, given=[(SUN, 1.0), (FILL, 2.0), (BACK, 3.0)])
+    assert [degrees for _, degrees in solver.without_given(1).given] == [
+        1.0,
+        3.0,
+    ] and solver.without_given().given == ()
+    fit = solver.without_given(1).solve(shown(basis, DIM + lamp(SUN, [3.0] * 3), rng, 0.05))
+    assert sum(each.given for each in fit.lamps) == 2
 
 
 def test_where_none_is_given_nothing_is_other_than_without_the_word(rng):

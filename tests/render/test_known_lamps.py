@@ -73,6 +73,10 @@ def test_a_wrong_direction_is_doubted_and_the_right_one_is_named(lamplit, capsys
     away, _, there = doubt.partition("it would have it ")[2].partition(" degrees away, at ")
     assert abs(float(away) - 25) < 4 and abs(float(there.split()[0]) - elevation) < 4
 
+    result, light = estimated(lamplit, capsys, "--sun", f"{elevation - 4},{azimuth}")
+    (sun,) = light.suns  # it is the lamp that is there, as well as it is known
+    assert sun.given and not any(SPEAKS in w for w in result["warnings"])
+
 
 def test_of_a_lamp_that_lights_nothing_seen_the_power_is_called_a_guess(lamplit, capsys):
     known(lamplit, (0.1, 0.2, -1.0))  # behind the sphere
