@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The material library in the panel: read by a child process of its own while Blender goes on, with thumbnails."""
 
-import time
 from pathlib import Path
 
 import bpy
@@ -47,11 +46,6 @@ def forget() -> None:
     runs.run_state().property_unset("library_for")
 
 
-def is_reading() -> bool:
-    """Whether the library is being read now."""
-    return _reading is not None
-
-
 def ensure() -> None:
     """Has the library read if it was not; called where it is drawn, so it only asks for it."""
     read = runs.run_state().library_for == preferences.get().library
@@ -85,12 +79,6 @@ def _step() -> float | None:
     _reading = None
     runs.redraw()
     return None
-
-
-def read_now() -> None:
-    """Reads the library and waits for it (scripts, tests)."""
-    while _step() is not None:
-        time.sleep(INTERVAL / 4)
 
 
 def _kept(choices: list) -> list:

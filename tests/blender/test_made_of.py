@@ -2,6 +2,7 @@
 """What an object is made of: recognised, a colour, as in Blender, or a material of the library with its thumbnail."""
 
 import json
+import time
 
 import bpy
 import numpy as np
@@ -15,6 +16,12 @@ MATERIALS = [
     {"name": "leather/black-nappa", "class": "leather", "albedo": [0.1, 0.2, 0.3]},
     {"name": "leather/brown", "class": "leather"},
 ]
+
+
+def read_now():
+    """Reads the library and waits for it."""
+    while library._step() is not None:
+        time.sleep(library.INTERVAL / 4)
 
 
 @pytest.fixture
@@ -158,17 +165,17 @@ def test_the_library_is_read_beside_blender_without_a_click(shelf):
     library.ensure()
     library.ensure()
     assert bpy.app.timers.is_registered(library._step) and not state.library  # asked for, nothing waited for
-    library.read_now()
+    read_now()
     assert [(m.name, m.kind) for m in state.library] == [(m["name"], m["class"]) for m in MATERIALS]
     told = json.loads(shelf.read_text())
-    assert told[:2] == ["library", "list"] and "--thumbnails" in told and not library.is_reading()
+    assert told[:2] == ["library", "list"] and "--thumbnails" in told and library._reading is None
     bpy.app.timers.unregister(library._step)
     library.ensure()
     assert not bpy.app.timers.is_registered(library._step)  # it is read
 
 
 def test_another_file_has_the_library_without_a_further_child(shelf, tmp_path):
-    library.read_now()
+    read_now()
     shelf.unlink()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -176,10 +183,10 @@ def test_another_file_has_the_library_without_a_further_child(shelf, tmp_path):
     runs.run_state().property_unset("library_for")  # as a window's manager is anew
     library.ensure()
     assert bpy.app.timers.is_registered(library._step)
-    library.read_now()
+    read_now()
     assert len(runs.run_state().library) == 3 and not shelf.exists()
     library.forget()
-    library.read_now()
+    read_now()
     assert shelf.exists()
     bpy.app.timers.unregister(library._step)
 
@@ -188,18 +195,18 @@ def test_a_library_that_cannot_be_read_is_said_once(fake_engine):
     fake_engine(
         lines=[{"type": "failed", "message": "library /x; no such folder; choose another", "exit_code": 2}], exit=2
     )
-    library.read_now()
+    read_now()
     assert runs.run_state().library_error == "library /x; no such folder; choose another"
     library.ensure()
     assert not bpy.app.timers.is_registered(library._step)
     bpy.context.preferences.addons["blender_btfsep"].preferences.engine = "/absent/engine"
-    library.read_now()
+    read_now()
     assert "no such file" in runs.run_state().library_error
 
 
 def test_materials_are_browsed_by_class_and_picture(photographed, cube, shelf):
     assert library.items(cube) == [("NONE", "Choose", "No material of the library is chosen", "MATERIAL", 0)]
-    library.read_now()
+    read_now()
     assert [c[0] for c in library.classes()] == ["ALL", "leather", "wood"]
     assert [i[0] for i in library.items(cube)] == ["NONE", "wood/oak", "leather/black-nappa", "leather/brown"]
     cube.browse = "leather/black-nappa"
@@ -218,7 +225,7 @@ def test_materials_are_browsed_by_class_and_picture(photographed, cube, shelf):
 def test_the_librarys_materials_are_assets_that_say_what_an_object_is_made_of(photographed, cube, shelf, tmp_path):
     with pytest.raises(RuntimeError, match="Read the library first"):
         bpy.ops.btfsep.library_assets()
-    library.read_now()
+    read_now()
     assert bpy.ops.btfsep.library_assets() == {"FINISHED"} == bpy.ops.btfsep.library_assets()
     assets = [m for m in bpy.data.materials if m.asset_data]
     assert [m.name for m in assets] == ["Black nappa", "Brown", "Oak"]  # once
@@ -241,7 +248,7 @@ def test_the_librarys_materials_are_assets_that_say_what_an_object_is_made_of(ph
 
 
 def test_thumbnails_of_the_engine_itself(addon, tmp_path):
-    library.read_now()
+    read_now()
     state = runs.run_state()
     assert not state.library_error
     assert {"wood/oak-boards", "reference/chrome"} <= {m.name for m in state.library}
