@@ -47,6 +47,7 @@ class Image:
     usable : (h, w) bool, not saturated, opaque, and within the data of the file
     clipped : (h, w, 3) bool, the channels of opaque pixels that stand at the largest code: lower bounds, no values
     bits : of a code, 8 or 16; None: floats
+    coarse_chroma : whether colours are stored at half the resolution (JPEG 4:2:0 and 4:2:2, lossy WebP)
     """
 
     pixels: np.ndarray
@@ -54,6 +55,7 @@ class Image:
     usable: np.ndarray
     clipped: np.ndarray
     bits: int | None = None
+    coarse_chroma: bool = False
 
 
 def srgb_to_linear(values) -> np.ndarray:
@@ -87,7 +89,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     """
     if colorspace not in COLORSPACES:
         raise ValueError(colorspace)
-    stored, alpha, peak, inside = _stored(Path(path), max_pixels)
+    stored, alpha, peak, inside, coarse = _stored(Path(path), max_pixels)
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
     saturated = clipped.any(-1)
     coded = peak is not None if colorspace == "auto" else colorspace == "srgb"
@@ -105,7 +107,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
     bits = None if peak is None else peak.bit_length()
-    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits)
+    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, coarse)
 
 
 def declared_size(path) -> tuple[int, int] | None:
@@ -203,20 +205,20 @@ def _check_size(path: Path, width: int, height: int, max_pixels: int | None = No
 
 
 def _stored(path: Path, max_pixels: int | None = None):
-    """(h, w, 1 or 3) RGB as stored, (h, w) alpha in [0, 1] or None, the largest code (None for floats), and where the
-    file has data, (h, w) bool.
+    """(h, w, 1 or 3) RGB as stored, (h, w) alpha in [0, 1] or None, the largest code (None for floats), where the file
+    has data, (h, w) bool, and whether its chroma is coarse.
     """
     data = atomic.read_bytes(path)
     if data.startswith(_EXR):
         stored, alpha, inside = _read_exr(path, max_pixels)
-        return stored, alpha, None, inside
+        return stored, alpha, None, inside, False
     size = _declared_size(data)
     if size is not None:
         _check_size(path, *size, max_pixels)
     elif max_pixels is not None:
         raise InputError(path.name, "it does not say its size as PNG, JPEG, TIFF, WebP or HDR do", _KINDS)
     stored, alpha, peak = _decode(path, data)
-    return stored, alpha, peak, np.ones(stored.shape[:2], bool)
+    return stored, alpha, peak, np.ones(stored.shape[:2], bool), _coarse_chroma(data)
 
 
 def _decode(path: Path, data: bytes):
@@ -261,7 +263,8 @@ def _declared_size(data: bytes):
     return None
 
 
-def _jpeg_size(data: bytes):
+def _jpeg_frame(data: bytes) -> int | None:
+    """Where the header of a JPEG's frame begins, its marker; None: nowhere."""
     at = 2
     while at < len(data):
         if data[at] != 0xFF:
@@ -270,11 +273,31 @@ def _jpeg_size(data: bytes):
         if marker == 0xFF:  # padding
             at += 1
         elif 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack(">HH", data[at + 5 : at + 9])
-            return width, height
+            return at
         else:
             at += 2 + struct.unpack(">H", data[at + 2 : at + 4])[0]
     return None
+
+
+def _jpeg_size(data: bytes):
+    at = _jpeg_frame(data)
+    if at is None:
+        return None
+    height, width = struct.unpack(">HH", data[at + 5 : at + 9])
+    return width, height
+
+
+def _coarse_chroma(data: bytes) -> bool:
+    """Whether a file stores colours at less resolution than brightness."""
+    with contextlib.suppress(struct.error, IndexError):
+        if data[:2] == b"\xff\xd8":
+            at = _jpeg_frame(data)
+            if at is None or data[at + 9] < 3:
+                return False
+            luma, *chroma = (data[at + 11 + 3 * i] for i in range(3))  # sampling factors, of columns and of rows
+            return any(luma > other for other in chroma)
+        return data[:4] == b"RIFF" and data[8:12] == b"WEBP" and b"VP8 " in data[12:64]
+    return False
 
 
 def _tiff_size(data: bytes):

@@ -23,7 +23,7 @@ FARTHEST = 6.0  # misfits below the limit: a pixel that is farther below is wron
 LIGHTEST = 1e-3  # a weight: less says nothing
 
 
-def working_values(solver: LightSolver, radiance, clipped) -> tuple[np.ndarray, np.ndarray]:
+def working_values(solver: LightSolver, radiance, clipped, known=1.0) -> tuple[np.ndarray, np.ndarray]:
     """What stands for clipped channels in a fit by squares.
 
     Parameters
@@ -31,6 +31,7 @@ def working_values(solver: LightSolver, radiance, clipped) -> tuple[np.ndarray, 
     solver : log_normal.LightSolver of the p pixels
     radiance : (p, 3) float, at the limit where clipped, linear
     clipped : (p, 3) bool
+    known : (p, 3) in [0, 1], how much the channels count that are not clipped
 
     Returns
     -------
@@ -44,19 +45,19 @@ def working_values(solver: LightSolver, radiance, clipped) -> tuple[np.ndarray, 
     b, clipped = np.array(radiance, np.float64), np.asarray(clipped, bool)
     if clipped.all():
         raise InputError("the fit", "every pixel is clipped", "give a photo with a shorter exposure")
-    weights = np.where(clipped, 0.0, 1.0)
+    weights = np.where(clipped, 0.0, known)
     if not clipped.any():
         return b, weights
     fit, values = solver.solve(b, weights=weights), b
     for _ in range(ROUNDS):
         predicted = solver.basis.predicted(fit.shown)
-        left = np.where(clipped, 0.0, b - predicted)
-        s = np.sqrt(np.square(left).sum(0) / np.maximum((~clipped).sum(0), 1))
+        counts = np.where(clipped, 0.0, known)
+        s = np.sqrt((counts * np.square(b - predicted)).sum(0) / np.maximum(counts.sum(0), 1e-300))
         s = np.maximum(s, 1e-3 * np.abs(predicted).mean(0) + 1e-300)
         z = np.clip((b - predicted) / s, -FARTHEST, FARTHEST)
         hazard = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(-z))
         weight = hazard * (hazard - z)
-        weights = np.where(clipped, np.where(weight > LIGHTEST, np.minimum(weight, 1.0), 0.0), 1.0)
+        weights = np.where(clipped, np.where(weight > LIGHTEST, np.minimum(weight, 1.0), 0.0), known)
         values = np.where(clipped, b - s * z + s / np.maximum(hazard - z, 1e-9), b)
         before, fit = fit.all_coefficients, solver.solve(values, weights=weights, start=fit)
         if np.linalg.norm(fit.all_coefficients - before) <= SETTLED * np.linalg.norm(before):

@@ -264,7 +264,8 @@ def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Phot
     hidden = int((~image.usable & ~image.saturated).sum())
     if hidden:
         notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
-    return Photo(image.pixels, image.usable, saturated, image.clipped if saturated else None, image.bits)
+    clipped = image.clipped if saturated else None
+    return Photo(image.pixels, image.usable, saturated, clipped, image.bits, image.coarse_chroma)
 
 
 def placed(matrix, what: str):

@@ -83,6 +83,7 @@ class Photo:
     saturated : number of saturated pixels
     clipped : (h, w, 3) bool, channels of opaque pixels that were at least as bright as stored; None: none were
     bits : of the file's codes, 8 or 16; None: floats
+    coarse_chroma : whether the file has colours at less resolution than brightness
     """
 
     radiance: np.ndarray
@@ -90,6 +91,7 @@ class Photo:
     saturated: int
     clipped: np.ndarray | None = None
     bits: int | None = None
+    coarse_chroma: bool = False
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from btfsep_engine.btf.model import Material
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.stated import Fit
+from btfsep_engine.pipeline.coarse_chroma import chroma_weights
 from btfsep_engine.pipeline.points import chosen_points, names_of, photographed_regions
 from btfsep_engine.pipeline.problem import Problem, make_problem
 from btfsep_engine.pipeline.real_photo import as_real_photo, left_out_words, scale_words
@@ -113,7 +114,7 @@ def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> M
                 "check that the camera is not inside closed geometry, and that the material is not black",
             )
     if settings.estimator == "map":
-        problems = with_curves(problems, settings)
+        problems = with_curves([replace(p, weights=chroma_weights(p)) for p in problems], settings)
         recognised = [[not m.is_given for m in each] for each in materials]
         problems = [as_real_photo(p, settings, recognised=r) for p, r in zip(problems, recognised, strict=True)]
     looks = {appearance: problems}

@@ -31,7 +31,8 @@ def as_real_photo(problem: Problem, settings: FitSettings, *, recognised) -> Pro
     """
     clipped, solving = problem.clipped, replace(settings, order=settings.fit_order)
     if clipped.any():
-        measured, weights = working_values(light_solver([problem], solving), problem.radiance(), clipped)
+        known = 1.0 if problem.weights is None else problem.weights
+        measured, weights = working_values(light_solver([problem], solving), problem.radiance(), clipped, known)
         problem = replace(problem, measured=measured, weights=weights)
         problem = problem.subset(_some_of_each(problem, weights.any(1)))
     if settings.robust:

@@ -117,7 +117,8 @@ def _log_of(curve: ToneCurve, problems, codes, settings: FitSettings) -> float:
     for p, image in zip(problems, codes, strict=True):
         values = p.radiance() if image is None else p.values_of(image)
         measured = None if image is None else curve.decode(values)
-        read.append(replace(p, measured=measured, weights=importance(values, p.clipped)))
+        weights = importance(values, p.clipped) * (1.0 if p.weights is None else p.weights)
+        read.append(replace(p, measured=measured, weights=weights))
         slopes.append(np.zeros(values.shape) if image is None else curve.log_slope(values))
     light = fit_together(read, replace(settings, order=settings.fit_order))
     slopes = np.concatenate([s - np.log(e) for s, e in zip(slopes, light.exposures, strict=True)])

@@ -78,8 +78,8 @@ def curve_doubts(problems, light) -> list[str]:
     each = [codes_of(p.scene.job, p.values_of(p.scene.job.photo.radiance)) for p in problems]  # not of all of a picture
     codes = np.concatenate(each)
     unit = np.concatenate([np.full((len(p.pixels), 1), e) for p, e in zip(problems, light.exposures, strict=True)])
-    own = all_weights(problems)
-    weights = importance(codes, np.zeros(codes.shape, bool) if own is None else own < 1)
+    own, clipped = all_weights(problems), np.concatenate([p.clipped for p in problems])
+    weights = importance(codes, clipped) * (1.0 if own is None else own)
     logs = []
     for curve in (LINEAR, SRGB, AGX):
         read = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
