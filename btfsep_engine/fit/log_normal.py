@@ -20,7 +20,7 @@ the photo does not show what it says of those that it does, and nobody knows tha
 
 import copy
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -33,6 +33,7 @@ from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.posterior import HIDDEN, WIDER, hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
 from btfsep_engine.fit.search import Solution
+from btfsep_engine.fit.sharp_lamp import Sharpened
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.threads import one_thread
@@ -154,10 +155,10 @@ class LightSolver:
         with one_thread():
             return natural_light(self._photograph(radiance, weights, beside), start=start, **self._held)
 
-    def _photograph(self, radiance, weights, beside: Fit | None) -> Photograph:
+    def _photograph(self, radiance, weights, beside: Fit | None, *, kind=Photograph) -> Photograph:
         effective = None if beside is None else beside.election.photo.effective
         how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes}
-        return Photograph(self.basis, radiance, weights=weights, **how)
+        return kind(self.basis, radiance, weights=weights, **how)
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
         tint = colour.split(best.x[:, 0] * photo.level)
@@ -191,6 +192,28 @@ class LightSolver:
         with one_thread():
             best = fit.election.solution
             return next_lamp(best)(best, fit.election.photo)
+
+    def sharp_lamp(self, radiance, fit: Fit, direction, excess, *, weights) -> tuple[np.ndarray, np.ndarray, float]:
+        """A free sky and a lamp with an image of its own (`fit.sharp_lamp`), against the same by the basis images.
+
+        Parameters
+        ----------
+        fit : of the same photograph; weights : (p, 3), as of `solve`
+        direction : (3,), of the lamp; excess : (p, 3), what its own image has that the basis images do not
+
+        Returns
+        -------
+        the lamp's irradiance (3,); all of the light (terms, 3); by how much the logarithm of the evidence gains
+        """
+        with one_thread():
+            held = {"lamps": (*self._held["lamps"], direction), "given": (*self._held["given"], 0.0)}
+            smooth = natural_light(self._photograph(radiance, weights, fit), **held)
+            kind = partial(Sharpened, direction=direction, excess=excess)
+            photo = self._photograph(radiance, weights, fit, kind=kind)
+            sharp = natural_light(photo, **held)
+            irradiance = sharp.model.lamp(-1, sharp.model.parts(sharp.white)[1][-1])[1]
+            x = sharp.x.T[: self.basis.terms] * photo.level
+            return irradiance * photo.level, x, sharp.evidence - smooth.evidence
 
     def shows(self, direction) -> bool:
         """Whether a lamp in that direction (3,) lights more of the pixels than one that the photo could not know of."""

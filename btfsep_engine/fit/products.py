@@ -25,6 +25,7 @@ there are): n pixels in channels whose misfits go together as `effective` indepe
 `EVIDENCE` * effective numbers.
 """
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,12 +74,23 @@ class Basis:
                 )
         smooth = sh.evaluate(SMOOTH_ORDER, np.asarray(normals, np.float64))[:, 1:]
         self.smooth = smooth * (SINGLE / np.sqrt(smooth.shape[1]))  # Y: its rows are of length 1
+        self._prepare()
+
+    def _prepare(self) -> None:
         self._kept = None
         if self.pixels <= CHUNK:
             self._kept = [np.ascontiguousarray(self._rows(c, slice(None))) for c in range(3)]
         self.grams = [self._weighted_gram(c, None) for c in range(3)]
         self.axes = [np.linalg.eigh(gram) for gram in self.grams]
         self.mean_response = sum(self.rows(c).mean(0) for c in range(3)) / 3  # (terms,)
+
+    def with_image(self, image) -> "Basis":
+        """The same with one more basis image (p, 3), after the others."""
+        out = copy.copy(self)
+        out.images = np.concatenate([self.images, np.asarray(image, self.images.dtype)[:, None]], 1)
+        out.terms += 1
+        out._prepare()
+        return out
 
     def _parts(self):
         return [slice(i, min(i + CHUNK, self.pixels)) for i in range(0, self.pixels, CHUNK)]

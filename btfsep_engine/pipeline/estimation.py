@@ -29,6 +29,7 @@ from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
+from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
 from btfsep_engine.pipeline.resume import estimate_key
@@ -136,6 +137,7 @@ REFINEMENTS = (
     nearer_materials,
     shifted,
     near_lamps,
+    sharp_lamps,
     ground,
     key_lights,
     other_curves,

@@ -98,7 +98,7 @@ class Follower:
         ``beside`` : as of `fit_together`
         """
         (problem,), solver = model.problems, light_solver(model.problems, model.settings)
-        if self._last.light.near or self._last.light.alone:
+        if self._last.model.problems[0].correction is not None or self._last.light.alone:
             return None
         with model.reporter.stage("fit"):
             before, b = self._last.light.fit, problem.radiance()

@@ -27,9 +27,10 @@ class Problem:
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
     weights : (p, 3) in [0, 1], 1 over the variance of each value; None: all 1
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
-    nearness : (p, 3), what near lamps make of the values, which is taken off them (`pipeline.refine.near`); or None
-    slopes : (p, k, 3), what it may differ by in the first photograph's exposure, since the camera may be a little off;
-        or None
+    correction : (p, 3), what lamps make of the values beside what the basis images have of them, which is taken off
+        (`pipeline.refine.near`, `pipeline.refine.sharp`); or None
+    slopes : (p, k, 3), what it may differ by in the first photograph's exposure, since camera or sun may be a little
+        off; or None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
@@ -41,7 +42,7 @@ class Problem:
     measured: np.ndarray | None = None
     weights: np.ndarray | None = None
     scales: np.ndarray | None = None
-    nearness: np.ndarray | None = None
+    correction: np.ndarray | None = None
     slopes: np.ndarray | None = None
     left_out: int | None = None
 
@@ -87,7 +88,7 @@ class Problem:
         else:
             image = self.scene.job.photo.radiance if photo is None else photo
             values = self.values_of(image).astype(np.float64)  # floats overflow when squared
-        return values if self.nearness is None else values - self.nearness
+        return values if self.correction is None else values - self.correction
 
     def as_measured(self, values) -> np.ndarray:
         """The photograph's values (p, …, 3) over the objects' scales, where these are free."""
@@ -108,7 +109,7 @@ class Problem:
             basis=[a[u] for a, u in zip(self.basis, parts, strict=True)],
             measured=None if self.measured is None else self.measured[used],
             weights=None if self.weights is None else self.weights[used],
-            nearness=None if self.nearness is None else self.nearness[used],
+            correction=None if self.correction is None else self.correction[used],
             slopes=None if self.slopes is None else self.slopes[used],
         )
 

@@ -77,7 +77,7 @@ def test_a_lamp_nearby_is_found_with_its_distance(distance, monkeypatch):
     assert off(found, truth) < 0.08
     assert not any("nearby" in text for text in scene.reporter.warnings)
     # the photo is fitted less what the lamp's nearness makes of it, in its report's numbers, too
-    assert found.photos[0].residuals[0] < 0.06 and found.model.problems[0].nearness is not None
+    assert found.photos[0].residuals[0] < 0.06 and found.model.problems[0].correction is not None
     again, photo = pictures(found, found.scene)[0], scene.job.photo.radiance
     shown = np.isfinite(again).all(-1) & (photo > 0).all(-1)
     assert np.linalg.norm((again - photo)[shown]) < 0.1 * np.linalg.norm(photo[shown])
@@ -138,7 +138,7 @@ def test_a_lamp_far_away_stays_there():
     scene, direction, _, _, truth = photographed(60.0)
     found = estimated(scene)
     (sun,) = found.lighting.suns
-    assert sun.near is None and found.model.problems[0].nearness is None and "far away" in found.choice["near"]
+    assert sun.near is None and found.model.problems[0].correction is None and "far away" in found.choice["near"]
     assert np.degrees(np.arccos(sun.direction @ direction)) < 3 and off(found, truth) < 0.08
 
 

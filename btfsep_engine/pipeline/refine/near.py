@@ -240,7 +240,7 @@ def nearer(scene: Photographed, model, light, places):
     parts = np.split(last.correction, np.cumsum([len(p.pixels) for p in model.problems])[:-1])
     parts = [part * e for part, e in zip(parts, light.exposures, strict=True)]
     looks = {
-        appearance: [replace(p, nearness=part) for p, part in zip(problems, parts, strict=True)]
+        appearance: [replace(p, correction=part) for p, part in zip(problems, parts, strict=True)]
         for appearance, problems in model.looks.items()
     }
     metres = model.problems[0].scene.job.metres_per_unit

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether the light has a sun: a lamp that is sharper than the fit's harmonics, 20 degrees wide, can be.
+
+On gloss a sun leaves a highlight a few degrees wide, on anything the edges of shadows. Basis images of order 9 have
+neither: what they make of a sun is bright where the photo is dark, and a fit of them takes the sun to be weaker and
+wider than it is, the more so where the highlight itself is clipped. Here the brightest lamp has an image of its own
+(`fit.sharp_lamp`). Where that image is steep, at the highlight's edge, it is only as good as the geometry's normals
+are, and counts for less there; a clipped highlight says nothing. Whether the lamp is sharp, the evidence decides, of
+the same pixels with the same weights. What its own image has beside the basis images is then taken off the photo, and
+what is left is one of light of order 9.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine import sh
+from btfsep_engine.fit.light_model import across
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.basis import USUAL
+from btfsep_engine.pipeline.together import all_weights, fit_together
+from btfsep_engine.render.beams import beam_radiance
+
+CAP, LEAST = np.radians(25), 0.1  # about the brightest direction, and how much of the light has to come from there
+SPEAKS, CLEARLY = 0.0, 20.0  # of the logarithm of the evidence: where nothing is gained at first, no place is sought
+RING, AROUND = np.radians(1.5), 6  # directions about the lamp's, between which its image is the mean
+UNSURE = 3.0  # times what the image changes by from one to the next: as if normals were known to some 4 degrees
+NOISE = 0.1  # of the photo's root mean square: what that is laid against
+BRIGHTER, ASIDE = 0.2, np.radians(1)  # standard deviations of how bright it is and where it stands, once it is found
+FARTHEST = np.radians(6)  # of one move of the lamp
+TRIALS = 6  # of places, and of how bright the lamp is and what counts for less then
+FOUND = "the brightest lamp is sharper than the harmonics are: it has an image of its own (by evidence)"
+
+
+class OwnImage:
+    """A lamp's image by itself, of all photographs' pixels, for an irradiance of 1.
+
+    Attributes
+    ----------
+    direction : (3,), to the lamp
+    image : (p, 3), the mean over a ring about it; slopes : (2, p, 3), by the angles `across` it, radians
+    spread : (p, 3), standard deviation over the ring
+    excess : (p, 3), the image less what the basis images have of it
+    """
+
+    def __init__(self, problems, direction):
+        self.direction = direction / np.linalg.norm(direction)
+        turns = 2 * np.pi / AROUND * np.arange(AROUND)
+        aside = np.tan(RING) * np.stack([np.cos(turns), np.sin(turns)], 1)  # (AROUND, 2)
+        beams = self.direction + np.concatenate([np.zeros((1, 3)), aside @ across(self.direction)])
+        beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+        parts = [beam_images(problem, beams) for problem in problems]
+        each = np.concatenate([images for images, _ in parts])  # (p, beams, 3)
+        self.image, self.spread = each.mean(1), each.std(1)
+        self.slopes = np.einsum("ka,pkc->apc", aside * 2 / (AROUND * np.tan(RING) ** 2), each[:, 1:])
+        self.excess = self.image - np.concatenate([smooth for _, smooth in parts])
+
+    def weights(self, irradiance, rms, known) -> np.ndarray:
+        """(p, 3): how much the pixels count, of which ``known`` (p, 3) have been, beside a lamp of an irradiance."""
+        return known / (1 + np.square(UNSURE * irradiance * self.spread / (NOISE * rms)))
+
+
+def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
+    """Of beams (n, 3) of irradiance 1 what comes straight from them, (p, n, 3); of the first by order 9, (p, 3)."""
+    scene, exact, smooth = problem.scene, [], []
+    order = sh.order_of(problem.basis[0].shape[1])
+    first = SHLighting(np.repeat(sh.evaluate(order, beams[0])[:, None], 3, 1))
+    for points, material in zip(problem.points, problem.materials, strict=True):
+        unit = scene.millimetres_per_unit
+        own = beam_radiance(scene.tracer, points, material, beams, millimetres_per_unit=unit)
+        if material.mirror_reflectance is not None:  # it shows nothing of light without extent
+            by_order = own[:, 0]
+        else:
+            by_order = scene.radiance(points, material, first, directions=USUAL)[:, 0]
+        exact.append(own.astype(np.float64))
+        smooth.append(by_order.astype(np.float64))
+    return np.concatenate(exact), np.concatenate(smooth)
+
+
+def sharp_lamps(model, light):
+    """The refinement: the brightest lamp with an image of its own."""
+    if light.solver is None or light.near:
+        return model, light, {}
+    with model.reporter.stage("fit"):
+        direction = light.solver.brightest_direction(light.fit)
+        irradiance = irradiance_around(light.fit, direction)
+        if irradiance.sum() < LEAST * np.sqrt(4 * np.pi) * light.fit.all_coefficients[0].sum():
+            return model, light, {}
+        found = sharp_lamp(model, light, direction, irradiance)
+        if found is None:
+            return model, light, {}
+        free = model_beside(model, light, *found)
+        settings = replace(model.settings, order=light.order)
+        return free, fit_together(free.problems, settings, beside=light.fit), {"sharp": FOUND}
+
+
+def model_beside(model, light, lamp, irradiance, weights):
+    """The model whose photos are less what a sharp lamp makes of them, as well as that is known."""
+    departures = [BRIGHTER * lamp.excess, *(ASIDE * lamp.slopes)]
+    departures = irradiance * np.stack(departures, 1)  # (p, 3, 3)
+    changes, start = [], 0
+    for problem, exposure in zip(model.problems, light.exposures, strict=True):
+        part = slice(start, start := start + len(problem.pixels))
+        own = [] if problem.slopes is None else [problem.slopes]
+        changes.append(
+            {
+                "correction": exposure * irradiance * lamp.excess[part],
+                "weights": weights[part],
+                "slopes": np.concatenate([*own, departures[part]], 1),
+            }
+        )
+    looks = {
+        look: [replace(p, **change) for p, change in zip(problems, changes, strict=True)]
+        for look, problems in model.looks.items()
+    }
+    return replace(model, looks=looks)
+
+
+def irradiance_around(fit, direction) -> np.ndarray:
+    """(3,), of all of a fit's light within `CAP` of a direction, in the colour that the object gives it."""
+    election, field = fit.election, fit.election.solution.model.field
+    inside = field.directions @ direction > np.cos(CAP)
+    share = 4 * np.pi / len(field.directions) if len(field.directions) > 1 else 2 * np.pi * (1 - np.cos(CAP))
+    of_field = election.solution.radiance[:, inside if inside.size > 1 else slice(None)].sum(1) * share
+    lamps = [e for d, e in election.lamps if d @ direction > np.cos(CAP)]
+    return of_field * election.photo.level + sum(lamps, np.zeros(3))
+
+
+def sharp_lamp(model, light, direction, irradiance):
+    """An OwnImage of the brightest lamp, its irradiance (3,), and the pixels' weights (p, 3); None: it is not sharp."""
+    problems, solver, b = model.problems, light.solver, light.radiance(model.problems)
+    own, clipped = all_weights(problems), np.concatenate([p.clipped for p in problems])
+    known = np.where(clipped, 0.0, 1.0 if own is None else own)
+    rms = np.sqrt((known * b**2).sum(0) / np.maximum(known.sum(0), 1.0))
+    best, most = None, -np.inf
+    for _ in range(TRIALS):
+        lamp = OwnImage(problems, direction)
+        weights = lamp.weights(irradiance, rms, known)
+        if not weights.sum(0).all():
+            break
+        irradiance, x, gain = solver.sharp_lamp(b, light.fit, lamp.direction, lamp.excess, weights=weights)
+        if gain < max(most, SPEAKS) or irradiance.sum() < LEAST * np.sqrt(4 * np.pi) * x[0].sum():
+            break
+        best, most = (lamp, irradiance, weights), gain
+        left = b - irradiance * lamp.excess - solver.basis.predicted(x)
+        move = asked_move(left, irradiance * lamp.slopes, weights / solver.basis.response**2)
+        direction = lamp.direction + move @ across(lamp.direction)
+    return best if most > CLEARLY else None
+
+
+def asked_move(left, slopes, weights) -> np.ndarray:
+    """The angles (2,) by which a lamp's misfit (p, 3) asks it to move, no more than `FARTHEST`."""
+    gram = np.einsum("apc,bpc,pc->ab", slopes, slopes, weights)
+    step = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(2), np.einsum("apc,pc,pc->a", slopes, left, weights))
+    return step * min(1.0, FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
