@@ -19,9 +19,9 @@ from btfsep_engine.images import linear_to_srgb
 
 LUMA = np.array([0.299, 0.587, 0.114])  # of codes: ITU-R BT.601, as JPEG has it
 KAPPA = np.array([0.5, 0.35, 0.2, 0.1])  # at 0 to 3 pixels from an outline
-CERTAIN = 3.0  # how many of such errors are reckoned with
+CERTAIN = 2.0  # how many of such errors are reckoned with
 MISFIT = 0.1  # of a channel's value: the noise of a usual fit
-NEXT, BESIDE = 2, 0.1  # pixels from an outline; how much they count
+NEXT, BESIDE = 2, 0.3  # pixels from an outline; how much they count
 SPREADS = (3, 6, 12, 24)  # cells: over which what is inside and outside is averaged, the least that finds any
 MARGIN = 12  # cells beside the objects that are looked at
 ENOUGH = 1e-2  # of such a neighbourhood

@@ -306,3 +306,27 @@ def test_unreadable(tmp_path):
     (tmp_path / "a.png").chmod(0)
     with pytest.raises(InputError, match="cannot be read"):
         images.read_linear(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "how", "coarse"),
+    [
+        ("a.jpg", [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420], True),
+        ("a.jpg", [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422], True),
+        ("a.jpg", [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444], False),
+        ("a.jpg", [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], True),
+        ("a.webp", [cv2.IMWRITE_WEBP_QUALITY, 90], True),
+        ("a.webp", [cv2.IMWRITE_WEBP_QUALITY, 101], False),  # without loss
+        ("a.png", [], False),
+        ("a.tif", [], False),
+    ],
+)
+def test_a_file_says_whether_its_colours_are_coarse(tmp_path, name, how, coarse):
+    pixels = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
+    assert cv2.imwrite(str(tmp_path / name), pixels, how)
+    assert images.read_linear(tmp_path / name).coarse_chroma is coarse
+
+
+def test_a_grey_jpeg_has_no_chroma(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.jpg"), np.full((16, 16), 90, np.uint8))
+    assert images.read_linear(tmp_path / "a.jpg").coarse_chroma is False

@@ -21,8 +21,10 @@ from btfsep_engine.pipeline.basis import USUAL
 from btfsep_engine.pipeline.together import all_weights, fit_together
 from btfsep_engine.render.beams import beam_radiance
 
-CAP, LEAST = np.radians(25), 0.1  # about the brightest direction, and how much of the light has to come from there
-SPEAKS, CLEARLY = 0.0, 20.0  # of the logarithm of the evidence: where nothing is gained at first, no place is sought
+CAP, LEAST = np.radians(25), 0.2  # about the brightest direction, and how much of the light has to come from there
+# On 30 real photographs under lamps and 128 by Cycles it is found on 9, of which 8 err less than without and one more.
+SPEAKS, CLEARLY = 5.0, 20.0  # of the logarithm of the evidence: where so little is gained at first, no place is sought
+FAINTEST = 0.1  # of the light: a fainter lamp gains by chance
 RING, AROUND = np.radians(1.5), 6  # directions about the lamp's, between which its image is the mean
 UNSURE = 3.0  # times what the image changes by from one to the next: as if normals were known to some 4 degrees
 NOISE = 0.1  # of the photo's root mean square: what that is laid against
@@ -139,7 +141,7 @@ def sharp_lamp(model, light, direction, irradiance):
         if not weights.sum(0).all():
             break
         irradiance, x, gain = solver.sharp_lamp(b, light.fit, lamp.direction, lamp.excess, weights=weights)
-        if gain < max(most, SPEAKS) or irradiance.sum() < LEAST * np.sqrt(4 * np.pi) * x[0].sum():
+        if gain < max(most, SPEAKS) or irradiance.sum() < FAINTEST * np.sqrt(4 * np.pi) * x[0].sum():
             break
         best, most = (lamp, irradiance, weights), gain
         left = b - irradiance * lamp.excess - solver.basis.predicted(x)

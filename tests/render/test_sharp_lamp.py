@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A sun on gloss has an image of its own; light without one has not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine import sh
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.fit.products import Basis
+from btfsep_engine.fit.sharp_lamp import Sharpened
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.light.sun import Sun
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.model import view_problem
+from btfsep_engine.pipeline.refine import sharp
+from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
+from tests.render.scenes import as_mesh, job_of, looking_down
+
+GLOSS = "wood/walnut-lacquered"
+SETTINGS = choose("draft", bounces=1, directions=512)
+TOWARDS = np.array([-0.45, 0.3, 0.84]) / np.linalg.norm([-0.45, 0.3, 0.84])
+
+
+def egg_and_pebble():
+    egg, pebble = (trimesh.creation.icosphere(5, 1.0) for _ in range(2))
+    egg.apply_scale([0.5, 0.7, 0.45])
+    pebble.apply_scale([0.3, 0.25, 0.35]).apply_translation([0.55, 0.4, 0.0])
+    return as_mesh(trimesh.util.concatenate([egg, pebble]))
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    """The scene, its points, its material, and the light of a sky: coefficients (9, 3)."""
+    scene = PreparedScene(job_of([egg_and_pebble()], looking_down()), Reporter())
+    sky = np.zeros((9, 3))
+    sky[0], sky[1], sky[2], sky[3] = 1.5, 0.3, 0.5, -0.2
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    return scene, points, open_library(None).load(GLOSS), sky
+
+
+def photographed(prepared, irradiance: float, *, limit=np.inf):
+    """The scene under its sky and a sun, with a camera's noise, clipped at a limit; and all of the light."""
+    scene, points, material, sky = prepared
+    seen = scene.radiance(points, material, SHLighting(sky), directions=4096)[:, 0]
+    sun = Sun(TOWARDS, np.full(3, irradiance), np.zeros(3))
+    seen = seen + scene.sun_radiance(points, material, sun)
+    seen = seen * np.random.default_rng(0).normal(1, 0.02, seen.shape)
+    image, clipped = np.zeros((96, 96, 3), np.float32), np.zeros((96, 96, 3), bool)
+    image[tuple(points.pixels.T)] = np.minimum(seen, limit)
+    clipped[tuple(points.pixels.T)] = seen >= limit
+    photo = replace(scene.job.photo, radiance=image, clipped=clipped if clipped.any() else None)
+    photo = replace(photo, usable=~clipped.any(-1), saturated=int(clipped.any(-1).sum()))
+    there = PreparedScene(replace(scene.job, photo=photo), Reporter())
+    return there, sky + sh.evaluate(2, TOWARDS)[:, None] * irradiance
+
+
+def found_in(scene, truth):
+    found = estimate(scene, open_library(None), SETTINGS, material=GLOSS)
+    x = found.fit.coefficients[:9]
+    return found, float(np.linalg.norm((x * truth).sum() / (x * x).sum() * x - truth) / np.linalg.norm(truth))
+
+
+def test_a_sun_whose_highlight_is_clipped_is_found_as_sharp_as_it_is(prepared, monkeypatch):
+    scene, truth = photographed(prepared, 4.0, limit=0.5)
+    found, error = found_in(scene, truth)
+    assert "sharp" in found.choice and found.model.problems[0].correction is not None
+    (lamp,) = found.light.suns
+    assert np.degrees(np.arccos(lamp.direction @ TOWARDS)) < 2 and error < 0.12
+    monkeypatch.setattr(sharp, "CLEARLY", np.inf)
+    as_harmonics, without = found_in(photographed(prepared, 4.0, limit=0.5)[0], truth)
+    assert "sharp" not in as_harmonics.choice and without > 1.3 * error
+
+
+def test_light_without_a_sun_has_no_sharp_lamp(prepared):
+    scene, truth = photographed(prepared, 0.0)
+    found, _ = found_in(scene, truth)
+    assert "sharp" not in found.choice and found.model.problems[0].correction is None
+
+
+def test_an_image_of_its_own_is_the_beam_and_its_excess_what_order_9_lacks(prepared):
+    scene, _, material, _ = prepared
+    problem = view_problem(scene, [material], SETTINGS)
+    lamp = sharp.OwnImage([problem], TOWARDS)
+    sun = Sun(TOWARDS, np.ones(3), np.zeros(3))
+    own = np.concatenate([scene.sun_radiance(p, problem.materials[0], sun) for p in problem.points])
+    calm = (lamp.spread < 0.05 * own).all(1)  # away from the highlight and from shadows
+    assert calm.mean() > 0.3
+    np.testing.assert_allclose(lamp.image[calm], own[calm], rtol=0.05)
+    smooth = np.einsum("ptc,t->pc", problem.all_basis, sh.evaluate(9, TOWARDS))
+    np.testing.assert_allclose(lamp.image - lamp.excess, smooth, atol=0.06 * smooth.max())
+    # the slopes say what it changes by as it turns
+    turned = sharp.OwnImage([problem], TOWARDS + 0.01 * sharp.across(TOWARDS)[0])
+    change = turned.image - lamp.image
+    assert np.corrcoef(change[calm].ravel(), lamp.slopes[0][calm].ravel())[0, 1] > 0.95
+    assert (change[calm] * lamp.slopes[0][calm]).sum() / np.square(lamp.slopes[0][calm]).sum() == pytest.approx(
+        0.01, rel=0.2
+    )
+
+
+def test_one_more_image_beside_a_basis_is_as_if_it_had_been_there(prepared):
+    scene, _, material, _ = prepared
+    problem = view_problem(scene, [material], SETTINGS)
+    more = np.random.default_rng(1).random((len(problem.pixels), 3))
+    whole = Basis(np.concatenate([problem.all_basis, more[:, None].astype(np.float32)], 1), problem.normals)
+    first = Basis(problem.all_basis, problem.normals)
+    wider = first.with_image(more)
+    assert wider.terms == first.terms + 1 == len(first.grams[0]) + 1
+    np.testing.assert_allclose(wider.grams, whole.grams)
+    np.testing.assert_allclose(wider.mean_response, whole.mean_response)
+
+
+def test_only_a_beam_from_its_own_direction_has_the_lamps_image(prepared):
+    scene, _, material, sky = prepared
+    problem = view_problem(scene, [material], SETTINGS)
+    basis = Basis(problem.all_basis, problem.normals)
+    excess = np.zeros((len(problem.pixels), 3))
+    photo = Sharpened(basis, problem.predicted(np.pad(sky, ((0, 91), (0, 0)))), TOWARDS, excess)
+    for field in photo.fields:
+        assert field.of_beam(TOWARDS)[-1] == 1 and field.of_beam(-TOWARDS)[-1] == 0
+        assert not field.to_coefficients[-1].any() and len(field.to_coefficients) == basis.terms + 1
