@@ -98,3 +98,17 @@ def test_working_values_have_the_slope_and_curvature_of_tobins_likelihood(photog
     by_squares = weights * (working - p) / s**2
     np.testing.assert_allclose(by_squares[spoken], slope[spoken], rtol=1e-4)
     np.testing.assert_allclose((weights / s**2)[spoken], -curvature[spoken], rtol=1e-3)
+
+
+def test_pixels_that_count_for_nothing_say_nothing_of_clipped_ones(photographed):
+    solver, b, _ = photographed
+    values, clipped = cut(b, 0.6)
+    wrong = np.zeros(len(b), bool)
+    wrong[::5] = True
+    known = np.where(wrong, 0.0, 1.0)[:, None] * np.ones(3)
+    spoilt = np.where(wrong[:, None] & ~clipped, 20 * values, values)
+    (working, weights), (again, same) = (working_values(solver, each, clipped, known) for each in (values, spoilt))
+    np.testing.assert_allclose(working[clipped], again[clipped])
+    np.testing.assert_array_equal(weights, same)
+    assert not weights[wrong[:, None] & ~clipped].any() and (weights[~wrong[:, None] & ~clipped] == 1).all()
+    assert weights[clipped].any()

@@ -65,6 +65,7 @@ class OwnImage:
 def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
     """Of beams (n, 3) of irradiance 1 what comes straight from them, (p, n, 3); of the first by order 9, (p, 3)."""
     scene, exact, smooth = problem.scene, [], []
+    directions = problem.transport.get("directions", USUAL)  # the basis images' own, so that errors are theirs, too
     order = sh.order_of(problem.basis[0].shape[1])
     first = SHLighting(np.repeat(sh.evaluate(order, beams[0])[:, None], 3, 1))
     for points, material in zip(problem.points, problem.materials, strict=True):
@@ -73,7 +74,7 @@ def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
         if material.mirror_reflectance is not None:  # it shows nothing of light without extent
             by_order = own[:, 0]
         else:
-            by_order = scene.radiance(points, material, first, directions=USUAL)[:, 0]
+            by_order = scene.radiance(points, material, first, directions=directions)[:, 0]
         exact.append(own.astype(np.float64))
         smooth.append(by_order.astype(np.float64))
     return np.concatenate(exact), np.concatenate(smooth)
