@@ -24,6 +24,7 @@ from btfsep_engine.render.beams import beam_radiance
 CAP, LEAST = np.radians(25), 0.2  # about the brightest direction, and how much of the light has to come from there
 # On 30 real photographs under lamps and 128 by Cycles it is found on 9, of which 8 err less than without and one more.
 SPEAKS, CLEARLY = 5.0, 20.0  # of the logarithm of the evidence: where so little is gained at first, no place is sought
+SAME, CHEAP = np.radians(15), 10.0  # between a lamp and another fit's; of the logarithm of the evidence
 FAINTEST = 0.1  # of the light: a fainter lamp gains by chance
 RING, AROUND = np.radians(1.5), 6  # directions about the lamp's, between which its image is the mean
 UNSURE = 3.0  # times what the image changes by from one to the next: as if normals were known to some 4 degrees
@@ -93,8 +94,17 @@ def sharp_lamps(model, light):
         if found is None:
             return model, light, {}
         free = model_beside(model, light, *found)
-        settings = replace(model.settings, order=light.order)
-        return free, fit_together(free.problems, settings, beside=light.fit), {"sharp": FOUND}
+        answer = fit_together(free.problems, replace(model.settings, order=light.order), beside=light.fit)
+        return free, with_its_lamp(answer, found[0].direction), {"sharp": FOUND}
+
+
+def with_its_lamp(light, direction):
+    """The light with a lamp towards a direction, in place of a free sky that is as bright there, if it costs little."""
+    if any(lamp.direction @ direction > np.cos(SAME) for lamp in light.fit.lamps):
+        return light
+    fit = light.solver.with_lamp(light.fit)
+    stands = any(lamp.direction @ direction > np.cos(SAME) for lamp in fit.lamps)
+    return replace(light, fit=fit) if stands and fit.evidence > light.fit.evidence - CHEAP else light
 
 
 def model_beside(model, light, lamp, irradiance, weights):
