@@ -82,8 +82,8 @@ def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sharp_lamps(model, light):
-    """The refinement: the brightest lamp with an image of its own."""
-    if light.solver is None or light.near:
+    """The refinement: the brightest lamp with an image of its own; where lamps are given or near, none is sought."""
+    if light.solver is None or light.solver.given or light.near:
         return model, light, {}
     with model.reporter.stage("fit"):
         direction = light.solver.brightest_direction(light.fit)
