@@ -35,6 +35,7 @@ AGAIN = 3  # so many steps are made with the slopes that are there, and the grad
 LONGEST = 1.0  # of any white unknown, in a step that rests on slopes alone
 SLOWER = 100  # their last gain is so many times less than a whole step's may be: they close in slowly
 STIFFEST = 1e5  # of the damping
+ROUNDED = 1e-6  # of the largest value of a matrix in single precision, that its smallest are wrong by
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,11 @@ def _cholesky(gram, damping: float) -> np.ndarray:
     """The factor of (1 + damping) I + ``gram``, in single precision, in the lower triangle alone."""
     if not len(gram):
         return gram
-    return lapack.spotrf(_and_one(gram.copy(), damping).T, lower=1, overwrite_a=1, clean=0)[0]
+    lower, failed = lapack.spotrf(_and_one(gram.copy(), damping).T, lower=1, overwrite_a=1, clean=0)
+    if failed:  # its values span more than single precision does
+        more = damping + ROUNDED * float(np.diag(gram).max())
+        lower = np.linalg.cholesky(_and_one(gram.astype(np.float64), more)).astype(np.float32)
+    return lower
 
 
 def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction):

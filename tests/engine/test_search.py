@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import lapack
 from scipy.optimize import approx_fprime
 
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
-from btfsep_engine.fit.search import solve
+from btfsep_engine.fit.search import _cholesky, solve
 from btfsep_engine.light.log_field import even_field, natural_field
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, shown, side_light
 
@@ -185,3 +186,14 @@ def test_a_brighter_lamp_is_found_from_its_first_guess(rng):
     found = solve(photo, LightModel(even_field(), (start / np.linalg.norm(start),)))
     direction, _ = found.model.lamp(0, found.model.parts(found.white)[1][0])
     assert np.degrees(np.arccos(direction @ SUN)) < 1
+
+
+def test_a_matrix_that_spans_more_than_single_precision_has_a_factor():
+    random = np.random.default_rng(0)
+    jacobian = (random.standard_normal((60, 60)) * np.logspace(4.5, -3, 60)).astype(np.float32)
+    gram = jacobian @ jacobian.T
+    whole = gram.astype(float) + np.eye(60)
+    assert lapack.spotrf(whole.astype(np.float32), lower=1)[1] > 0  # it fails as it is
+    factor = np.tril(_cholesky(gram, 0.0)).astype(float)
+    assert np.isfinite(np.log(np.diag(factor))).all()
+    assert np.abs(factor @ factor.T - whole).max() < 1e-5 * whole.max()
