@@ -22,8 +22,8 @@ from btfsep_engine.pipeline.together import all_weights, fit_together
 from btfsep_engine.render.beams import beam_radiance
 
 CAP, LEAST = np.radians(25), 0.2  # about the brightest direction, and how much of the light has to come from there
-# On 30 real photographs under lamps it is found on none, on 128 by Cycles on 8: the light of 5 errs less than without, of 2
-# as much, of one more. On one of lacquered wood that gains 20 it errs twice as much.
+# On 30 real photographs under lamps it is found on none, on 128 by Cycles on 8: the light of 5 errs less than without,
+# of 2 as much, of one more. On one of lacquered wood that gains 20 it errs twice as much.
 SPEAKS, CLEARLY = 5.0, 25.0  # of the logarithm of the evidence: where so little is gained at first, no place is sought
 SAME, CHEAP = np.radians(15), 10.0  # between a lamp and another fit's; of the logarithm of the evidence
 FAINTEST = 0.1  # of the light: a fainter lamp gains by chance
