@@ -129,7 +129,7 @@ def test_of_two_photos_each_loses_it_in_its_own_exposure():
     scene = photographed(2.5)[0]
     photo = replace(scene.job.photo, radiance=4 * scene.job.photo.radiance)
     both = estimated(scene, others=[PreparedScene(replace(scene.job, photo=photo), Reporter())])
-    one, other = (problem.nearness for problem in both.model.problems)
+    one, other = (problem.correction for problem in both.model.problems)
     np.testing.assert_allclose(other, 4 * one, rtol=1e-3, atol=1e-6)
     assert all(photo.residuals[0] < 0.06 for photo in both.photos)
 
