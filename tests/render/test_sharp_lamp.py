@@ -2,6 +2,7 @@
 """A sun on gloss has an image of its own; light without one has not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -155,3 +156,19 @@ def test_a_lamp_is_moved_to_where_its_misfit_has_it(prepared):
         left = np.einsum("a,apc->pc", step, lamp.slopes)
         allowed = step * min(1, sharp.FARTHEST / np.linalg.norm(step))
         np.testing.assert_allclose(sharp.asked_move(left, lamp.slopes, weights), allowed, rtol=1e-4)
+
+
+def test_a_sharp_lamp_stands_in_the_light_where_that_costs_little():
+    lamp, aside = (SimpleNamespace(direction=d) for d in (TOWARDS, -TOWARDS))
+    sky = SimpleNamespace(lamps=(), evidence=100.0)
+
+    def taken(fit, other):
+        light = SolvedLight(fit, SimpleNamespace(with_lamp=lambda _: other), [1.0])
+        return sharp.with_its_lamp(light, TOWARDS).fit
+
+    cheap, dear, elsewhere = (
+        SimpleNamespace(lamps=(at,), evidence=100.0 - cost)
+        for at, cost in ((lamp, 0.9 * sharp.CHEAP), (lamp, 1.1 * sharp.CHEAP), (aside, 0.0))
+    )
+    assert taken(sky, cheap) is cheap and taken(sky, dear) is sky and taken(sky, elsewhere) is sky
+    assert taken(dear, cheap) is dear  # it has one already
