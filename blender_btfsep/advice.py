@@ -54,6 +54,7 @@ KNOWN = (
     Advice("lamps whose direction is given are left out", "This preset leaves known suns out", level="AMBER"),
     Advice("the fit is badly conditioned", "The photo tells little of so fine a light; a lower order is steadier"),
     Advice("a render that was saved with that view", "The photo looks like a render saved with AgX", "AGX", "RED"),
+    Advice("a camera's own picture", "The photo looks like a camera's own picture", "CAMERA", "AMBER"),
     Advice("tone curve is doubtful", "The photo's tone curve may be another one", "CURVE", "AMBER"),
     Advice("a depth shows one side", "The depth shows one side of it only"),
 )

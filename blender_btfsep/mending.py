@@ -11,9 +11,10 @@ MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
     ("MATERIAL", "Choose Material", "Choose the object's material in the library"),
     ("AGX", "Read as AgX", "Read the photo as a render that was saved with AgX; estimate again afterwards"),
+    ("CAMERA", "Read as a Camera's", "Read the photo by the usual curve of cameras; estimate again afterwards"),
     ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
 )
-READ_AS = {"AGX": "agx", "CURVE": "unknown"}
+READ_AS = {"AGX": "agx", "CAMERA": "camera", "CURVE": "unknown"}
 
 
 class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):

@@ -27,11 +27,17 @@ OCCLUDERS = (
     ("NONE", "None", "The objects stand alone"),
 )
 CURVES = (
-    ("auto", "Automatic", "As the image's colour space says: PNG, JPEG, TIFF and WebP in sRGB, EXR and HDR linear"),
-    ("srgb", "sRGB", "The file's whole numbers are coded in sRGB"),
+    (
+        "auto",
+        "Automatic",
+        "As the image's colour space says: PNG, JPEG, TIFF and WebP in sRGB, EXR and HDR linear; a file that names its "
+        "camera (EXIF) by the usual curve of cameras",
+    ),
+    ("srgb", "sRGB", "The file's whole numbers are coded in sRGB, and nothing else was done to them"),
+    ("camera", "Camera", "A camera's or phone's own picture, with more contrast and softer highlights than sRGB alone"),
     ("linear", "Linear", "The file's whole numbers are in proportion to the light"),
     ("agx", "AgX", "A render that was saved with AgX, Blender's own view transform"),
-    ("unknown", "Unknown", "A curve from linear to steeper than sRGB is found that explains the photo best"),
+    ("unknown", "Unknown", "sRGB, the curve of a camera, or a rarer one: that which explains the photo best"),
 )
 OVERLAYS = (
     ("OFF", "Off", "Nothing is drawn over the photo"),

@@ -9,6 +9,7 @@ from .errors import InputError
 
 READ = {
     "srgb": "read as sRGB",
+    "camera": "read by the usual curve of cameras",
     "linear": "read as linear light",
     "agx": "read as a render saved with AgX",
     "unknown": "its tone curve is found from the photo",
@@ -41,7 +42,8 @@ def read_as(image, curve: str) -> str:
     space = image.colorspace_settings.name
     if space in photo.LINEAR:
         return READ["linear"]
-    return READ["srgb"] if space in photo.CODED else f"read as {space}, as Blender shows it"
+    by_file = "read as sRGB; if the file names a camera, by the usual curve of cameras"
+    return by_file if space in photo.CODED else f"read as {space}, as Blender shows it"
 
 
 def fit_render(scene, size) -> list:

@@ -7,15 +7,13 @@ The stored orientation is kept (EXIF rotation is not applied): a camera in pixel
 import contextlib
 import io
 import os
-import re
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import OpenEXR
 
-from btfsep_engine import agx, atomic
+from btfsep_engine import agx, atomic, camera_curve, image_headers
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
 
@@ -26,7 +24,7 @@ import cv2  # noqa: E402
 
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
-COLORSPACES = ("auto", "srgb", "linear", "agx")
+COLORSPACES = ("auto", "srgb", "camera", "linear", "agx")
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # of what is read, in small letters
 _EXR = b"\x76\x2f\x31\x01"
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
@@ -48,6 +46,7 @@ class Image:
     clipped : (h, w, 3) bool, the channels of opaque pixels that stand at the largest code: lower bounds, no values
     bits : of a code, 8 or 16; None: floats
     coarse_chroma : whether colours are stored at half the resolution (JPEG 4:2:0 and 4:2:2, lossy WebP)
+    camera : maker and model of the camera that a file of integers says it is from; empty: it says none
     """
 
     pixels: np.ndarray
@@ -56,6 +55,7 @@ class Image:
     clipped: np.ndarray
     bits: int | None = None
     coarse_chroma: bool = False
+    camera: str = ""
 
 
 def srgb_to_linear(values) -> np.ndarray:
@@ -81,25 +81,33 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     Parameters
     ----------
     path : file
-    colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb", "linear",
-        or "agx": integers are a picture that Blender's view transform made
+    colorspace : "auto" (floating-point formats are linear, integer ones sRGB-coded, or "camera" where they name one),
+        "srgb", "linear", "camera": integers are what cameras make of a photograph (`camera_curve`),
+        or "agx": they are a picture that Blender's view transform made
     max_pixels : refuse larger images, and those that do not say their size, before anything is decoded
 
     Raises InputError: the file is missing, unreadable, truncated, no image, of no size or of an absurd one.
     """
     if colorspace not in COLORSPACES:
         raise ValueError(colorspace)
-    stored, alpha, peak, inside, coarse = _stored(Path(path), max_pixels)
+    stored, alpha, peak, inside, header = _stored(Path(path), max_pixels)
+    camera = "" if peak is None else image_headers.camera(header)
+    if colorspace == "auto" and camera:
+        colorspace = "camera"
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
     saturated = clipped.any(-1)
-    coded = peak is not None if colorspace == "auto" else colorspace == "srgb"
+    coded = peak is not None if colorspace == "auto" else colorspace in ("srgb", "camera")
     if peak is not None and colorspace == "agx":
         stored = np.repeat(stored, 3, -1) if stored.shape[-1] == 1 else stored
         clipped = np.broadcast_to(clipped, stored.shape)
         pixels = agx.to_linear(stored / peak).astype(np.float32)
     elif peak is not None:
         codes = np.arange(peak + 1) / peak
-        pixels = (srgb_to_linear(codes) if coded else codes).astype(np.float32)[stored]
+        if colorspace == "camera":
+            table = camera_curve.to_scene(srgb_to_linear(codes))
+        else:
+            table = srgb_to_linear(codes) if coded else codes
+        pixels = table.astype(np.float32)[stored]
     else:
         pixels = (srgb_to_linear(stored) if coded else stored).astype(np.float32, copy=False)
     if pixels.shape[-1] == 1:
@@ -107,7 +115,8 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
     bits = None if peak is None else peak.bit_length()
-    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, coarse)
+    coarse = image_headers.has_coarse_chroma(header)
+    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, coarse, camera)
 
 
 def declared_size(path) -> tuple[int, int] | None:
@@ -118,7 +127,7 @@ def declared_size(path) -> tuple[int, int] | None:
     path = Path(path)
     data = atomic.read_bytes(path)
     if not data.startswith(_EXR):
-        return _declared_size(data)
+        return image_headers.size(data)
     (low, high), *_ = _exr_windows(path)
     return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
 
@@ -206,19 +215,19 @@ def _check_size(path: Path, width: int, height: int, max_pixels: int | None = No
 
 def _stored(path: Path, max_pixels: int | None = None):
     """(h, w, 1 or 3) RGB as stored, (h, w) alpha in [0, 1] or None, the largest code (None for floats), where the file
-    has data, (h, w) bool, and whether its chroma is coarse.
+    has data, (h, w) bool, and the file's bytes.
     """
     data = atomic.read_bytes(path)
     if data.startswith(_EXR):
         stored, alpha, inside = _read_exr(path, max_pixels)
-        return stored, alpha, None, inside, False
-    size = _declared_size(data)
+        return stored, alpha, None, inside, data
+    size = image_headers.size(data)
     if size is not None:
         _check_size(path, *size, max_pixels)
     elif max_pixels is not None:
         raise InputError(path.name, "it does not say its size as PNG, JPEG, TIFF, WebP or HDR do", _KINDS)
     stored, alpha, peak = _decode(path, data)
-    return stored, alpha, peak, np.ones(stored.shape[:2], bool), _coarse_chroma(data)
+    return stored, alpha, peak, np.ones(stored.shape[:2], bool), data
 
 
 def _decode(path: Path, data: bytes):
@@ -244,84 +253,6 @@ def _decode(path: Path, data: bytes):
         alpha = a[..., -1].astype(np.float32) / (peak or 1)
     rgb = a[..., 2::-1] if a.shape[2] >= 3 else a[..., :1]
     return rgb, alpha, peak
-
-
-def _declared_size(data: bytes):
-    """(width, height) that the header of a PNG, JPEG, TIFF, WebP or HDR claims, before anything is decoded, or None."""
-    with contextlib.suppress(struct.error, IndexError):
-        if data[:8] == b"\x89PNG\r\n\x1a\n":
-            return struct.unpack(">II", data[16:24])
-        if data[:2] == b"\xff\xd8":
-            return _jpeg_size(data)
-        if data[:4] in (b"II*\0", b"MM\0*"):
-            return _tiff_size(data)
-        if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-            return _webp_size(data)
-        if data[:2] == b"#?":
-            found = re.search(rb"\n-Y (\d{1,9}) \+X (\d{1,9})\s", data[:65536])
-            return (int(found[2]), int(found[1])) if found else None
-    return None
-
-
-def _jpeg_frame(data: bytes) -> int | None:
-    """Where the header of a JPEG's frame begins, its marker; None: nowhere."""
-    at = 2
-    while at < len(data):
-        if data[at] != 0xFF:
-            return None
-        marker = data[at + 1]
-        if marker == 0xFF:  # padding
-            at += 1
-        elif 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            return at
-        else:
-            at += 2 + struct.unpack(">H", data[at + 2 : at + 4])[0]
-    return None
-
-
-def _jpeg_size(data: bytes):
-    at = _jpeg_frame(data)
-    if at is None:
-        return None
-    height, width = struct.unpack(">HH", data[at + 5 : at + 9])
-    return width, height
-
-
-def _coarse_chroma(data: bytes) -> bool:
-    """Whether a file stores colours at less resolution than brightness."""
-    with contextlib.suppress(struct.error, IndexError):
-        if data[:2] == b"\xff\xd8":
-            at = _jpeg_frame(data)
-            if at is None or data[at + 9] < 3:
-                return False
-            luma, *chroma = (data[at + 11 + 3 * i] for i in range(3))  # sampling factors, of columns and of rows
-            return any(luma > other for other in chroma)
-        return data[:4] == b"RIFF" and data[8:12] == b"WEBP" and b"VP8 " in data[12:64]
-    return False
-
-
-def _tiff_size(data: bytes):
-    order = "<" if data[:2] == b"II" else ">"
-    (at,) = struct.unpack(order + "I", data[4:8])
-    (count,) = struct.unpack(order + "H", data[at : at + 2])
-    size = {}
-    for i in range(count):
-        entry = data[at + 2 + 12 * i : at + 14 + 12 * i]
-        tag, kind = struct.unpack(order + "HH", entry[:4])
-        if tag in (256, 257):
-            size[tag] = struct.unpack(order + ("H" if kind == 3 else "I"), entry[8 : 10 if kind == 3 else 12])[0]
-    return (size[256], size[257]) if len(size) == 2 else None
-
-
-def _webp_size(data: bytes):
-    kind = data[12:16]
-    if kind == b"VP8X":
-        return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
-    if kind == b"VP8L":
-        bits = int.from_bytes(data[21:25], "little")
-        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-    width, height = struct.unpack("<HH", data[26:30])
-    return width & 0x3FFF, height & 0x3FFF
 
 
 def _is_text(path: Path) -> bool:

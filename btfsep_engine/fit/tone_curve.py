@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A camera's unknown tone curve: a family of one parameter from linear beyond sRGB, judged by evidence.
+"""A photo's unknown tone curve, judged by evidence: what cameras do, AgX, and a family from linear beyond sRGB.
 
     g_t(c) = c^(1 - t) s(c)^t,   s : the sRGB curve (IEC 61966-2-1),   t = 0 linear, 1 sRGB, more: steeper,
 
@@ -11,22 +11,26 @@ under a curve is how probable their radiance is (`fit.search`), times the curve'
 tempered like the evidence by its coarsening h. The noise is what is really left over: with the fit's own lower bound of
 it (`search.FLOOR`), the curve that spreads the codes most would win where all explain the photo. Two things keep a
 misfit from passing for a curve. The brightest pixels count less (`importance`): what a highlight is off by is the
-material's, and curves differ there by most. And a difference of evidence counts for 1 / `DOUBT` of itself: texture errs
-in proportion to the light, which looks like a flatter curve under noise that is everywhere the same.
+material's, and curves differ there by most. And a difference of evidence counts for 1 / `DOUBT` of itself: texture
+errs in proportion to the light, which looks like a flatter curve under noise that is everywhere the same, and a
+material that is only nearly right moves the evidence by as much as a camera's curve does. So what files usually are
+counts for much: sRGB, or what a camera makes of a photograph (`Camera`); linear codes and AgX have to explain it far
+better.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine import agx
-from btfsep_engine.images import srgb_to_linear
+from btfsep_engine import agx, camera_curve
+from btfsep_engine.images import linear_to_srgb, srgb_to_linear
 
 STRAIGHT = 0.04045  # codes below which sRGB is linear
-PRIOR = {0.0: 0.25, 0.25: 0.0625, 0.5: 0.0625, 0.75: 0.0625, 1.0: 0.5, 1.25: 0.0625}  # of the parameter t
-OF_AGX = 0.0625
+PRIOR = {0.0: 0.01, 0.25: 0.003, 0.5: 0.003, 0.75: 0.01, 1.0: 0.4, 1.25: 0.01}  # of the parameter t
+OF_CAMERAS = {0.5: 0.05, 0.75: 0.15, 1.0: 0.25, 1.4: 0.08}  # of the strength s
+OF_AGX = 0.003
 OFFSET_PRIOR = 0.2
-DOUBT = 3.0
+DOUBT = 20.0
 LARGEST_OFFSET = 0.05  # of the largest code
 SMALLEST_OFFSET = 1.5 / 255
 LEAST_NOISE = 0.01  # of the photo's root mean square: what 8 bits round
@@ -98,8 +102,40 @@ class AgX:
         return "Blender's view transform AgX"
 
 
-LINEAR, SRGB, AGX = ToneCurve(0.0), ToneCurve(1.0), AgX()
+@dataclass(frozen=True)
+class Camera:
+    """What a camera makes of a photograph (`camera_curve`), in the place of a `ToneCurve`; ``strength`` : its s."""
+
+    strength: float = camera_curve.USUAL
+
+    def decode(self, codes) -> np.ndarray:
+        """Linear radiance of codes (any shape, 1: the largest). float64."""
+        return camera_curve.to_scene(srgb_to_linear(codes), self.strength)
+
+    def encode(self, radiance) -> np.ndarray:
+        """Codes of radiance: the inverse of `decode`. float64."""
+        return linear_to_srgb(camera_curve.to_display(radiance, self.strength))
+
+    def log_slope(self, codes) -> np.ndarray:
+        """Logarithm of the derivative of `decode`."""
+        codes = np.maximum(np.asarray(codes, np.float64), camera_curve.DARKEST)
+        return camera_curve.log_slope(srgb_to_linear(codes), self.strength) + SRGB.log_slope(codes)
+
+    @property
+    def log_prior(self) -> float:
+        """Of it among the candidates."""
+        return float(np.log(OF_CAMERAS[self.strength]) + np.log(1 - OFFSET_PRIOR))
+
+    @property
+    def description(self) -> str:
+        """For people."""
+        each = {0.5: "half of ", 1.0: ""}.get(self.strength, f"{self.strength:g} times ")
+        return f"{each}a camera's usual curve"
+
+
+LINEAR, SRGB, AGX, CAMERA = ToneCurve(0.0), ToneCurve(1.0), AgX(), Camera()
 CANDIDATES = tuple(ToneCurve(t) for t in PRIOR)
+CAMERAS = tuple(Camera(s) for s in OF_CAMERAS)
 
 
 def darkest_offset(codes) -> float:

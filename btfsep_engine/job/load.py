@@ -265,7 +265,7 @@ def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Phot
     if hidden:
         notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
     clipped = image.clipped if saturated else None
-    return Photo(image.pixels, image.usable, saturated, clipped, image.bits, image.coarse_chroma)
+    return Photo(image.pixels, image.usable, saturated, clipped, image.bits, image.coarse_chroma, image.camera)
 
 
 def placed(matrix, what: str):

@@ -84,6 +84,7 @@ class Photo:
     clipped : (h, w, 3) bool, channels of opaque pixels that were at least as bright as stored; None: none were
     bits : of the file's codes, 8 or 16; None: floats
     coarse_chroma : whether the file has colours at less resolution than brightness
+    camera : maker and model of the camera that the file says it is from; empty: it says none
     """
 
     radiance: np.ndarray
@@ -92,14 +93,15 @@ class Photo:
     clipped: np.ndarray | None = None
     bits: int | None = None
     coarse_chroma: bool = False
+    camera: str = ""
 
 
 @dataclass(frozen=True)
 class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
-    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb", "linear" or
-    "unknown" (the photo is then read as by "auto").
+    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb", "camera",
+    "linear", "agx" or "unknown" (the photo is then read as by "auto").
     """
 
     folder: Path

@@ -99,7 +99,7 @@ class JobSchema(Strict):
     format: Literal["btfsep-job"]
     version: Literal[1]
     image: RelativePath
-    image_colorspace: Literal["auto", "srgb", "linear", "agx", "unknown"] = "auto"
+    image_colorspace: Literal["auto", "srgb", "camera", "linear", "agx", "unknown"] = "auto"
     exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
     camera: CameraSchema
     objects: Annotated[list[ObjectSchema], Field(max_length=MAX_OBJECTS)] = []

@@ -13,7 +13,7 @@ from btfsep_engine.errors import InputError
 LARGEST_ORDER = 9
 IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 8  # where interreflections are modelled and no number was asked for
-CURVES = ("auto", "srgb", "linear", "agx", "unknown")
+CURVES = ("auto", "srgb", "camera", "linear", "agx", "unknown")
 
 APPEARANCE = (
     "The mean ABRDF, as in the paper, or the textured BTF; auto: the texture where it lines up and explains more"

@@ -13,8 +13,13 @@ import numpy as np
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.tone_curve import (
     AGX,
+    CAMERA,
+    CAMERAS,
     CANDIDATES,
+    LINEAR,
     SRGB,
+    AgX,
+    Camera,
     ToneCurve,
     darkest_offset,
     importance,
@@ -51,16 +56,24 @@ def refuse_unknown(scenes, settings: FitSettings) -> None:
         )
 
 
-def is_coded(job) -> bool:
-    """Whether the job's photo was decoded by the sRGB curve."""
-    by_default = job.photo.bits is not None and job.image_colorspace in ("auto", "unknown")
-    return by_default or job.image_colorspace == "srgb"
+def curve_read_by(job) -> ToneCurve | Camera | AgX:
+    """By which curve the job's photo was decoded when it was read."""
+    stated, photo = job.image_colorspace, job.photo
+    if stated in ("auto", "unknown"):
+        if photo.bits is None:
+            return LINEAR
+        return CAMERA if photo.camera else SRGB
+    return {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, "agx": AGX}[stated]
 
 
 def codes_of(job, radiance=None) -> np.ndarray:
-    """float32, a job's photo's codes, 1: the largest; ``radiance`` : of some of its pixels; None: of all, (h, w, 3)."""
-    radiance = job.photo.radiance if radiance is None else radiance
-    return linear_to_srgb(radiance).astype(np.float32) if is_coded(job) else radiance
+    """float32, a job's photo's codes, 1: the largest; ``radiance`` : of some of its pixels; None: of all, (h, w, 3).
+
+    Not of what was read as AgX.
+    """
+    radiance, curve = job.photo.radiance if radiance is None else radiance, curve_read_by(job)
+    encode = {LINEAR: lambda values: values, SRGB: linear_to_srgb, CAMERA: CAMERA.encode}[curve]
+    return encode(radiance).astype(np.float32)
 
 
 def with_curves(problems, settings: FitSettings) -> list:
@@ -74,7 +87,7 @@ def with_curves(problems, settings: FitSettings) -> list:
     codes = [codes_of(p.scene.job) if _is_sought(p.scene) else None for p in problems]
     if all(c is None for c in codes):
         return problems
-    curves = [*CANDIDATES, AGX]
+    curves = [*CANDIDATES, *CAMERAS, AGX]
     logs = [_log_of(curve, problems, codes, settings) for curve in curves]
     photos = [(c, p.scene.job.photo) for c, p in zip(codes, problems, strict=True) if c is not None]
     offset = min(darkest_offset(c[photo.usable]) for c, photo in photos)
@@ -98,8 +111,8 @@ def _is_sought(scene) -> bool:
 
 
 def read_otherwise(scene) -> bool:
-    """Whether the scene's photo was found to have another curve than sRGB, as which it was read at first."""
-    return scene.curves is not None and scene.curves.curves[0] != SRGB
+    """Whether the scene's photo was found to have another curve than that by which it was read at first."""
+    return scene.curves is not None and scene.curves.curves[0] != curve_read_by(scene.job)
 
 
 def read_by(scene, curves: Curves):

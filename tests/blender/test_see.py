@@ -16,6 +16,7 @@ from blender_btfsep import (
     light_picture,
     lighting_file,
     looking,
+    mending,
     meshes,
     outlines,
     request,
@@ -130,13 +131,14 @@ def test_a_photo_of_another_shape_than_the_region_is_one_of_the_whole_picture(ph
 @pytest.mark.parametrize(
     ("name", "space", "curve", "words"),
     [
-        ("a.png", None, "auto", "read as sRGB"),
+        ("a.png", None, "auto", "read as sRGB; if the file names a camera, by the usual curve of cameras"),
+        ("a.png", None, "camera", "read by the usual curve of cameras"),
         ("a.png", "Non-Color", "auto", "read as linear light"),
         ("a.png", "AgX Base sRGB", "auto", "read as AgX Base sRGB, as Blender shows it"),
         ("a.png", None, "unknown", "its tone curve is found from the photo"),
         ("a.png", None, "linear", "read as linear light"),
         ("a.exr", None, "srgb", "read as linear light (floats)"),
-        ("deep.png", None, "auto", "read as sRGB"),
+        ("deep.png", None, "auto", "read as sRGB; if the file names a camera, by the usual curve of cameras"),
         ("deep.png", None, "linear", "read as linear light"),
     ],
 )
@@ -146,7 +148,8 @@ def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name
     photographed.btfsep.image, photographed.btfsep.curve = image, curve
     job = json.loads((request.write_job(photographed, folder=tmp_path / "job") / "job.json").read_text())
     linear = job["image_colorspace"] == "linear" or job["image"].endswith(".exr")
-    assert linear == ("sRGB" not in words.removeprefix("read as AgX Base sRGB") and "found" not in words)
+    coded = ("sRGB", "found", "of cameras")
+    assert linear == all(each not in words.removeprefix("read as AgX Base sRGB") for each in coded)
 
 
 def test_a_photo_is_looked_at_once_and_again_when_it_is_another(photographed, tmp_path):
@@ -284,13 +287,13 @@ def test_icons_show_the_picture_that_is_kept(lit):
     assert middle[1] > max(middle[0], middle[2]) and middle[3] == 1
 
 
-@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE", "AGX"])
+@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE", "AGX", "CAMERA"])
 def test_doubts_are_mended_where_they_arise(photographed, how):
     bpy.ops.mesh.primitive_monkey_add()
     photographed.btfsep.objects.add().object = bpy.context.object
     assert bpy.ops.btfsep.mend(how=how, object="Suzanne") == {"FINISHED"}
-    if how in ("CURVE", "AGX"):
-        assert photographed.btfsep.curve == {"CURVE": "unknown", "AGX": "agx"}[how]
+    if how in mending.READ_AS:
+        assert photographed.btfsep.curve == {"CURVE": "unknown", "AGX": "agx", "CAMERA": "camera"}[how]
         return
     assert photographed.btfsep.active_object == 1
     assert [e.source for e in photographed.btfsep.objects] == ["RECOGNISE", {"MATERIAL": "LIBRARY"}.get(how, how)]

@@ -12,7 +12,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from btfsep_engine import images
+from btfsep_engine import image_headers, images
 from btfsep_engine.errors import InputError
 
 
@@ -277,7 +277,7 @@ def test_no_pixels(tmp_path):
 def test_sizes_are_known_from_the_header_of_every_kind(tmp_path, suffix):
     a = np.zeros((21, 34, 3), np.float32 if suffix == "hdr" else np.uint8)
     write_cv(tmp_path / f"a.{suffix}", a)
-    assert tuple(images._declared_size((tmp_path / f"a.{suffix}").read_bytes())) == (34, 21)
+    assert tuple(image_headers.size((tmp_path / f"a.{suffix}").read_bytes())) == (34, 21)
 
 
 def test_random_damage_is_an_error_or_an_image_never_another_exception(tmp_path, rng, write_rgb_exr):

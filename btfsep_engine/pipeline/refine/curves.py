@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.fit.stated import restated
-from btfsep_engine.fit.tone_curve import AGX, LINEAR, SRGB, ToneCurve, importance, log_probability
+from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, SRGB, ToneCurve, importance, log_probability
 from btfsep_engine.pipeline.together import all_weights
-from btfsep_engine.pipeline.tone import codes_of, is_coded
+from btfsep_engine.pipeline.tone import codes_of, curve_read_by
 
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
-NAMES = {"srgb": "sRGB", "linear": "linear", "agx": "Blender's view transform AgX"}
-FAR = 15.0  # of the logarithm of the probability: how much more another curve has to explain before it is said
+NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, "agx": AGX}
+# curves that may be said to explain a photo better, by that which it was read by
+OTHERS = {LINEAR: (SRGB, AGX, CAMERA), SRGB: (LINEAR, AGX, CAMERA), CAMERA: (SRGB,)}
+STATED_AS = {AGX: "a render that was saved with that view", CAMERA: "a camera's own picture"}
+FAR = 2.25  # of the logarithm of the probability: how much more another curve has to explain before it is said
 
 
 def _read_by(curve: ToneCurve, problem, codes):
@@ -59,39 +62,43 @@ def curve_words(problems) -> str:
             others = f"; also possible: {', '.join(each[1:])}" if each[1:] else ""
             said.append(f"by evidence {each[0]}{others}")
         elif stated in ("auto", "unknown"):
-            said.append(
-                "linear, as floating-point numbers are" if bits is None else "sRGB, as whole numbers are by default"
-            )
+            why, camera = "whole numbers are by default", scene.job.photo.camera
+            if bits is None:
+                why = "floating-point numbers are"
+            elif camera:
+                why = f"the file is from {camera}"
+            said.append(f"{curve_read_by(scene.job).description}, as {why}")
         else:
-            said.append(f"{NAMES[stated]}, as stated")
+            said.append(f"{NAMES[stated].description}, as stated")
     return f"the photo's tone curve is {' | '.join(dict.fromkeys(said))}"
 
 
 def curve_doubts(problems, light) -> list[str]:
-    """That an 8-bit photo's own curve, sRGB or linear, explains it far worse than the other, or AgX, would."""
+    """That the curve by which an 8-bit photo was read explains it far worse than another would."""
     jobs = [p.scene.job for p in problems]
     if light.solver is None or any(j.photo.bits != 8 or j.image_colorspace in ("unknown", "agx") for j in jobs):
         return []
-    if len({is_coded(j) for j in jobs}) > 1:
+    read_by, *more = {curve_read_by(j) for j in jobs}
+    if more:
         return []
-    coded = is_coded(jobs[0])
     each = [codes_of(p.scene.job, p.values_of(p.scene.job.photo.radiance)) for p in problems]  # not of all of a picture
     codes = np.concatenate(each)
     unit = np.concatenate([np.full((len(p.pixels), 1), e) for p, e in zip(problems, light.exposures, strict=True)])
     own, clipped = all_weights(problems), np.concatenate([p.clipped for p in problems])
     weights = importance(codes, clipped) * (1.0 if own is None else own)
-    logs = []
-    for curve in (LINEAR, SRGB, AGX):
+    logs, curves = [], (read_by, *OTHERS[read_by])
+    for curve in curves:
         read = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
         answer = light.solver.solve(light.radiance(read), weights=weights, start=light.of_objects)
         logs.append(log_probability(answer, curve.log_slope(codes) - np.log(unit), weights))
     best = int(np.argmax(logs))
-    if logs[best] - logs[coded] < FAR:
+    if logs[best] - logs[0] < FAR:
         return []
-    read, other = "sRGB" if coded else "linear", (LINEAR, SRGB, AGX)[best].description
-    what = f"the photo's tone curve is doubtful: it was read as {read}, and as {other} the light would explain it far"
-    if best == 2:
-        mend = "if it is a render that was saved with that view, state it (image_colorspace, --colorspace agx)"
+    read, other = read_by.description, curves[best]
+    than = f"it was read as {read}, and as {other.description} the light would explain it far better"
+    if other in STATED_AS:
+        name = "agx" if other is AGX else "camera"
+        mend = f"if it is {STATED_AS[other]}, state it (image_colorspace, --colorspace {name})"
     else:
         mend = "if you know the curve, state it (image_colorspace), else 'unknown' finds one (--colorspace unknown)"
-    return [f"{what} better; {mend}"]
+    return [f"the photo's tone curve is doubtful: {than}; {mend}"]
