@@ -18,6 +18,7 @@ from btfsep_engine.pipeline.recognition import trained_recogniser
 from btfsep_engine.pipeline.record import run_record, versions
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings, choose
+from btfsep_engine.pipeline.tone import curve_read_by
 from btfsep_engine.report import render_objects
 
 
@@ -50,7 +51,8 @@ def run_recognise(folder, library, settings: Settings, *, reporter) -> dict:
     scene = _prepared(folder, reporter)
     if scene.job.image_colorspace == "unknown" and scene.job.photo.bits is not None:
         reporter.warn(
-            "the photo's tone curve is unknown: it was read as sRGB; an estimate finds it, and recognises by it"
+            f"the photo's tone curve is unknown: it was read as {curve_read_by(scene.job).description}; an estimate "
+            "finds it, and recognises by it"
         )
     found = object_materials(scene, library, settings, names=[None] * len(scene.job.objects))
     objects = [{"name": o.name, **m.record} for o, m in zip(scene.job.objects, found, strict=True)]

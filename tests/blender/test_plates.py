@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from scripts.cycles import plates as studio_plates
-from scripts.studies import plates
+from scripts.studies import cameras, plates
 
 
 def test_plates_are_drawn_alike_and_of_all_kinds():
@@ -32,5 +32,8 @@ def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
     assert "AgX, as stated" in row["choice"]["curve"]
     taken = plates.study(plate, tmp_path, plates.AS_SRGB)
     assert "sRGB" in taken["choice"]["curve"] and taken["error"] != row["error"]
+    ways = {way: cameras.study(plate, tmp_path, "Canon EOS 5D II", way) for way in ("as sRGB", "as a camera's")}
+    assert ways["as a camera's"]["error"] < ways["as sRGB"]["error"] and ways["as sRGB"]["coded"] == "by a camera"
+    assert cameras.study(plate, tmp_path, cameras.FLOATS, cameras.AS_STORED)["error"] < 0.3
     aside = plate | {"turn": plate["turn"] + 90}
     assert plates.order2(plates.truth(aside), plates.truth(plate)) > 0.4
