@@ -3,7 +3,7 @@
 
 import bpy
 
-from . import kept_light, photo, runs, use_photo
+from . import camera_look, kept_light, photo, runs, use_photo
 from .errors import InputError
 
 STANDARD = {"view_transform": "Standard", "look": "None", "exposure": 0.0, "gamma": 1.0}
@@ -57,12 +57,27 @@ def look_of(scene) -> dict:
     """What of the scene's colour management must change, so that a render shows colours as the photo does.
 
     A file of whole numbers that is shown in sRGB has been through no view transform but Standard, unless it is read as
-    a render saved with AgX. A linear photo has no look of its own: Standard shows it as the background image is shown.
+    a render saved with AgX, and no curves but a camera's (`camera_look`), where it is read by these. A linear photo has
+    no look of its own: Standard shows it as the background image is shown.
     """
     view, image = scene.view_settings, scene.btfsep.image
     agx = scene.btfsep.curve == "agx" and image is not None and not photo.of_floats(image)
     wanted = STANDARD | {"view_transform": "AgX"} if agx else STANDARD
     return {name: value for name, value in wanted.items() if getattr(view, name) != value}
+
+
+def curves(scene) -> list[str]:
+    """Gives colour management the camera's curve where the photo has one, else takes its curves off; says so."""
+    view = scene.view_settings
+    if camera_look.is_wanted(scene):
+        if camera_look.is_set(view):
+            return []
+        camera_look.put(view)
+        return ["RGB curves: a camera's, as the photo's"]
+    if not view.use_curve_mapping:
+        return []
+    view.use_curve_mapping = False
+    return ["RGB curves: off, were on"]
 
 
 class BTFSEP_OT_rendered_view(runs.Greyed, runs.AtOnce, bpy.types.Operator):
@@ -88,6 +103,7 @@ class BTFSEP_OT_rendered_view(runs.Greyed, runs.AtOnce, bpy.types.Operator):
                 continue
             shown = (f"{old:g}", f"{value:g}") if isinstance(value, float) else (old, value)
             words.append(f"{name.replace('_', ' ').capitalize()}: {shown[1]}, was {shown[0]}")
+        words += curves(scene)
         if use_photo.is_behind(scene) and not scene.render.film_transparent:
             scene.render.film_transparent = True  # else the World hides the photo behind the objects
             words.append("Film: transparent, so that the photo stays behind")

@@ -11,6 +11,7 @@ from mathutils import Vector
 
 from blender_btfsep import (
     camera,
+    camera_look,
     icons,
     kept_light,
     light_picture,
@@ -271,6 +272,28 @@ def test_a_plate_that_is_read_as_agx_is_looked_at_through_agx(lit, tmp_path):
     assert lit.btfsep.image.is_float and looking.look_of(lit) == {"view_transform": "AgX", "exposure": 0.0}
     lit.btfsep.image = bpy.data.images.new("floats", 8, 8, float_buffer=True)
     assert looking.look_of(lit) == {"exposure": 0.0}
+
+
+def test_the_rendered_view_of_a_cameras_photo_has_its_curve_and_another_none(lit, tmp_path, capfd):
+    view, lit.btfsep.curve = lit.view_settings, "camera"
+    assert bpy.ops.btfsep.rendered_view() == {"FINISHED"} and "a camera's" in capfd.readouterr().out
+    assert camera_look.is_set(view)
+    assert bpy.ops.btfsep.rendered_view() == {"FINISHED"} and "curves" not in capfd.readouterr().out
+    lit.btfsep.curve = "srgb"
+    assert looking.curves(lit) == ["RGB curves: off, were on"] and not view.use_curve_mapping
+    assert looking.curves(lit) == []
+
+
+@pytest.mark.parametrize(("curve", "read", "wanted"), [
+    ("auto", "the photo's tone curve is a camera's usual curve, as the file is from Canon EOS 6D", True),
+    ("auto", "the photo's tone curve is sRGB, as whole numbers are by default", False),
+    ("srgb", "the photo's tone curve is a camera's usual curve, as the file is from Canon EOS 6D", False),
+    ("camera", "", True),
+])  # fmt: skip
+def test_a_file_that_names_its_camera_is_known_by_what_the_engine_said(lit, monkeypatch, curve, read, wanted):
+    lit.btfsep.curve = curve
+    monkeypatch.setattr(camera_look.kept_light, "card", lambda light: {"details": [read]})
+    assert camera_look.is_wanted(lit) == wanted
 
 
 def test_icons_show_the_picture_that_is_kept(lit):
