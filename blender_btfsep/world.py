@@ -107,11 +107,15 @@ def restore_previous(scene):
 def _own_node(scene):
     """The World of ours that ``scene`` has, or a new one, and its node of ours.
 
-    A World from which the user has taken our node is the user's from then on.
+    A World from which the user has taken our node is the user's from then on. One that another scene has, too, stays
+    that one's: this scene gets a copy.
     """
     world = scene.world
     if is_ours(world):
         node = sh_nodes.node_of(world.node_tree) if world.node_tree else None
+        if node is not None and any(other.world == world for other in bpy.data.scenes if other != scene):
+            world = scene.world = _copy(world)
+            node = sh_nodes.node_of(world.node_tree)
         if node is not None:
             return world, node
         del world[WORLD_TAG]
@@ -133,6 +137,18 @@ def _own_node(scene):
     tree.links.new(node.outputs[0], background.inputs["Color"])
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
     return world, node
+
+
+def _copy(world):
+    """A copy of a World with keyframes of its own: Blender's copies share them."""
+    world = world.copy()
+    for animation in (world.animation_data, world.node_tree.animation_data):
+        if animation is not None and animation.action is not None:
+            slot = getattr(animation, "action_slot", None)
+            animation.action = animation.action.copy()
+            if slot is not None:
+                animation.action_slot = animation.action.slots[slot.identifier]
+    return world
 
 
 def _put_group(node, group) -> None:

@@ -254,3 +254,25 @@ def test_tint_and_saturation(scene, render, mode):
     truth = (0.7 * grey + 0.3 * whole) * [1.0, 0.5, 0.25]
     assert np.abs(render(scene) - truth).max() < 5e-3 * truth.max()
     assert np.allclose(colour.adjusted(whole, tint=(1.0, 0.5, 0.25), saturation=0.3), truth)
+
+
+def test_a_world_that_another_scene_has_too_stays_that_scenes(scene):
+    """A scene that was made as a linked copy has the World of the first, until it has a light of its own."""
+    first = positive_coefficients(1, seed=1)
+    world.apply_lighting(scene, lighting(first))
+    node = ours(scene)
+    node.inputs["Strength"].default_value = 2
+    node.inputs["Strength"].keyframe_insert("default_value", frame=3)
+    node.inputs["Y 0 0"].keyframe_insert("default_value", frame=3)
+    before = scene.world
+    bpy.ops.scene.new(type="LINK_COPY")
+    other = bpy.context.scene
+    assert other != scene and other.world == before
+    world.apply_lighting(other, lighting(2 * first))
+    assert scene.world == before and other.world != before and world.is_ours(other.world)
+    for each, factor in ((scene, 1), (other, 2)):
+        inputs = ours(each).inputs
+        assert np.allclose(inputs["Y 0 0"].default_value[:3], factor * first[0], atol=1e-6)
+        assert inputs["Strength"].default_value == 2
+    paths = [{c.data_path for c in animation.fcurves(s.world.node_tree.animation_data)} for s in (scene, other)]
+    assert len(paths[0]) == 2 and len(paths[1]) == 1 and paths[1] < paths[0]
