@@ -46,7 +46,7 @@ def export_job(
     objects : list of objects to fit; empty with ``depth``
     occluders : list of objects that cast shadows and reflect; None for all others that the render shows. Of what their
         materials say the job has the mean colour, roughness and metal
-    materials : dict, object name -> name in the library; what is absent is to be recognised
+    materials : dict, object name (of `meshes.names_of`) -> name in the library; what is absent is to be recognised
     surfaces : dict, object name -> "surface" of the job, or `own_surface.BLENDER`: as the object's own material says
     masks : dict, object name -> bpy.types.Image of the photo's size, not black where the object may be used
     depth : path of an EXR of z-depth, or its bpy.types.Image, instead of objects; its surface is named `SURFACE`
@@ -91,7 +91,8 @@ def export_job(
 
     names, parts, fitted = _FileNames(), {SURFACE: None}, []
     if depth is None:
-        parts = {thing.name: _mapped(gathered.get(thing.name_full), mapping, thing.name) for thing in objects}
+        called = zip(meshes.names_of(objects), objects, strict=True)
+        parts = {name: _mapped(gathered.get(thing.name_full), mapping, name) for name, thing in called}
     for name, part in parts.items():
         file, mask = names.of(name), (masks or {}).get(name)
         fitted.append(

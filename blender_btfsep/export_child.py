@@ -35,9 +35,17 @@ def is_large(context, settings) -> bool:
         return False
     if any(_needs_python(driver) for thing in things for driver in _drivers(thing)):
         return False
+    if any(image.packed_file is None for image in painted_images()):
+        return False  # a file has no strokes that were not saved
     return _painted_pixels(settings) > MANY_PIXELS or _more_faces_than(
         context, LARGE // 10 if settings.mapping == "UNWRAP" else LARGE
     )
+
+
+def painted_images() -> list:
+    """The images of the file that were changed and not saved, and that something uses."""
+    made = {"RENDER_RESULT", "COMPOSITING"}
+    return [image for image in bpy.data.images if image.is_dirty and image.users and image.type not in made]
 
 
 def _drivers(thing):
@@ -85,6 +93,9 @@ def write(scene, file) -> None:
     for thing in scene.objects:
         if thing.mode == "EDIT":
             thing.update_from_editmode()
+    for image in painted_images():
+        if image.packed_file is not None:
+            image.pack()  # as it is now: what is written is what was packed
     bpy.data.libraries.write(str(file), {scene}, path_remap="ABSOLUTE", fake_user=False)
 
 

@@ -18,6 +18,12 @@ def has_surface(thing) -> bool:
     return held is not None and any(has_surface(each) for each in held.all_objects)
 
 
+def names_of(things) -> list:
+    """A name for each object: its own, or with its library's where another of them has that, too."""
+    own = [thing.name for thing in things]
+    return [thing.name if own.count(thing.name) == 1 else thing.name_full for thing in things]
+
+
 def triangles_of_mesh(mesh, matrix) -> dict | None:
     """The triangles of an evaluated ``bpy.types.Mesh`` under ``matrix : (4, 4)``.
 
@@ -225,8 +231,13 @@ def as_rendered(view_layer, objects, *, chosen=()):
         for thing in objects:
             if thing.library is not None:
                 continue  # linked from another file: as that file shows it
+            edited = thing.mode == "EDIT"  # it has modifiers and shape keys of its own choice there
+            if edited and thing.type == "MESH":
+                put(thing, "use_shape_key_edit_mode", True)
             for modifier in thing.modifiers:
                 put(modifier, "show_viewport", modifier.show_render)
+                if edited:
+                    put(modifier, "show_in_editmode", modifier.show_render)
                 if isinstance(modifier, bpy.types.SubsurfModifier | bpy.types.MultiresModifier):
                     put(modifier, "levels", modifier.render_levels)
             data = thing.data

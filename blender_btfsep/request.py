@@ -23,8 +23,10 @@ def fitted(settings, ids=None) -> dict:
     """
     if settings.depth is not None:
         return {export.SURFACE: settings.surface}
+    entries = listed(settings)
+    now = meshes.names_of([entry.object for entry in entries])
     names = {number: name for name, number in (ids or {}).items()}
-    return {names.get(entry.object.session_uid, entry.object.name): entry for entry in listed(settings)}
+    return {names.get(e.object.session_uid, name): e for name, e in zip(now, entries, strict=True)}
 
 
 def may_be_evidence(settings, thing) -> bool:
@@ -36,7 +38,8 @@ def may_be_evidence(settings, thing) -> bool:
 
 def ids_of(settings) -> dict:
     """Name -> number of the objects that are fitted; unlike its name, an object's number never changes."""
-    return {entry.object.name: entry.object.session_uid for entry in listed(settings)}
+    things = [entry.object for entry in listed(settings)]
+    return {name: thing.session_uid for name, thing in zip(meshes.names_of(things), things, strict=True)}
 
 
 def active_entry(settings):
@@ -95,13 +98,14 @@ def write_job(
         raise InputError("the photo", "none is chosen", "choose it in the BTFsep panel, or give --image FILE")
     if depth and objects:
         raise InputError("--depth", "objects are named, too", "give the one or the other")
-    entries = {entry.object.name: entry for entry in listed(settings)}
+    by_object = {entry.object: entry for entry in listed(settings)}
     depth = depth or (None if objects else settings.depth)
     if depth:
-        entries = {export.SURFACE: settings.surface}
+        names, entries = [export.SURFACE], {export.SURFACE: settings.surface}
     else:
-        objects = objects or [entry.object for entry in entries.values()]
-    names = list(entries) if depth else [thing.name for thing in objects]
+        objects = objects or list(by_object)
+        names = meshes.names_of(objects)
+        entries = {name: by_object[thing] for name, thing in zip(names, objects, strict=True) if thing in by_object}
     given = {name: entries[name] for name in names if name in entries and not (material or {}).get(name)}
     path = export.export_job(
         context_or_scene,
@@ -131,14 +135,21 @@ def job_slices(context, **given):
     """
     if given or not export_child.wanted(context, context.scene.btfsep):
         return write_job(context, **given)
+    number, layer, folder = context.scene.session_uid, context.view_layer.name, job_folder(context.scene)
     yield  # the panel says what is going on
-    folder = job_folder(context.scene)
+    scene = next((each for each in bpy.data.scenes if each.session_uid == number), None)
+    if scene is None or layer not in scene.view_layers:
+        raise InputError("the scene", "it is gone", "run it again in the scene you want")
     file = folder.with_name(f"{folder.name}-export.blend")
     process = None
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        export_child.write(context.scene, file)
-        told = export_child.command(file, context.scene, context.view_layer, folder)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            export_child.write(scene, file)
+        except (OSError, RuntimeError) as error:
+            cure = "free space, or choose another folder for temporary files (Preferences > File Paths)"
+            raise InputError(f"cannot write {file}", error, cure) from error
+        told = export_child.command(file, scene, scene.view_layers[layer], folder)
         process = engine_process.EngineProcess(engine_process.Engine(told[:1]), told[1:])
         while not process.over:
             for message in process.poll():

@@ -319,6 +319,57 @@ def test_the_objects_own_map_is_used_or_missed_in_words(scene, tmp_path, add_cam
         export.export_job(scene, tmp_path / "none", **given, mapping="OWN")
 
 
+def test_objects_of_one_name_are_two_objects(photographed, tmp_path):
+    """One of the file, one linked from another file, which has its own names."""
+    from blender_btfsep import request
+
+    settings, own = photographed.btfsep, photographed.btfsep.objects[0].object
+    twin = own.copy()
+    twin.name = "Body"
+    bpy.data.libraries.write(str(tmp_path / "other.blend"), {twin}, fake_user=True)
+    bpy.data.objects.remove(twin)
+    own.name = "Body"
+    with bpy.data.libraries.load(str(tmp_path / "other.blend"), link=True) as (_, wanted):
+        wanted.objects = ["Body"]
+    linked = wanted.objects[0]
+    photographed.collection.objects.link(linked)
+    bpy.context.view_layer.update()
+    settings.objects.add().object = linked
+    settings.objects[0].material, settings.objects[1].material = "wood/oak", "stone/slate"
+    found = json.loads((request.write_job(bpy.context) / "job.json").read_text())
+    said = [(thing["name"], thing["material"]) for thing in found["objects"]]
+    assert said == [("Body", "wood/oak"), (linked.name_full, "stone/slate")]
+    assert len({thing["mesh"] for thing in found["objects"]}) == 2 and found["occluders"] == []
+    ids = request.ids_of(settings)
+    assert set(ids.values()) == {own.session_uid, linked.session_uid}
+    assert [entry.object for entry in request.fitted(settings, ids).values()] == [own, linked]
+
+
+def test_an_object_that_is_edited_is_as_rendered(scene):
+    """In edit mode Blender shows no armature's bend, nor what else is switched off there, and one shape key alone."""
+    thing = add_cube()
+    smooth = thing.modifiers.new("Smooth", "SUBSURF")
+    smooth.levels = smooth.render_levels = 2
+    smooth.show_in_editmode = False
+    thing.shape_key_add(name="Basis")
+    key = thing.shape_key_add(name="Tall")
+    for point in key.data:
+        point.co.z *= 3
+    key.value, thing.active_shape_key_index = 0.5, 0
+
+    def shape():
+        with meshes.as_rendered(bpy.context.view_layer, {thing}):
+            bpy.context.view_layer.update()
+            return meshes.gather(bpy.context.view_layer.depsgraph, [thing])["Thing"]["positions"]
+
+    there = shape()
+    bpy.ops.object.mode_set(mode="EDIT")
+    edited = shape()
+    assert edited.shape == there.shape and np.allclose(np.ptp(edited, (0, 1)), np.ptp(there, (0, 1)), atol=1e-5)
+    assert thing.mode == "EDIT" and not smooth.show_in_editmode and not thing.use_shape_key_edit_mode
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
 def test_wrong_scenes_are_refused_in_words(scene, tmp_path, add_camera):
     photo = make_photo(tmp_path)
     cube = add_cube()

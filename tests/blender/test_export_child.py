@@ -93,6 +93,51 @@ def test_an_operator_waits_for_it(large, fake_engine, tmp_path):
     assert not bpy.context.window_manager.btfsep.running
 
 
+def folder_of(slices):
+    """What a generator of `request.job_slices` gives in the end."""
+    while True:
+        try:
+            next(slices)
+        except StopIteration as end:
+            return end.value
+        time.sleep(0.02)
+
+
+def test_what_was_painted_and_not_saved_is_in_the_job(large):
+    """A file has of a painted image only what was packed."""
+    from blender_btfsep import export_child, request
+    from scripts.cycles import studio
+
+    mask = bpy.data.images.new("Mask", 48, 32)
+    painted = np.ones((32, 48, 4), np.float32)
+    mask.pixels.foreach_set(painted.ravel())
+    mask.pack()
+    painted[:, :24, :3] = 0
+    mask.pixels.foreach_set(painted.ravel())
+    mask.update()
+    large.btfsep.objects[0].mask = mask
+    assert mask.is_dirty and export_child.is_large(bpy.context, large.btfsep)
+    folder = folder_of(request.job_slices(bpy.context))
+    name = json.loads((folder / "job.json").read_text())["objects"][0]["mask"]
+    assert np.array_equal(studio.read_image(folder / name)[..., 0] > 0.5, painted[..., 0] > 0.5)
+    large.btfsep.objects[0].mask = loose = bpy.data.images.new("Loose", 48, 32)
+    loose.pixels.foreach_set(painted.ravel())
+    loose.update()
+    assert loose.is_dirty and not export_child.is_large(bpy.context, large.btfsep)
+
+
+def test_a_disk_without_room_is_said(large, monkeypatch):
+    from blender_btfsep import export_child, request
+    from blender_btfsep.errors import InputError
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(export_child, "write", full)
+    with pytest.raises(InputError, match="No space left on device; free space"):
+        folder_of(request.job_slices(bpy.context))
+
+
 def test_when_it_is_wanted(large):
     from blender_btfsep import export_child
 
