@@ -6,6 +6,7 @@ button stops it. ``execute`` (a script, the command line) blocks until it is ove
 """
 
 import atexit
+import functools
 import inspect
 import sys
 import time
@@ -13,10 +14,10 @@ import time
 import bpy
 
 from . import durations, engine_process, preferences, resident, sun_lamp
+from .drawing import draw_when_due, over_panel, redraw
 from .errors import InputError
 
 INTERVAL = 0.05  # seconds between polls
-DRAWN = 0.25  # seconds between drawings of the panel, at least
 STATUS = 1.0  # seconds between changes of the status bar, which is not ours alone
 RUNNING = "The engine is running: wait or cancel"
 
@@ -25,6 +26,9 @@ give_way = None
 
 current = None
 """The Preparation or the EngineProcess that runs now, if any: one at a time."""
+
+adopted = None
+"""What an operator that is begun goes on with: what another one knew, whose window was closed."""
 
 
 def run_state():
@@ -87,7 +91,7 @@ class Greyed:
 
     @classmethod
     def poll(cls, context):
-        reason = cls.reason(context)
+        reason = "" if adopted is not None else cls.reason(context)
         if reason:
             cls.poll_message_set(reason)
         return not reason
@@ -135,8 +139,9 @@ class EngineOperator:
     # ------------------------------------------------------------------ the two drivers
 
     def execute(self, context):
-        if not self._start(context):
-            return {"CANCELLED"}
+        return self._wait(context) if self._start(context) else {"CANCELLED"}
+
+    def _wait(self, context):
         try:
             if isinstance(current, Preparation) and not self._prepared(whole=True):
                 return {"CANCELLED"}
@@ -144,6 +149,9 @@ class EngineOperator:
         except KeyboardInterrupt:
             current.kill()
             last = engine_process.Cancelled()
+        except Exception:
+            self._give_up()
+            raise
         return self._end(context, last)
 
     def invoke(self, context, event):
@@ -157,6 +165,14 @@ class EngineOperator:
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
+        try:
+            return self._went_on(context, event)
+        except Exception:
+            self._no_timer(context)
+            self._give_up()
+            raise
+
+    def _went_on(self, context, event):
         if event.type == "ESC" and event.value == "PRESS" and over_panel(context.window, event.mouse_x, event.mouse_y):
             current.cancel()
             run_state().message = "stopping"
@@ -182,20 +198,26 @@ class EngineOperator:
             self._no_timer(context)
             return self._end(context, last)
         run_state().fraction = self._clock.fraction()
-        _draw_when_due()
+        draw_when_due()
         self._status(context)
         return {"PASS_THROUGH"}
 
     def cancel(self, context):
-        """Blender gives the operator up: another file is opened, or it quits."""
-        global current
+        """Blender gives the operator up: its window is closed, another file is opened, or it quits."""
         self._no_timer(context)
-        if self.outlives and not isinstance(current, Preparation):
-            leave(current, self.task, self._scene_name)
-        elif current is not None:
-            current.kill()  # the engine that stays does so
+        run_state().running = False
+        go_on = functools.partial(given_up, type(self), current, dict(vars(self)), self.as_keywords())
+        bpy.app.timers.register(go_on, persistent=True)  # by then it is known which
+
+    def _give_up(self) -> None:
+        """A bug: nothing runs any more, or all buttons would wait for its end."""
+        global current
+        if current is not None:
+            current.kill()
             current = None
         run_state().running = False
+        run_state().error = f"{self.task} was stopped by a bug in BTFsep; the console says where; please report it"
+        redraw(at_once=True)
 
     def _waits(self) -> bool:
         """Whether what the engine says has to wait for the user."""
@@ -203,7 +225,9 @@ class EngineOperator:
         return scene is not None and sun_lamp.are_moved(scene)
 
     def _no_timer(self, context) -> None:
-        context.window_manager.event_timer_remove(self._timer)
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
         if context.workspace is not None:
             context.workspace.status_text_set(None)
 
@@ -222,8 +246,12 @@ class EngineOperator:
     # ------------------------------------------------------------------ the body
 
     def _start(self, context) -> bool:
-        global current
+        global current, adopted
         state = run_state()
+        if adopted is not None:
+            vars(self).update(adopted)
+            adopted, state.running = None, True
+            return True
         if is_running():
             self.report({"ERROR"}, "the engine is running already; wait for it or cancel it")
             return False
@@ -320,6 +348,30 @@ def warn(sentence: str) -> None:
     sys.stderr.write(f"warning: {sentence}\n")
 
 
+def given_up(operator, process, known: dict, properties: dict) -> None:
+    """An operator is no more whose ``process`` goes on: in another window, or for a file that was left.
+
+    ``known`` : the operator's own attributes; ``properties`` : those that it was begun with
+    """
+    global current, adopted
+    if process is None or process is not current:
+        return
+    windows = bpy.context.window_manager.windows
+    there = any(scene.session_uid == known["_scene"] for scene in bpy.data.scenes)
+    if isinstance(process, Preparation) or not (there or operator.outlives):
+        process.kill()
+        current = None
+    if there and windows:
+        adopted = known if current is not None else None  # else it is begun anew
+        try:
+            with bpy.context.temp_override(window=windows[0]):
+                getattr(bpy.ops.btfsep, operator.bl_idname.partition(".")[2])("INVOKE_DEFAULT", **properties)
+        finally:
+            adopted = None
+    elif current is not None:
+        leave(current, operator.task, known["_scene_name"])
+
+
 def leave(process, task: str, scene: str):
     """The file that ``process`` works for is left: it goes on, and the next file's panel says where its light is."""
 
@@ -343,39 +395,3 @@ def leave(process, task: str, scene: str):
 
     bpy.app.timers.register(look, first_interval=INTERVAL, persistent=True)
     return look
-
-
-def over_panel(window, x: int, y: int) -> bool:
-    """Whether a place in a window, in its pixels, is in a sidebar that shows our panel."""
-    for area in window.screen.areas if window else ():
-        for region in area.regions if area.type == "VIEW_3D" else ():
-            inside = region.x <= x < region.x + region.width and region.y <= y < region.y + region.height
-            if region.type == "UI" and inside:
-                return getattr(region, "active_panel_category", "BTFsep") in {"BTFsep", "UNSUPPORTED"}
-    return False
-
-
-_drawn, _wanted = 0.0, False
-
-
-def redraw(*, at_once: bool = False) -> None:
-    """Has the panels drawn again, ``at_once`` or when it is time; the picture beside them is left alone."""
-    global _wanted, _drawn
-    _wanted = True
-    if at_once:
-        _drawn = 0.0
-    _draw_when_due()
-
-
-def _draw_when_due() -> None:
-    global _wanted, _drawn
-    now = time.monotonic()
-    if not _wanted or now - _drawn < DRAWN:
-        return
-    _wanted, _drawn = False, now
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            kind = {"VIEW_3D": "UI", "PREFERENCES": "WINDOW"}.get(area.type)
-            for region in area.regions if kind else ():
-                if region.type == kind:
-                    region.tag_redraw()

@@ -187,6 +187,71 @@ def test_what_is_found_for_a_file_that_was_left_is_said(photographed, fake_engin
     assert (folder / "result" / "lighting.json").is_file() and not runs.is_running()
 
 
+def begun(photographed):
+    """A run of the real engine process, as an operator leaves it whose window is closed: it, and what that knew."""
+    from blender_btfsep import durations, request, runs
+
+    folder = request.write_job(bpy.context)
+    runs.current = runs.start_engine(["estimate", folder, "--out", folder / "result"])
+    runs.run_state().running = False
+    clock = durations.Clock("x")
+    ids = request.ids_of(photographed.btfsep)
+    return runs.current, {
+        "_scene": photographed.session_uid,
+        "_scene_name": "Scene",
+        "_ids": ids,
+        "_clock": clock,
+        "_told": 0,
+    }
+
+
+def test_a_run_goes_on_in_another_window_when_its_own_is_closed(photographed, fake_engine):
+    from blender_btfsep import operators, runs
+
+    fake_engine(lighting=LIGHTING, lines=[LINE])
+    process, known = begun(photographed)
+    runs.given_up(operators.BTFSEP_OT_estimate, process, known, {})
+    assert coefficients(photographed.world) == [tuple(row) for row in LIGHTING["coefficients"]]
+    assert process.over and runs.adopted is None and not runs.is_running() and not runs.run_state().running
+
+
+def test_what_was_not_yet_written_when_its_window_was_closed_is_begun_anew(photographed, fake_engine):
+    from blender_btfsep import operators, runs
+
+    fake_engine(lighting=LIGHTING, lines=[LINE])
+    runs.current = runs.Preparation(x for x in range(3))
+    known = {"_scene": photographed.session_uid, "_scene_name": "Scene"}
+    runs.given_up(operators.BTFSEP_OT_estimate, runs.current, known, {})
+    assert coefficients(photographed.world) == [tuple(row) for row in LIGHTING["coefficients"]]
+
+
+def test_a_run_whose_file_was_left_ends_or_says_where_its_light_is(photographed, fake_engine, tmp_path):
+    from blender_btfsep import operators, runs
+
+    fake_engine(lighting=LIGHTING, lines=[LINE])
+    for operator in (operators.BTFSEP_OT_recognise, operators.BTFSEP_OT_estimate):
+        process, known = begun(photographed)
+        runs.given_up(operator, process, known | {"_scene": -1}, {})
+        assert runs.is_running() == operator.outlives and photographed.world is None
+    runs.stop_now()
+
+
+def test_a_bug_leaves_no_run_that_never_ends(photographed, fake_engine, monkeypatch):
+    from blender_btfsep import runs
+
+    def change():
+        raise KeyError("a bug")
+
+    during_the_run(monkeypatch, change)
+    fake_engine(lighting=LIGHTING, lines=[LINE])
+    with pytest.raises(RuntimeError, match="a bug"):
+        bpy.ops.btfsep.estimate()
+    state = runs.run_state()
+    assert not runs.is_running() and not state.running and "please report it" in state.error
+    monkeypatch.undo()
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+
+
 def test_escape_is_ours_over_the_panel_only(scene):
     from blender_btfsep import runs
 
