@@ -275,8 +275,9 @@ class EngineProcess:
         if code == 0:
             return Failed("the engine ended without a result; please report it", BUG, said)
         if code < 0 or code > 255:
+            cure = "close what needs much memory, take a quicker preset, or look at Test Engine in the preferences"
             name = signal.Signals(-code).name if not WINDOWS and -code in set(signal.Signals) else str(code)
-            return Failed(f"the engine was ended by the system ({name}); run 'btfsep doctor' to see why", BUG, said)
+            return Failed(f"the engine was ended by the system ({name}); {cure}", BUG, said)
         return Failed(f"the engine stopped with exit status {code}; please report it", BUG, said)
 
     def _stderr_tail(self) -> str:

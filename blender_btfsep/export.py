@@ -76,7 +76,8 @@ def export_job(
     with meshes.as_rendered(view_layer, touched, chosen={*objects, *(occluders or ())}):
         view_layer.update()
         depsgraph = view_layer.depsgraph
-        file_name, colorspace, size = photo.put(image_path, folder)
+        shown = isinstance(image_path, bpy.types.Image) and photo.file_at(image_path, camera, scene.frame_current)
+        file_name, colorspace, size = photo.put(image_path, folder, file=shown or None)
         if curve != "auto" and Path(file_name).suffix not in photo.FLOAT:
             colorspace = curve
         evaluated = camera.evaluated_get(depsgraph)

@@ -8,7 +8,7 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from . import harmonics, pixels
+from . import harmonics, photo, pixels
 from .light_words import irradiance
 
 HALF = 128  # pixels of the ball and of the map's height
@@ -82,7 +82,7 @@ def _object(scene) -> np.ndarray:
     image, camera = scene.btfsep.image, scene.btfsep.camera or scene.camera
     if image is None or not (image.size[0] and image.size[1]):
         return dark
-    shown = small(image)
+    shown = small(image, photo.file_at(image, camera, scene.frame_current))
     if shown is None:
         return dark
     height, width = shown.shape[:2]
@@ -102,19 +102,22 @@ def _object(scene) -> np.ndarray:
 _last: tuple = (None, None)
 
 
-def small(image):
+def small(image, file=None):
     """(h, w, 3) of an image, not larger than LARGEST, its lowest row first; None where it has no pixels.
+
+    ``file`` : of a sequence the one that is meant, None for the one that was opened
 
     The last one is remembered: decoding 24 megapixels takes half a second, which the end of a run must not.
     """
     global _last
-    key = (image.session_uid, image.filepath_raw, tuple(image.size), image.colorspace_settings.name)
+    file = file if image.source == "SEQUENCE" else None
+    key = (image.session_uid, image.filepath_raw, str(file), tuple(image.size), image.colorspace_settings.name)
     if image.is_dirty or key != _last[0]:
-        _last = (key, _read_small(image))
+        _last = (key, _read_small(image, file))
     return _last[1]
 
 
-def _read_small(image):
+def _read_small(image, file):
     if image.is_dirty or image.source == "GENERATED":
         found, step = _pixels(image), -(-max(image.size) // LARGEST)  # a copy would not have what was painted
         return None if found is None else found[::step, ::step]
@@ -122,6 +125,7 @@ def _read_small(image):
     try:
         if copy.source == "SEQUENCE":
             copy.source = "FILE"
+            copy.filepath = str(file or copy.filepath)
         shrink = LARGEST / max(*copy.size, 1)
         if shrink < 1:
             copy.scale(*(max(int(side * shrink), 1) for side in copy.size))

@@ -13,7 +13,19 @@ import time
 import bpy
 from bpy.app.handlers import persistent
 
-from . import answer, atomic, engine_process, engine_settings, kept_light, meshes, reasons, request, runs, sun_lamp
+from . import (
+    answer,
+    atomic,
+    engine_process,
+    engine_settings,
+    kept_light,
+    meshes,
+    photo,
+    reasons,
+    request,
+    runs,
+    sun_lamp,
+)
 from .errors import InputError
 
 INTERVAL = 0.02  # seconds between looks
@@ -194,6 +206,7 @@ def _told(scene) -> tuple:
         for thing in [e.object]
     ]
     camera = s.camera or scene.camera
+    pictures.append(s.image and str(photo.file_at(s.image, camera, scene.frame_current)))
     shape = [getattr(r, name) for name in SHAPE]
     suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known(scene)]
     shift = tuple(s.depth_shift)

@@ -94,9 +94,12 @@ def spread(flags, by: int) -> np.ndarray:
     return flags
 
 
-def paint(image, where) -> np.ndarray:
-    """(height, width, 3) in 0 to 1, the top row first: the photo ``where`` : (height, width) bool, black elsewhere."""
-    small = light_picture.small(image)[::-1]
+def paint(image, where, file=None) -> np.ndarray:
+    """(height, width, 3) in 0 to 1, the top row first: the photo ``where`` : (height, width) bool, black elsewhere.
+
+    ``file`` : as of `light_picture.small`
+    """
+    small = light_picture.small(image, file)[::-1]
     rows, columns = (np.arange(n) * m // n for n, m in zip(where.shape, small.shape[:2], strict=True))
     shown = small[rows][:, columns]
     if image.is_float:
@@ -127,7 +130,8 @@ class BTFSEP_OT_new_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         where &= ~spread(~where, max(round(MARGIN * max(size)), 2))
         if not where.any():
             raise InputError("the camera", f"it does not see '{entry.object.name}'", "move the camera, or the object")
-        image = pixels.new(f"Mask of {entry.object.name}", paint(settings.image, where)[::-1], floats=False)
+        shown = photo.file_at(settings.image, settings.camera or scene.camera, scene.frame_current)
+        image = pixels.new(f"Mask of {entry.object.name}", paint(settings.image, where, shown)[::-1], floats=False)
         image.pack()
         entry.mask = image
         return open_for_painting(context, image)

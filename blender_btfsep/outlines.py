@@ -63,9 +63,12 @@ def _shape(thing, depsgraph):
         return _shapes[key]
     triangles = None
     try:
-        evaluated = thing.evaluated_get(depsgraph)
-        triangles = meshes.triangles_of_mesh(evaluated.to_mesh(), np.eye(4))
-        evaluated.to_mesh_clear()
+        if thing.instance_type == "COLLECTION":
+            triangles = _instanced(thing, depsgraph)
+        else:
+            evaluated = thing.evaluated_get(depsgraph)
+            triangles = meshes.triangles_of_mesh(evaluated.to_mesh(), np.eye(4))
+            evaluated.to_mesh_clear()
     except RuntimeError:  # the view layer does not have it
         pass
     made = None
@@ -77,12 +80,27 @@ def _shape(thing, depsgraph):
     return made
 
 
+def _instanced(thing, depsgraph) -> dict | None:
+    """The triangles of the collection that an object instances, in the object's own space."""
+    part = meshes.gather(depsgraph, [thing]).get(thing.name_full)
+    if part is None:
+        return None
+    own = np.array(thing.matrix_world.inverted_safe())
+    return {"positions": part["positions"] @ own[:3, :3].T + own[:3, 3]}
+
+
 @persistent
 def _changed(scene, depsgraph):
     """Forgets what changed its shape."""
     for update in depsgraph.updates if _shapes else ():
-        if update.is_updated_geometry and isinstance(update.id, bpy.types.Object):
-            _shapes.pop(update.id.original.session_uid, None)
+        if not isinstance(update.id, bpy.types.Object):
+            continue
+        thing = update.id.original
+        if update.is_updated_geometry:
+            _shapes.pop(thing.session_uid, None)
+        if thing.name not in scene.objects:  # an instance may show it
+            for each in (each for each in scene.objects if each.instance_type == "COLLECTION"):
+                _shapes.pop(each.session_uid, None)
 
 
 def _draw():

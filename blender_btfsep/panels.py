@@ -14,6 +14,7 @@ from . import (
     mending,
     outlines,
     own_surface,
+    photo,
     preferences,
     request,
     runs,
@@ -23,6 +24,7 @@ from . import (
     world,
 )
 from . import camera as pinhole
+from .card import capitalised
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
 SHOWN = 3  # candidates, or lamps, in the panel
@@ -73,6 +75,9 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
             if settings.curve == "auto":
                 read = use_photo.read_as(image, "auto")
                 _wrapped(context, layout, read[:1].upper() + read[1:], icon="INFO")
+        if sequence_run.is_sequence(image):
+            shown = photo.file_at(image, camera, scene.frame_current)
+            _wrapped(context, layout, f"At this frame: {shown.name if shown else ''}", icon="SEQUENCE")
         behind = use_photo.is_behind(scene)
         if behind and there and pinhole.shown(scene, image.size) is None:
             box = layout.box()
@@ -254,7 +259,7 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             box = layout.box()
             box.alert = True
             for number, part in enumerate(run.error.split("; ")):
-                _wrapped(context, box, part, icon="BLANK1" if number else "ERROR")
+                _wrapped(context, box, part[:1].upper() + part[1:], icon="BLANK1" if number else "ERROR")
         elif run.summary and not run.summary.startswith(
             (answer.APPLIED, answer.FOUND)
         ):  # the card says it, and follows undo
@@ -263,8 +268,8 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
                 _wrapped(context, box, part, icon="BLANK1" if number else "CHECKMARK")
         if run.warnings and (run.error or run.task != "Estimating"):
             box = layout.box()
-            for warning in run.warnings:
-                _wrapped(context, box, warning.name, icon="ERROR")
+            for warning in capitalised(each.name for each in run.warnings):
+                _wrapped(context, box, warning, icon="ERROR")
 
     def _card(self, context, layout, run, light):
         card = kept_light.card(light)

@@ -9,21 +9,23 @@ import numpy as np
 
 from .atomic import replacing, write_bytes
 from .errors import InputError
-from .frames import SUFFIXES
+from .frames import SUFFIXES, split
 from .scratch import save_exr, scratch
 
 FLOAT = {".exr", ".hdr"}
 CODED = {"sRGB"}
+MOVIE = "save it as an image sequence, or the frame as an image, and open that"
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
 
 
-def put(source, folder) -> tuple[str, str, tuple[int, int]]:
+def put(source, folder, *, file=None) -> tuple[str, str, tuple[int, int]]:
     """Puts the photo into ``folder``.
 
     Parameters
     ----------
     source : a path, or a bpy.types.Image (also packed, painted or a render result)
     folder : Path that exists
+    file : of a sequence the one of its files that is meant (of :func:`file_at`); None for the one that was opened
 
     Returns
     -------
@@ -32,7 +34,9 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
     Raises InputError when there is no picture.
     """
     if isinstance(source, bpy.types.Image):
-        return _put_one_of(source, Path(folder)) if source.source == "SEQUENCE" else _put_image(source, Path(folder))
+        if source.source == "SEQUENCE":
+            return _put_one_of(source, Path(folder), file or file_of(source))
+        return _put_image(source, Path(folder))
     path = Path(bpy.path.abspath(str(source)))
     if not path.is_file():
         raise InputError(f"the photo {path.name}", "there is no such file", "choose the photo again")
@@ -41,6 +45,7 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
     except RuntimeError as error:
         raise InputError(f"the photo {path.name}", error, "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
     try:
+        _no_movie(image)
         size = _size(image)
         if path.suffix.lower() in SUFFIXES:
             return _copy(path, Path(folder)), "auto", size
@@ -52,6 +57,22 @@ def put(source, folder) -> tuple[str, str, tuple[int, int]]:
 def file_of(image) -> Path | None:
     """The file of ``image``, of a sequence the one that was opened; None where it has none."""
     return Path(bpy.path.abspath(image.filepath_raw, library=image.library)) if image.filepath_raw else None
+
+
+def file_at(image, camera, frame: int) -> Path | None:
+    """The file of ``image``; of a sequence that is the background of ``camera``, the one that is shown at ``frame``."""
+    path, user = file_of(image), None
+    if image.source == "SEQUENCE" and camera is not None and camera.type == "CAMERA":
+        behind = (b for b in camera.data.background_images if b.source == "IMAGE" and b.image == image)
+        user = next((background.image_user for background in behind), None)
+    parts = split(path.name) if user is not None and path is not None else None
+    if parts is None:
+        return path
+    before, _, after = parts
+    place, last = frame - user.frame_start, max(user.frame_duration, 1)
+    place = place % last if user.use_cyclic else min(max(place, 0), last - 1)
+    digits = len(path.name) - len(before) - len(after)
+    return path.with_name(f"{before}{place + 1 + user.frame_offset:0{digits}d}{after}")
 
 
 def size_of(image) -> tuple[int, int]:
@@ -88,7 +109,13 @@ def lacks_pixels(image) -> str:
     return "has no pixels: choose it again"
 
 
+def _no_movie(image) -> None:
+    if image.source == "MOVIE":
+        raise InputError(f"the photo {image.name}", "it is a movie", MOVIE)
+
+
 def _put_image(image, folder: Path, stem: str = "photo"):
+    _no_movie(image)
     space = image.colorspace_settings.name
     path = file_of(image)
     as_is = image.source == "FILE" and not image.is_dirty and path is not None and path.suffix.lower() in SUFFIXES
@@ -107,11 +134,11 @@ def put_texture(image, folder, stem: str) -> str:
     return _put_image(image, Path(folder), stem)[0]
 
 
-def _put_one_of(sequence, folder: Path):
-    """The photo that was opened: a sequence has pixels only at the frames where the scene has them."""
-    path = file_of(sequence)
+def _put_one_of(sequence, folder: Path, path: Path | None):
+    """One photo, by its file: a sequence has pixels only at the frames where the scene has them."""
     if path is None or not path.is_file():
-        raise InputError(f"the photo {sequence.name}", "there is no such file", "choose the photos again")
+        name = sequence.name if path is None else path.name
+        raise InputError(f"the photo {name}", "there is no such file", "choose the photos again, or another frame")
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
         image.colorspace_settings.name = sequence.colorspace_settings.name

@@ -20,13 +20,17 @@ def of(scene, view_layer, settings, entries: dict) -> str:
 def of_picture(scene, settings) -> str:
     """Why photo and camera cannot be used; empty where they can."""
     camera = settings.camera or scene.camera
-    return _of_photo(settings.image) or of_camera(camera) or _of_shape(scene, settings.image)
+    return (
+        _of_photo(settings.image, camera, scene.frame_current) or of_camera(camera) or _of_shape(scene, settings.image)
+    )
 
 
-def _of_photo(image) -> str:
+def _of_photo(image, camera, frame: int) -> str:
     if image is None:
         return "Choose the photo first"
-    path = photo.file_of(image)
+    if image.source == "MOVIE":
+        return f"'{image.name}' is a movie: {photo.MOVIE}"
+    path = photo.file_at(image, camera, frame)
     kept = image.packed_file is not None or image.source not in {"FILE", "SEQUENCE"} or image.is_dirty
     if not kept and (path is None or not path.is_file()):
         return f"The photo's file {path.name if path else ''} is not there: choose the photo again"

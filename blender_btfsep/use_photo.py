@@ -109,7 +109,9 @@ class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
             raise InputError(f"the photo '{image.name}'", *f"it {photo.lacks_pixels(image)}".split(": "))
         words = fit_render(scene, size)
         put_behind(scene, camera, image, size)
-        light_picture.small(image)  # for the picture of the light, later
+        light_picture.small(
+            image, photo.file_at(image, camera, scene.frame_current)
+        )  # for the picture of the light, later
         for space in views(context):
             through(space, camera)
         return "; ".join([f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)])

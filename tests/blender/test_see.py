@@ -25,6 +25,8 @@ from blender_btfsep import (
     sequence_run,
     use_photo,
 )
+from blender_btfsep.errors import InputError
+from blender_btfsep.photo import file_at
 from tests.blender.lit import LIGHTING
 
 
@@ -120,6 +122,39 @@ def test_an_image_sequence_stands_behind_at_the_frames_of_its_numbers(photograph
     assert sequence_run.start_of(image, photographed.camera, 7) == 7
 
 
+def test_the_photo_of_a_sequence_is_the_one_behind_the_camera_at_the_frame(photographed, tmp_path):
+    for number, shade in ((7, 0.2), (8, 0.5), (9, 0.8)):
+        made = photo(tmp_path / f"shot_{number:04}.png", 48, 32)
+        made.pixels.foreach_set(np.repeat(np.float32([[shade, shade, shade, 1]]), 48 * 32, 0).ravel())
+        made.save()
+        bpy.data.images.remove(made)
+    image = bpy.data.images.load(str(tmp_path / "shot_0009.png"))
+    image.source = "SEQUENCE"
+    photographed.btfsep.image = image
+    camera = photographed.camera
+    assert file_at(image, camera, 7).name == "shot_0009.png"  # the one that was opened
+    bpy.ops.btfsep.use_photo()
+    for frame, number in ((7, 7), (8, 8), (9, 9), (30, 9), (-3, 7)):
+        photographed.frame_set(frame)
+        folder = request.write_job(bpy.context)
+        assert (folder / "photo.png").read_bytes() == (tmp_path / f"shot_{number:04}.png").read_bytes()
+        shown = light_picture.small(image, file_at(image, camera, frame))
+        assert np.allclose(shown, {7: 0.2, 8: 0.5, 9: 0.8}[number], atol=0.01)
+    (tmp_path / "shot_0008.png").unlink()
+    photographed.frame_set(8)
+    assert "shot_0008.png is not there" in request.missing(bpy.context)
+    with pytest.raises(InputError, match=r"the photo shot_0008\.png; there is no such file"):
+        request.write_job(bpy.context)
+
+
+def test_a_movie_is_no_photo(photographed):
+    """Blender gives the pixels of its first frame alone."""
+    photographed.btfsep.image.source = "MOVIE"
+    assert "is a movie: save it as an image sequence" in request.missing(bpy.context)
+    with pytest.raises(InputError, match="it is a movie; save it"):
+        request.write_job(bpy.context)
+
+
 def test_a_photo_of_another_shape_than_the_region_is_one_of_the_whole_picture(photographed, tmp_path):
     render = photographed.render
     render.use_border = render.use_crop_to_border = True
@@ -184,6 +219,28 @@ def test_the_outline_of_a_ball_is_its_horizon(photographed, kind):
     distance = np.linalg.norm(eye)
     height = line.reshape(-1, 3) @ eye / distance
     assert len(line) > 60 and np.abs(height - (0 if parallel else 1 / distance)).max() < 0.12
+
+
+def test_an_instance_of_a_collection_is_drawn_where_it_stands(photographed):
+    held = bpy.data.collections.new("Held")
+    bpy.ops.mesh.primitive_cube_add(size=2, location=(3, 0, 0))
+    cube = bpy.context.object
+    held.objects.link(cube)
+    photographed.collection.objects.unlink(cube)
+    thing = bpy.data.objects.new("Instance", None)
+    thing.instance_type, thing.instance_collection = "COLLECTION", held
+    photographed.collection.objects.link(thing)
+    thing.location, thing.scale = (0, 5, 0), (1, 1, 2)
+    photographed.btfsep.objects.add().object = thing
+    bpy.context.view_layer.update()
+    outlines._shapes.clear()
+    shape = outlines._shape(thing, bpy.context.evaluated_depsgraph_get())
+    assert len(shape["positions"]) == 12 and not outlines.too_fine(photographed)
+    assert np.allclose([shape["positions"].min((0, 1)), shape["positions"].max((0, 1))], [[2, -1, -1], [4, 1, 1]])
+    cube.location.x = 7
+    bpy.context.view_layer.update()
+    moved = outlines._shape(thing, bpy.context.evaluated_depsgraph_get())
+    assert np.allclose(moved["positions"].min((0, 1)), [6, -1, -1])
 
 
 def test_an_open_mesh_has_its_border_and_split_vertices_have_none(photographed):
