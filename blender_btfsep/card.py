@@ -102,7 +102,7 @@ def _key_and_fill(result: dict, lighting: dict, to_world, metres_per_unit: float
     others = f" (and {len(lamps) - 1} more)" if len(lamps) > 1 else ""
     fill = float(irradiance(sky, direction) @ LUMINANCE)
     ratio = (fill + float(power @ LUMINANCE)) / max(fill, 1e-9)
-    words = f"{ratio:.0f} : 1" if ratio >= 3 else f"{ratio:.1f} : 1"
+    words = f"{ratio:.0f}:1" if ratio >= 3 else f"{ratio:.1f}:1"  # in one piece, where the panel breaks lines
     from_where = "even" if more < EVEN else "mostly from above" if side[2] > 0.8 else f"more from {where(side)}"
     away = told[0]["near"]["distance"] if told and "near" in told[0] else None
     near = f", {metres_per_unit * away:.2g} m away" if away else ""

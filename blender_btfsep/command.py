@@ -155,7 +155,7 @@ def estimate_scene(options, scene, *, image=None, out=None, stays: bool = False)
     result = headless.run_engine(arguments, options.engine, stays=stays)
     for sentence in take_estimate(scene, result, mode=_mode(options), lamp=_lamp(options)):
         say(sentence)
-    say(f"wrote {out}")
+    headless.say_wrote(out)
     return {"out": str(out), "estimate": result}
 
 

@@ -61,6 +61,12 @@ def say(text: str, stream=None) -> None:
     stream.flush()
 
 
+def say_wrote(out: Path) -> None:
+    """Where the results are, unless they go when Blender ends."""
+    if not out.is_relative_to(bpy.app.tempdir):
+        say(f"wrote {out}")
+
+
 def named(things, kind: str, name: str):
     """What of ``things`` is called ``name``. Raises InputError, with the names that there are."""
     found = things.get(name)

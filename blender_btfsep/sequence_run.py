@@ -163,7 +163,7 @@ def _run(options) -> None:
     apply = (options.world or settings.world_mode).upper() != "NONE"
     interpolation = options.interpolation.upper() if options.interpolation else settings.interpolation
     headless.say(write_world(scene, result, files, start, apply=apply, interpolation=interpolation))
-    headless.say(f"wrote {out}")
+    headless.say_wrote(out)
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_estimate_sequence,))

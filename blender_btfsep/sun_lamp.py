@@ -3,7 +3,7 @@
 
 A lamp made here carries LAMP_TAG: the key light that it is, and what was written of it. What it is now beside what was
 written is the user's doing, and stays when another light is written: twice as strong stays twice as strong, a turn
-stays a turn. Only such lamps are ever changed or removed.
+stays a turn. Only such lamps are ever changed or removed; a copy that the user makes of one is the user's.
 
 The World's Rotation turns the lamps, by drivers of their delta rotation and, of Point lamps, which go round the middle
 of the objects, of their delta location: their own are free to be edited.
@@ -30,7 +30,32 @@ SAME = 1e-4  # relative: a number that is so near to what was written was not ed
 
 def lamps(scene) -> list:
     """The lamps of ``scene`` that BTFsep made and may change."""
+    tagged = _tagged(scene)
+    copies = set(_copies(tagged))
+    return [thing for thing in tagged if thing not in copies]
+
+
+def _tagged(scene) -> list:
     return [thing for thing in scene.objects if LAMP_TAG in thing and thing.library is None]
+
+
+def _copies(tagged) -> list:
+    """What the user has duplicated of lamps of ours: no two key lights are the same. Ours is what was edited less."""
+    first = {}
+    for lamp in sorted(tagged, key=lambda lamp: (_edits(lamp), lamp.session_uid)):
+        first.setdefault(repr([list(_tag(lamp).get(name, ())) for name in ("direction", "irradiance")]), lamp)
+    return [lamp for lamp in tagged if lamp not in first.values()]
+
+
+def _edits(lamp) -> int:
+    """In how many ways a lamp is not as it was written."""
+    tag = _tag(lamp)
+    if "energy" not in tag:
+        return 0
+    turn = _rotation_of(lamp).rotation_difference(facing(tag["direction"])).angle
+    turned = min(turn, 2 * math.pi - turn) > SAME
+    brighter = abs(lamp.data.energy - tag["energy"] * tag["times"]) > SAME * lamp.data.energy
+    return int(turned) + int(brighter)
 
 
 def are_moved(scene) -> bool:
@@ -87,6 +112,8 @@ def put(scene, suns) -> None:
     scene : bpy.types.Scene, whose World is ours where there are suns
     suns : list of "lamps" of what lighting_file.read returns; one without light gives no lamp
     """
+    for copy in _copies(_tagged(scene)):
+        del copy[LAMP_TAG]
     free, held = [], []
     directions = {lamp.name: known_direction(scene, lamp) for lamp in known(scene)}
     for old in lamps(scene):

@@ -122,7 +122,7 @@ def test_a_sunny_light_in_an_artists_words():
     # 3 of 4 pi + 3
     assert lines[2][1].startswith("hard, warm (3500 K), 19% of the light")
     # the sky's irradiance is pi
-    assert lines[3] == ["Fill", "white (6500 K), even; key to fill 2.0 : 1"]
+    assert lines[3] == ["Fill", "white (6500 K), even; key to fill 2.0:1"]
     assert card.card_of({}, sunny(size=12), FRONT)["lines"][2][1].startswith("soft")
 
 
@@ -133,7 +133,7 @@ def test_a_lamp_that_is_no_sun_is_the_key_and_is_not_its_own_fill():
     lines = card.card_of({"lamps": [lamp]}, whole, FRONT)["lines"]
     assert lines[1] == ["Key light", "front left (45° round), 45° up"]
     assert lines[2][1] == "soft, warm (3500 K), 19% of the light"
-    assert lines[3] == ["Fill", "white (6500 K), even; key to fill 2.0 : 1"]
+    assert lines[3] == ["Fill", "white (6500 K), even; key to fill 2.0:1"]
     lines = card.card_of({"lamps": [lamp | {"share": 0.05}]}, whole, FRONT)["lines"]
     assert lines[1][1].startswith("front left") and "one-sided" not in lines[1][1] and "very soft" in lines[1][1]
 

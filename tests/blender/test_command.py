@@ -60,6 +60,7 @@ def test_estimate_saves_the_world(blend, fake_engine, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert "Cube: wood/oak" in done.stdout and str(tmp_path / "lit.blend") in done.stdout
+    assert f"wrote {tmp_path / 'out'}" in done.stdout
     arguments = json.loads((tmp_path / "log").read_text())
     assert arguments[arguments.index("--preset") + 1] == "draft"
     assert json.loads((tmp_path / "job" / "job.json").read_text())["objects"][0]["material"] == "wood/oak"
@@ -214,3 +215,8 @@ def test_a_real_blender_measures_and_exports_from_a_saved_file(blend, fake_engin
         assert not [p.name for p in temporary.iterdir() if "btfsep" in p.name or "crash" in p.name]
     assert json.loads((tmp_path / "log").read_text())[:2] == ["library", "measure"]
     assert (tmp_path / "job" / "job.json").is_file()
+
+
+def test_results_that_go_when_blender_ends_are_not_named(blend, fake_engine):
+    done = blender(blend, "estimate", "--engine", fake_engine(lighting=LIGHTING))
+    assert done.returncode == 0 and "Trust" in done.stdout and "wrote" not in done.stdout

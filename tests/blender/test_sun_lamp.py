@@ -165,6 +165,29 @@ def test_the_lamp_can_be_edited_and_is_replaced(scene, sunny, tmp_path):
     assert [o.name for o in bpy.data.objects] == ["Mine"]
 
 
+def test_a_copy_of_a_lamp_is_the_users(scene, lamplit, tmp_path):
+    """As an artist makes a rim light: Shift D, turned, another colour."""
+    light = lighting_file.read(lamplit[0])
+    world.apply_lighting(scene, light)
+    ours = sun_lamp.lamps(scene)
+    copy = ours[0].copy()
+    copy.data = ours[0].data.copy()
+    scene.collection.objects.link(copy)
+    copy.name, copy.rotation_euler.x, copy.data.energy = "A Rim", 2.0, 7.0  # its name comes before ours
+    assert sun_lamp.lamps(scene) == ours and sun_lamp.others(scene) == [copy]
+    scene.world[sun_lamp.KEY] = 3.0
+    sun_lamp.follow(scene.world)
+    assert sun_lamp.lamps(scene) == ours and copy.data.energy == 7
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "rim.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "rim.blend"))  # which numbers all things anew, by their names
+    scene, copy = bpy.context.scene, bpy.data.objects["A Rim"]
+    assert sun_lamp.others(scene) == [copy]
+    for lighting in (light, light, {**light, "suns": None}):
+        world.apply_lighting(scene, lighting)
+        assert scene.objects.get("A Rim") == copy and copy.data.energy == 7 and copy.rotation_euler.x == 2
+    assert sun_lamp.lamps(scene) == [] and sun_lamp.LAMP_TAG not in copy
+
+
 def test_each_scene_has_its_own(scene, sunny):
     path, _ = sunny
     other = bpy.data.scenes.new("Other")
