@@ -48,6 +48,7 @@ KNOWN = (
     Advice("pixels are saturated", "Overexposed pixels are left out"),
     Advice("is mapped by projecting patches", ""),
     Advice("is negative in some directions", ""),
+    Advice("have no area and are left out", ""),
     Advice("not all of the first four", "The photo does not tell from where the light comes", "FREEZE", "RED"),
     Advice("the photo speaks against", "The photo speaks against a known sun", "FREEZE", "AMBER"),
     Advice("is little more than a guess", "A known sun lights nothing that the photo shows; its power is a guess"),

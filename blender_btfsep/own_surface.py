@@ -34,7 +34,7 @@ def words(thing) -> str:
     if thing.instance_type == "COLLECTION":
         return "As what it instances"
     names = dict.fromkeys(f"'{slot.material.name}'" for slot in thing.material_slots if slot.material)
-    own = ", ".join(names) + (": their mean" if len(names) > 1 else "")
+    own = ", ".join(names) + (": their mean, unless you separate it" if len(names) > 1 else "")
     return library_assets.material_named_by(thing) or own or "It has no material: white"
 
 
@@ -66,7 +66,8 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
         why = told[0] if told else "what it reflects is not known"
         raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")
     if len(part["areas"]) > 1:
-        told.append(f"it has {len(part['areas'])} materials, whose mean is taken; separate it by material")
+        count = len(part["areas"])  # in one piece, which the card does not cut: what to do is the point of it
+        warn(f"object '{name}' counts as the mean of its {count} materials until it is separated by material")
     for sentence in told:
         warn(f"object '{name}': {sentence}")
     image = texture_of(part["areas"])

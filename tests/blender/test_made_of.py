@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_btfsep import command, icons, library, request, runs
+from blender_btfsep.advice import advice
 from btfsep_engine.job.load import load_job
 
 MATERIALS = [
@@ -96,9 +97,10 @@ def test_of_several_materials_the_mean_is_taken_and_that_is_said(photographed, c
     surface = job_of(photographed, tmp_path)["surface"]
     assert np.allclose(surface["base_color"], (0.4, 0.4, 0.3))
     assert [w.name for w in warnings] == [
-        "object 'Cube': it has 2 materials, whose mean is taken; separate it by material"
+        "object 'Cube' counts as the mean of its 2 materials until it is separated by material"
     ]
-    assert own_surface.words(thing) == "'Own', 'Own.001': their mean"
+    assert advice(warnings[0].name).short.endswith("until it is separated by material")  # none of it is cut off
+    assert own_surface.words(thing) == "'Own', 'Own.001': their mean, unless you separate it"
     holder = bpy.data.objects.new("Holder", None)
     holder.instance_type, holder.instance_collection = "COLLECTION", photographed.collection
     assert own_surface.words(holder) == "As what it instances" and own_surface.words(None).startswith("It has no")
