@@ -145,12 +145,17 @@ def _draw_photo(scene, camera) -> None:
     part = pinhole.shown(scene, image.size) if image is not None and image.size[0] else None
     if part is None:
         return
-    shader = gpu.shader.from_builtin("IMAGE")  # linear, as a 3D view takes it
+    shader = gpu.shader.from_builtin(shader_of_photo(bpy.app.version))
     corners = [camera.matrix_world.normalized() @ Vector(corner) for corner in photo_corners(scene, camera, part)]
     where = {"pos": corners, "texCoord": ((0, 0), (1, 0), (1, 1), (0, 1))}
     batch = batch_for_shader(shader, "TRI_FAN", where)
     shader.uniform_sampler("image", gpu.texture.from_image(image))
     batch.draw(shader)
+
+
+def shader_of_photo(version) -> str:
+    """Blender's shader for an image, whose texture is linear: a 3D view takes it so up to Blender 4, then in sRGB."""
+    return "IMAGE" if version < (5, 0, 0) else "IMAGE_SCENE_LINEAR_TO_REC709_SRGB"
 
 
 def photo_corners(scene, camera, part) -> np.ndarray:

@@ -381,5 +381,11 @@ def test_doubts_are_mended_where_they_arise(photographed, how):
         bpy.ops.btfsep.mend(how=how, object="Gone")
 
 
+def test_the_photo_is_as_bright_as_the_background_image():
+    """Seen in windows of 4.3.2 and 5.2.2, pixel by pixel: a module of Blender draws nothing."""
+    assert outlines.shader_of_photo((4, 3, 2)) == "IMAGE"
+    assert outlines.shader_of_photo((5, 2, 2)) == "IMAGE_SCENE_LINEAR_TO_REC709_SRGB"
+
+
 def test_the_overlay_is_off_at_first(addon):
     assert runs.run_state().overlay == "OFF"
