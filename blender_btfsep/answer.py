@@ -6,6 +6,7 @@ from pathlib import Path
 from . import kept_light, lighting_file, request, sun_lamp, world
 
 APPLIED = "The World is now the lighting"
+GIVEN = "surface/given"  # the engine's name for a surface by numbers
 FOUND = "The light is found; the World is as it was"
 
 
@@ -18,7 +19,8 @@ def take_materials(scene, objects: list, ids=None) -> list:
     sentences = []
     for found in objects or []:
         name, material, unknown = found.get("name"), str(found.get("material") or ""), bool(found.get("unknown"))
-        sentences.append(f"{name}: {material}" + (" (unsure)" if unknown else ""))
+        called = "as given" if material == GIVEN else material
+        sentences.append(f"{name}: {called}" + (" (unsure)" if unknown else ""))
         entry = by_name.get(name)
         if entry is None:
             continue

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import command, icons, library, request, runs
+from blender_btfsep import answer, command, icons, library, request, runs
 from blender_btfsep.advice import advice
 from btfsep_engine.job.load import load_job
 
@@ -145,6 +145,11 @@ def test_the_command_line_takes_what_the_panel_says(photographed, cube, tmp_path
     cube.source, cube.colour = "COLOUR", (0.1, 0.5, 0.4)
     assert command.main(["export", "--job", str(tmp_path / "job")]) == 0
     assert json.loads((tmp_path / "job" / "job.json").read_text())["objects"][0]["surface"]["metallic"] == 0
+
+
+def test_what_was_given_is_called_so(photographed, cube):
+    found = [{"name": "Cube", "material": "surface/given"}, {"name": "Else", "material": "wood/oak", "unknown": True}]
+    assert answer.take_materials(photographed, found) == ["Cube: as given", "Else: wood/oak (unsure)"]
 
 
 @pytest.fixture
