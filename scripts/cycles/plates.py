@@ -25,16 +25,10 @@ BRIGHT, AT = 98, 0.9  # percentile of the pixels that is exposed so bright
 JPEG = 92
 
 
-def principled(name: str, surface) -> bpy.types.Material:
+def principled(surface) -> bpy.types.Material:
     """A material of a plate's colour, roughness and metal."""
-    material = bpy.data.materials.new(name)
-    tree = materials.node_tree(material)
-    bsdf, out = tree.nodes.new("ShaderNodeBsdfPrincipled"), tree.nodes.new("ShaderNodeOutputMaterial")
-    bsdf.inputs["Base Color"].default_value = (*surface["colour"], 1)
-    bsdf.inputs["Roughness"].default_value = surface["roughness"]
-    bsdf.inputs["Metallic"].default_value = surface["metallic"]
-    tree.links.new(bsdf.outputs[0], out.inputs["Surface"])
-    return material
+    more = {"Roughness": surface["roughness"], "Metallic": surface["metallic"]}
+    return materials.shaded("own", "ShaderNodeBsdfPrincipled", Base_Color=(*surface["colour"], 1), **more)[0]
 
 
 def coded(scene, linear, folder: Path, curve: str) -> Path:
@@ -61,27 +55,19 @@ def take(plate, folder: Path) -> None:
     scene = studio.clear()
     scene.world = studio.make_world(plate["light"], rotation_euler=(0, 0, math.radians(plate["turn"])))
     thing = objects.build(plate["object"], seed=plate["seed"], view=studio.VIEW_FROM)
-    thing.data.materials.append(principled("own", plate["surface"]))
+    thing.data.materials.append(principled(plate["surface"]))
     if plate["sun"]:
         studio.add_sun(plate["sun"]["direction"], plate["sun"]["irradiance"], degrees=0.53)
-    table = []
-    if plate["table"]:
-        low = objects.vertex_positions(thing.data)[:, 2].min()
-        table = [studio.add_table(low, TABLE, plate["table"])]
-    data = bpy.data.cameras.new("camera")
-    data.lens, data.sensor_width, data.clip_start = studio.LENS_MM, studio.SENSOR_MM, 0.01
-    scene.camera = bpy.data.objects.new("camera", data)
-    scene.collection.objects.link(scene.camera)
-    scene.render.resolution_x = scene.render.resolution_y = RESOLUTION
-    studio.aim(scene.camera, objects.vertex_positions(thing.data), fill=FILL)
-    bpy.context.view_layer.update()
+    positions = objects.vertex_positions(thing.data)
+    table = [studio.add_table(positions[:, 2].min(), TABLE, plate["table"])] if plate["table"] else []
+    lens = studio.add_camera(scene, positions, resolution=RESOLUTION, fill=FILL).data
     studio.denoise(scene)
     linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)
     photo = coded(scene, linear, folder, plate["curve"])
     told = {"image_path": photo, "objects": [thing], "occluders": table}
     told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}
     for name, (right, down) in (("in line", (0, 0)), ("job", plate["off"])):
-        data.shift_x, data.shift_y = -right / RESOLUTION, down / RESOLUTION
+        lens.shift_x, lens.shift_y = -right / RESOLUTION, down / RESOLUTION
         export_job(scene, folder / name, **told)
 
 

@@ -91,6 +91,18 @@ def aim(camera: bpy.types.Object, positions, *, fill: float = FRAME_FILL) -> Non
     camera.location = np.array(rotation) @ np.array([*centre, height])
 
 
+def add_camera(scene, positions, *, resolution: int, fill: float = FRAME_FILL) -> bpy.types.Object:
+    """The scene's camera, aimed at ``positions`` (see `aim`), for square pictures of ``resolution`` pixels."""
+    data = bpy.data.cameras.new("camera")
+    data.lens, data.sensor_width, data.clip_start = LENS_MM, SENSOR_MM, 0.01
+    camera = scene.camera = bpy.data.objects.new("camera", data)
+    scene.collection.objects.link(camera)
+    scene.render.resolution_x = scene.render.resolution_y = resolution
+    aim(camera, positions, fill=fill)
+    bpy.context.view_layer.update()
+    return camera
+
+
 def clear() -> bpy.types.Scene:
     """An empty file. Returns the scene, with Cycles set up for plain physical light transport."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -158,16 +170,7 @@ def make_scene(
         photo = materials.displaced(base, material_name, maps, face_mm=face_mm)
         objects.set_corner_uv(base.data, objects.corner_uv(base.data) * (1e3 / maps.size_mm))
     base.hide_render = True
-
-    data = bpy.data.cameras.new("camera")
-    data.lens, data.sensor_width, data.clip_start = LENS_MM, SENSOR_MM, 0.01
-    camera = bpy.data.objects.new("camera", data)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = resolution
-    scene.render.resolution_percentage = 100
-    aim(camera, objects.vertex_positions(base.data), fill=fill)
-    bpy.context.view_layer.update()
+    camera = add_camera(scene, objects.vertex_positions(base.data), resolution=resolution, fill=fill)
     return scene, camera, base, photo
 
 

@@ -21,32 +21,30 @@ import sklearn.svm  # noqa: F401  its import takes 3 seconds, of a process and n
 
 from btfsep_engine import cache, kept
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.recognition import recognise_object, trained_recogniser
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.studies import parser, photos, tables
+from scripts.studies.estimates import scene_of
 from scripts.studies.measures import timed
 from scripts.studies.recognition import OBJECTS
 
 
-def scene_of(photograph) -> PreparedScene:
-    """A photograph's scene; the engine lays its textures itself, as the study of recognition does."""
-    job = load_job(photograph.folder)
-    scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv="xatlas"),)), Reporter())
-    _ = scene.regions  # what each pixel sees is found beforehand: it is no part of recognition
+def looked_at(photograph) -> PreparedScene:
+    """A photograph's scene; what each pixel sees is found beforehand: it is no part of recognition."""
+    scene = scene_of(photograph.folder, uv="xatlas")
+    _ = scene.regions
     return scene
 
 
 def costs(photographs, library, settings) -> list:
     """(2,) seconds of each: a new object, one more material, the first photograph, the median of the others."""
     kept.STORE.forget()
-    scene = scene_of(photographs[0])
+    scene = looked_at(photographs[0])
     names = list(library.entries)
     before = replace(library, entries={name: library.entries[name] for name in names[:-1]})
     trainings = [timed(partial(trained_recogniser, scene, 0, some, settings))[0] for some in (before, library)]
-    answers = [timed(partial(recognise_object, scene_of(p), 0, library, settings))[0] for p in photographs]
+    answers = [timed(partial(recognise_object, looked_at(p), 0, library, settings))[0] for p in photographs]
     return [*trainings, answers[0], np.median(answers[1:], axis=0)]
 
 

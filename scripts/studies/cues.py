@@ -9,7 +9,7 @@ without its own, as if the library had never had it (its dictionaries and the ke
 import inspect
 import json
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -20,10 +20,10 @@ from btfsep_engine.cache import digest
 from btfsep_engine.images import linear_to_srgb, srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.model_file import source_digest
+from scripts.studies.estimates import scene_of
 from scripts.studies.photos import Photograph
 
 FLAWS = ("clean", "blurred", "noisy", "jpeg", "all three")
@@ -51,18 +51,11 @@ class Remembering(Verification):
 
 
 class View:
-    """All photographs of one object: its geometry is traced and trained on once.
+    """All photographs of one object: its geometry is traced and trained on once."""
 
-    The engine lays its textures by charts of its own: nothing lines up with the photograph's.
-    """
-
-    def __init__(self, photograph: Photograph, library, settings, reporter):
-        job = load_job(photograph.folder)
-        self.scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv="xatlas"),)), reporter)
-        self.library, self.region = (
-            library,
-            recognition.training_region(self.scene.regions[0], settings.training_pixels),
-        )
+    def __init__(self, photograph: Photograph, library, settings):
+        self.library, self.scene = library, scene_of(photograph.folder, uv="xatlas")
+        self.region = recognition.training_region(self.scene.regions[0], settings.training_pixels)
         self.window = recognition.bounding_window(self.region)
         self.recogniser = recognition.trained_recogniser(self.scene, 0, library, settings)
         self.verification = Remembering(self.scene, 0, self.region, self.window, settings)
@@ -114,7 +107,7 @@ def flawed(radiance, region, flaw: str, random) -> np.ndarray:
 
 
 def cues_of(
-    photographs: list[Photograph], library, settings, reporter, *, flaw: str = "clean", every: bool = False
+    photographs: list[Photograph], library, settings, *, flaw: str = "clean", every: bool = False
 ) -> list[Seen]:
     """The cues of photographs, those of an object together; what is kept beside them already is not made again.
 
@@ -127,7 +120,7 @@ def cues_of(
         kept = json.loads(path.read_text()) if path.exists() else {}
         if kept.get("key") != key:
             if of != photograph.object:
-                view, of = View(photograph, library, settings, reporter), photograph.object
+                view, of = View(photograph, library, settings), photograph.object
                 view.verification.rendered = None if every else view.verification.rendered
             photo = load_job(photograph.folder).photo
             radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)

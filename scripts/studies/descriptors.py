@@ -35,14 +35,13 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import EnvironmentMaps
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.recognition import INDISTINGUISHABLE, bounding_window, training_region
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise import vlad
 from btfsep_engine.recognise.descriptors import extract
 from btfsep_engine.recognise.model_file import source_digest
 from btfsep_engine.recognise.training import METHODS, Described, Method, described, render_samples, taught
 from scripts.studies import fisher, parser, photos, tables
+from scripts.studies.estimates import scene_of
 from scripts.studies.recognition import OBJECTS, share
 
 TUNED, PAPER = METHODS["tuned"], METHODS["paper"]
@@ -138,8 +137,7 @@ class Trained:
     """What one object looks like in all materials, and what recognises its photographs."""
 
     def __init__(self, photographs, library, settings):
-        job = load_job(photographs[0].folder)
-        scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv="xatlas"),)), Reporter())
+        scene = scene_of(photographs[0].folder, uv="xatlas")
         region = training_region(scene.regions[0], settings.training_pixels)
         self.window = bounding_window(region)
         self.inside = region[self.window]

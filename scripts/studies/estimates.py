@@ -2,6 +2,7 @@
 """Whole estimates as studies make them, by the shipped library, and what is kept of a photograph from run to run."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -18,9 +19,16 @@ from scripts.studies.measures import judged
 library = cache(open_library)
 
 
-def scene_of(job) -> PreparedScene:
-    """A job, or that of a folder, in the ray tracer; its ``reporter`` has the warnings."""
-    return PreparedScene(job if isinstance(job, Job) else load_job(job), Reporter())
+def scene_of(job, *, uv: str | None = None) -> PreparedScene:
+    """A job, or that of a folder, in the ray tracer; its ``reporter`` has the warnings.
+
+    ``uv`` : how textures lie, in place of what the job says; "xatlas": the engine lays them itself, so that nothing
+    lines up with the photograph's
+    """
+    job = job if isinstance(job, Job) else load_job(job)
+    if uv is not None:
+        job = replace(job, objects=tuple(replace(o, uv=uv) for o in job.objects))
+    return PreparedScene(job, Reporter())
 
 
 def estimated(job, material: str | None = None, *, preset: str = "balanced", **changes) -> Estimate:

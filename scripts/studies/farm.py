@@ -23,10 +23,10 @@ import numpy as np
 import psutil
 import trimesh
 
-from btfsep_engine import images, sh
+from btfsep_engine import images
 from btfsep_engine.cli.jobs import find_jobs
 from scripts.studies import ROOT, parser
-from scripts.studies.stage import looking_down, positive_light, write_job
+from scripts.studies.stage import looking_down, positive_light, shaded_ball, write_job
 from scripts.studies.tables import fill, table
 
 PAGE = ROOT / "docs" / "results" / "farm.md"
@@ -43,19 +43,12 @@ def make_jobs(folder: Path, count: int, size: int) -> None:
     """Jobs in FOLDER/NNNNN, of which one of `POISONED` cannot be read."""
     rng = np.random.default_rng(0)
     camera, light = looking_down(size, 1.4 * size), positive_light(2)
-    rows, columns = np.mgrid[:size, :size]
-    origins, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
-    b = (origins * directions).sum(1)
-    discriminant = b * b - (origins**2).sum(1) + 1
-    normals = origins + (-b - np.sqrt(np.maximum(discriminant, 0)))[:, None] * directions
-    lit = np.where(discriminant[:, None] > 0, 0.8 / np.pi * sh.irradiance(light, normals), 0.1)
-    ball = trimesh.creation.icosphere(4)
+    lit, ball = shaded_ball(camera, light), trimesh.creation.icosphere(4)
     for i in range(count):
         job = folder / f"{i:05}"
         turned = trimesh.transformations.rotation_matrix(1e-3 + i / count, [1, 2, 3])
         write_job(job, ball, camera, material=MATERIAL, to_world=turned.tolist())
-        noisy = lit * (1 + 0.01 * rng.normal(size=lit.shape))
-        images.write_exr(job / "photo.exr", noisy.reshape(size, size, 3).astype(np.float32))
+        images.write_exr(job / "photo.exr", lit * (1 + 0.01 * rng.normal(size=lit.shape)))
         if i % POISONED == POISONED - 1:
             poison(job, i // POISONED)
 

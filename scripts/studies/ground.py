@@ -10,8 +10,6 @@ above the table's plane alone, the estimate's and the true one's: what comes fro
 the estimator were looked at on; other objects and tables, and the studio's light turned otherwise, are "new".
 """
 
-import json
-from dataclasses import replace
 from itertools import cycle, product
 from pathlib import Path
 
@@ -19,6 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine import sh
+from btfsep_engine.atomic import write_json
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.images import write_exr
 from btfsep_engine.job.load import load_job
@@ -28,17 +27,17 @@ from scripts.cycles.lights import light_path, true_lighting
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, worth
 from scripts.studies.measures import order2, timed
+from scripts.studies.surroundings import KNOWN, UNKNOWN, as_told, table
 
-EDGE = 8.0  # of the table, in the object's radii
 FILL = 0.55  # of the frame by the object: the rest is table
-TABLES = {  # colour and how many checks a side
-    "grey": ([0.3] * 3, 0),
-    "orange": ([0.8, 0.25, 0.05], 0),
-    "checks": ([0.6, 0.5, 0.35], 24),
-    "light": ([0.6] * 3, 0),
-    "teal": ([0.08, 0.35, 0.35], 0),
-    "dark": ([0.12, 0.1, 0.09], 0),
-    "tiles": ([0.8, 0.7, 0.5], 16),
+TABLES = {
+    "grey": table(0.3),
+    "orange": table(0.8, 0.25, 0.05),
+    "checks": table(0.6, 0.5, 0.35, checks=24),
+    "light": table(0.6),
+    "teal": table(0.08, 0.35, 0.35),
+    "dark": table(0.12, 0.1, 0.09),
+    "tiles": table(0.8, 0.7, 0.5, checks=16),
 }
 SETS = {  # objects, lights (a name, and by how many degrees it is turned), tables by turns
     "tuned": (
@@ -52,7 +51,6 @@ SETS = {  # objects, lights (a name, and by how many degrees it is turned), tabl
         ("light", "teal", "dark", "tiles"),
     ),
 }
-KNOWN, UNKNOWN = "known", "not known"
 WITHOUT, WITH = "never", "all"
 GROUPS = {"studio": "the studio's lamps", "tiles": "a table of two colours", "checks": "a table of two colours"}
 _DIRECTIONS = fibonacci_sphere(8000)
@@ -74,10 +72,9 @@ def make(folder: Path, which) -> None:
     """Photographs all of it, a folder for each table; what is there stays."""
     for name in which:
         (objects, lights, tops), shots = SETS[name], []
-        for ((shape, material), light), kind in zip(product(objects, lights), cycle(tops), strict=False):
-            table = {"edge": EDGE, "colour": TABLES[kind][0], "checks": TABLES[kind][1]}
-            given = light_of(folder, light)
-            shots.append(photos.shot(folder / name / kind, shape, material, given, table=table, fill=FILL))
+        for (thing, light), kind in zip(product(objects, lights), cycle(tops), strict=False):
+            told = {"table": TABLES[kind], "fill": FILL}
+            shots.append(photos.shot(folder / name / kind, *thing, light_of(folder, light), **told))
         photos.take(shots, resolution=192, samples=64)
 
 
@@ -90,9 +87,7 @@ def above(x) -> np.ndarray:
 
 def study(photo, folder: Path, kind: str, knows: str, evidence: str) -> dict:
     """One estimate."""
-    job = load_job(photo.folder)
-    if knows == UNKNOWN:
-        job = replace(job, occluders=tuple(replace(o, surface=None) for o in job.occluders))
+    job = as_told(load_job(photo.folder), knows)
     truth = true_lighting(light_of(folder, photo.light), 9)
     seconds, found = timed(lambda: estimated(job, photo.material, evidence=evidence))
     row = {"object": photo.object, "light": photo.light, "table": kind, "knows": knows, "evidence": evidence}
@@ -162,7 +157,7 @@ def main(arguments) -> int:
         same = without[row["object"], row["light"], row["knows"]]
         row |= {"without": same["order2"], "above without": same["above"]}
     if given.numbers:
-        given.numbers.write_text(json.dumps(rows, default=lambda a: np.asarray(a).tolist()))
+        write_json(given.numbers, rows)
     print(tables.summary(("photographs", "table", "its pixels"), COLUMNS, groups(rows)), end="\n\n")
     print(tables.table(EACH, each(rows)))
     return 0

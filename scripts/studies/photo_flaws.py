@@ -9,7 +9,7 @@ each object in two materials under one light (--all: in all, under two). --only 
 draws no chart. Every photo's numbers are kept in --work: a run that was stopped goes on where it was.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
@@ -83,7 +83,7 @@ def view_of(shown: list, library) -> View:
     if material.has_texture:
         asked |= {k: (material, uv) for k, uv in TEXTURES.items()}
     for key, (used, uv) in asked.items():
-        scene = scene_of(replace(job, objects=(replace(job.objects[0], uv=uv or "mesh"),)))
+        scene = scene_of(job, uv=uv or "mesh")
         region = scene.view.mesh == 0
         points = scene.points(0, region=region, textured=uv is not None)
         points = points.take(spread(points, PIXELS, seed=0))

@@ -88,6 +88,11 @@ def library_name(material: str) -> str:
     return WHITE if material == "white" else material if "/" in material else material.replace("-", "/", 1)
 
 
+def studio_name(material: str) -> str:
+    """What the studio calls a material of the library."""
+    return "white" if material == WHITE else material
+
+
 def folder_name(object_name, material, light) -> str:
     """The folder of a photograph among others."""
     return f"{object_name}_{material.replace('/', '-')}_{Path(str(light)).stem}"

@@ -11,13 +11,13 @@ sRGB*). The error of plates with a table is that of the light from above it: wha
 photo shows.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine import sh
+from btfsep_engine.atomic import write_json
 from btfsep_engine.job.load import load_job
 from scripts.cycles.lights import studio_lights, true_lighting
 from scripts.studies import parser, photos, tables
@@ -130,6 +130,6 @@ def main(arguments) -> int:
     todo = [t for t in todo if t[2] != IN_LINE or any(t[0]["off"])]
     rows = [study(*each) for each in tqdm(todo)]
     if given.numbers:
-        given.numbers.write_text(json.dumps(rows, default=lambda a: np.asarray(a).tolist()))
+        write_json(given.numbers, rows)
     print(tables.summary(("plates",), COLUMNS, groups(rows)))
     return 0

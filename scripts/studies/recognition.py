@@ -12,23 +12,21 @@ estimate with the same preset. Shares come with the range that holds the true on
 were independent; those of one object in one material are not quite).
 """
 
+import itertools
 import json
 import time
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import binomtest, rankdata
 
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import judgements
 from scripts.studies import ROOT, cues, measures, parser, photos, tables
+from scripts.studies.estimates import scene_of
 from scripts.studies.photos import WHITE
 
 OBJECTS = ("knot", "vase", "pebble", "cushion", "sphere")
@@ -42,11 +40,9 @@ PICTURES = ROOT / "docs" / "results" / "images"
 def shots(folder: Path, materials) -> list:
     """The photographs of the evaluation: those of an object in a material stand together."""
     out = []
-    for turn in range(OBJECTS_EACH):
-        for j, material in enumerate(materials):
-            shown, name = "white" if material == WHITE else material, OBJECTS[(j + 2 * turn) % len(OBJECTS)]
-            for k in range(LIGHTS_EACH):
-                out.append(photos.shot(folder, name, shown, LIGHTS[(j + turn + k) % len(LIGHTS)]))
+    for turn, (j, material), k in itertools.product(range(OBJECTS_EACH), enumerate(materials), range(LIGHTS_EACH)):
+        light = LIGHTS[(j + turn + k) % len(LIGHTS)]
+        out.append(photos.shot(folder, OBJECTS[(j + 2 * turn) % len(OBJECTS)], photos.studio_name(material), light))
     return out
 
 
@@ -177,18 +173,15 @@ def calibration_picture(answers_of: dict, path: Path) -> None:
     tables.save(made, path)
 
 
-def light_errors(photographs, library, settings, reporter) -> list[dict]:
+def light_errors(photographs, library, settings) -> list[dict]:
     """The error of the light with what recognition leaves, and with the true material: one photo of each mesh."""
     out, before = [], None
     for p in photographs:
         if (p.object, p.shown) == before:
             continue
         before = p.object, p.shown
-        job = load_job(p.folder)
-        scene = PreparedScene(replace(job, objects=(replace(job.objects[0], uv="xatlas"),)), reporter)
-        truth = p.truth(measures.ERROR_ORDER)
-        with_truth = estimate(scene, library, settings, material=p.material)
-        found = estimate(scene, library, settings)
+        scene, truth = scene_of(p.folder, uv="xatlas"), p.truth(measures.ERROR_ORDER)
+        with_truth, found = (estimate(scene, library, settings, material=name) for name in (p.material, None))
         rows = {"true": with_truth.fit, "first": found.light.fit, "set": found.fit}
         errors = {k: measures.order2(fit.coefficients, truth) for k, fit in rows.items()}
         inside = {k: measures.judged(f, f.samples, truth, free_scale=True)["inside"] for k, f in rows.items()}
@@ -217,7 +210,7 @@ def main(arguments) -> int:
     options.add_argument("--light", action="store_true", help="estimates the light of one photo of each object in each")
     options.add_argument("--pictures", action="store_true", help="writes those of docs/results/recognition.md")
     given = options.parse_args(arguments)
-    library, settings, reporter = open_library(), choose(given.preset), Reporter()
+    library, settings = open_library(), choose(given.preset)
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
     if given.take:
         photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES, denoise=True)
@@ -226,7 +219,7 @@ def main(arguments) -> int:
     rows, answers_of = [], {}
     for flaw in given.flaws:
         begun = time.perf_counter()
-        seen = cues.cues_of(found, library, settings, reporter, flaw=flaw)
+        seen = cues.cues_of(found, library, settings, flaw=flaw)
         print(f"{flaw}: {time.perf_counter() - begun:.0f} s")
         answers_of[flaw] = asked(seen)
         rows.append(judge(answers_of[flaw], flaw))
@@ -239,5 +232,5 @@ def main(arguments) -> int:
         confusion_picture(answers_of[given.flaws[0]], PICTURES / "recognition-confusions.png")
         calibration_picture(answers_of, PICTURES / "recognition-calibration.png")
     if given.light:
-        print(light_words(light_errors(found, library, settings, reporter)))
+        print(light_words(light_errors(found, library, settings)))
     return 0

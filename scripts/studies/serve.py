@@ -6,7 +6,7 @@ scripts/study serve PHOTOS      jobs OBJECT_MATERIAL_LIGHT, as scripts/study pho
 Of each object and material: a process of its own; the resident engine's first estimate of that scene (what a job of a
 batch costs), the same once more, another photo of it, another material, and a camera that is moved by half a pixel.
 Seconds are those that the caller waits, from the request to the light and to the end; processor seconds those of all of
-the engine's processes (Linux). The error stands beside them: up to order 2, one free scale. Fills in
+the engine's processes. The error stands beside them: up to order 2, one free scale. Fills in
 docs/results/resident.md.
 """
 
@@ -21,6 +21,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import psutil
 from tqdm import tqdm
 
 from btfsep_engine.light.files import read_lighting
@@ -39,7 +40,6 @@ KINDS = {
     "material": "another material",
     "camera": "another camera",
 }
-TICKS = os.sysconf("SC_CLK_TCK")
 
 
 def follow(lines, begun: float) -> tuple[float, float]:
@@ -75,13 +75,9 @@ class Resident:
 
     def processor(self) -> float:
         """Seconds that its processes have taken."""
-        every, total = [self.process.pid], 0
-        for pid in every:
-            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-            total += int(fields[11]) + int(fields[12])
-            children = [p.read_text().split() for p in Path(f"/proc/{pid}/task").glob("*/children")]
-            every += [int(child) for children_of in children for child in children_of]
-        return total / TICKS
+        served = psutil.Process(self.process.pid)
+        spent = [process.cpu_times() for process in (served, *served.children(recursive=True))]
+        return sum(times.user + times.system for times in spent)
 
     def ask(self, arguments) -> tuple[float, float, float]:
         """As :func:`alone`."""

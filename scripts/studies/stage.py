@@ -43,23 +43,41 @@ def job_of(meshes, camera, *, occluders=(), metres_per_unit=METRES, uv: str = "x
     return Job(Path("."), photo, camera, objects, beside, metres_per_unit, 0.0, "")
 
 
+def seen_normals(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Of the unit ball at the origin: normals (h, w, 3) where the camera's pixels see it, and where they do, (h, w)."""
+    shape = camera.height, camera.width
+    rows, columns = np.mgrid[: camera.height, : camera.width]
+    origins, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
+    b = (origins * directions).sum(1)
+    discriminant = b * b - (origins**2).sum(1) + 1
+    normals = origins + (-b - np.sqrt(np.maximum(discriminant, 0)))[:, None] * directions
+    return normals.reshape(*shape, 3), (discriminant > 0).reshape(shape)
+
+
+def shaded_ball(camera: Camera, light) -> np.ndarray:
+    """(h, w, 3): a white unit ball (albedo 0.8) under a light ((L + 1)^2, 3), before a background of 0.1."""
+    normals, there = seen_normals(camera)
+    return np.where(there[..., None], 0.8 / np.pi * sh.irradiance(light, normals), 0.1)
+
+
 def write_job(
-    folder: Path, shape: trimesh.Trimesh, camera: Camera, *, image="photo.exr", metres=METRES, **told
+    folder: Path, shape: trimesh.Trimesh, camera: Camera, *, image="photo.exr", mesh="object.ply", metres=METRES, **told
 ) -> None:
     """A job folder of one object, but for its photograph; ``told`` of it, as ``docs/formats.md`` has it."""
     folder.mkdir(parents=True, exist_ok=True)
-    shape.export(folder / "object.ply")
+    shape.export(folder / mesh)
     seen = {k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
     job = {"format": "btfsep-job", "version": 1, "image": image, "metres_per_unit": metres}
     job["camera"] = {**seen, "to_world": camera.to_world.tolist()}
-    job["objects"] = [{"name": "object", "mesh": "object.ply", **told}]
+    job["objects"] = [{"name": "object", "mesh": mesh, **told}]
     (folder / "job.json").write_text(json.dumps(job))
 
 
-def positive_light(order: int) -> np.ndarray:
+def positive_light(order: int, seed: int = 0) -> np.ndarray:
     """Coefficients ((order + 1)^2, 3) of a light that is positive everywhere."""
-    x = np.random.default_rng(0).normal(size=(sh.term_count(order), 3)) * 0.12
+    x = np.random.default_rng(seed).normal(size=(sh.term_count(order), 3)) * 0.12
     x[0] = 3.0
+    assert sh.to_map(x, 32, 64).min() > 0
     return x
 
 

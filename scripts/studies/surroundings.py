@@ -11,13 +11,13 @@ error over that of the same object under the same light without a table, "stated
 95 % range the share of the true coefficients up to order 2 in the stated range.
 """
 
-import json
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 from tqdm import tqdm
 
+from btfsep_engine.atomic import write_json
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.job.load import load_job
 from scripts.studies import parser, photos, tables
@@ -29,14 +29,21 @@ SETS = {  # objects, lights
     "second": ((("pebble", "white"), ("cushion", "leather/brown-grain")), ("courtyard", "interior", "sunrise")),
 }
 EDGE = 8.0  # of the table, in the object's radii
-TABLES = {  # colour and how many checks a side
+
+
+def table(*colour: float, checks: int = 0) -> dict:
+    """A table of a shot: its colour, three numbers or one, and how many checks it has a side."""
+    return {"edge": EDGE, "colour": list(colour) if len(colour) > 1 else 3 * list(colour), "checks": checks}
+
+
+TABLES = {
     "alone": None,
-    "0.05": ([0.05] * 3, 0),
-    "0.3": ([0.3] * 3, 0),
-    "0.8": ([0.8] * 3, 0),
-    "orange": ([0.8, 0.25, 0.05], 0),
-    "teal": ([0.08, 0.35, 0.35], 0),
-    "textured": ([0.8, 0.7, 0.5], 16),
+    "0.05": table(0.05),
+    "0.3": table(0.3),
+    "0.8": table(0.8),
+    "orange": table(0.8, 0.25, 0.05),
+    "teal": table(0.08, 0.35, 0.35),
+    "textured": table(0.8, 0.7, 0.5, checks=16),
 }
 BLACK = Surface((0.0,) * 3, roughness=1.0, specular=0.0)
 KNOWN, UNKNOWN, DARK, GONE = "known", "not known", "black", "left out"
@@ -44,10 +51,8 @@ KNOWN, UNKNOWN, DARK, GONE = "known", "not known", "black", "left out"
 
 def make(folder: Path, which: str) -> None:
     """Photographs all of a set, a folder for each table; what is there stays."""
-    (objects, lights), shots = SETS[which], []
-    for (name, material), light, (kind, top) in product(objects, lights, TABLES.items()):
-        table = top and {"edge": EDGE, "colour": top[0], "checks": top[1]}
-        shots.append(photos.shot(folder / kind, name, material, light, table=table))
+    every = product(*SETS[which], TABLES.items())
+    shots = [photos.shot(folder / kind, *thing, light, table=top) for thing, light, (kind, top) in every]
     photos.take(shots, resolution=192, samples=64)
 
 
@@ -97,6 +102,6 @@ def main(arguments) -> int:
     alone = {(r["object"], r["light"]): r["order2"] for r in rows if r["table"] == "alone"}
     rows = [r | {"alone": alone[r["object"], r["light"]]} for r in rows]
     if given.numbers:
-        given.numbers.write_text(json.dumps(rows, default=float))
+        write_json(given.numbers, rows)
     print(tables.summary(("table", "way"), COLUMNS, tables.groups(rows, ("table", "way"), every=None)))
     return 0

@@ -10,7 +10,6 @@ import pytest
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import Judgement
 from scripts.studies import cues, photos, recognition
 from scripts.studies.makers import learn_recognition as learn
@@ -83,12 +82,12 @@ def test_a_drawn_lights_mean_is_as_far_from_grey_as_natural_light_is():
 
 def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, monkeypatch):
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
-    shipped, reporter = open_library(), Reporter()
+    shipped = open_library()
     library = replace(shipped, entries={name: shipped.entries[name] for name in THREE})
     shot = photos.shot(tmp_path / "photos", "sphere", THREE[1], "studio")
     photos.take([shot], resolution=96, samples=4)
     settings = choose("draft", training_turns=1)
-    (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings, reporter)
+    (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings)
     known, left_out = seen.known["names"], seen.left_out["names"]
     assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome"} == {*left_out, THREE[1]}
     models = dict.fromkeys(("verified", "spoilt"), learned_by_hand())
@@ -97,10 +96,10 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     assert answer["truth"] == THREE[1] and answer["left_out"] > answer["strangeness"]
     kept = json.loads((seen.photograph.folder / "cues-clean.json").read_text())
     monkeypatch.setattr(cues, "View", None)  # what is kept is not asked again
-    again = cues.cues_of([seen.photograph], library, settings, reporter)
+    again = cues.cues_of([seen.photograph], library, settings)
     assert again[0].known == kept["known"]
     with pytest.raises(TypeError):
-        cues.cues_of([seen.photograph], library, choose("draft"), reporter)
+        cues.cues_of([seen.photograph], library, choose("draft"))
 
 
 def learned_by_hand():

@@ -17,6 +17,7 @@ right, and without its own, where none is. The strangeness of each photograph's 
 were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
 """
 
+import itertools
 import json
 from pathlib import Path
 
@@ -32,7 +33,6 @@ from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.light.maps import normalised, read_map
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.verification import EXPLANATIONS, SIMILARITIES, TINT
-from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import TABLE, judged, utilities
 from scripts.cycles.lights import studio_lights
 from scripts.studies import cues, parser, photos
@@ -92,22 +92,20 @@ def shots(folder: Path, materials) -> list:
     """The photographs, their lights written beside them; those of one object in one material stand together."""
     random, out, lights = np.random.default_rng(0), [], folder / "lights"
     lights.mkdir(parents=True, exist_ok=True)
-    for turn in range(OBJECTS_EACH):
-        for j, material in enumerate(materials):
-            for k in range(LIGHTS_EACH):
-                number = len(out)
-                if k == LIGHTS_EACH - 1:
-                    light = LIGHTS[j % len(LIGHTS)]
-                    radiance = read_map(studio_lights()[light])
-                    radiance = turned(shrink(radiance, max(1, len(radiance) // 256)), random.uniform(0, 360))
-                else:
-                    light, radiance = DRAWN, drawn_light(random)
-                    radiance *= tint_of(radiance, number)
-                path = lights / f"{light}-{number:03d}.exr"
-                if not path.exists():
-                    write_exr(path, np.asarray(radiance, np.float32))
-                shown, name = "white" if material == WHITE else material, OBJECTS[(j + turn) % len(OBJECTS)]
-                out.append(photos.shot(folder, name, shown, path, variation=VARIATION))
+    for turn, (j, material), k in itertools.product(range(OBJECTS_EACH), enumerate(materials), range(LIGHTS_EACH)):
+        number = len(out)
+        if k == LIGHTS_EACH - 1:
+            light = LIGHTS[j % len(LIGHTS)]
+            radiance = read_map(studio_lights()[light])
+            radiance = turned(shrink(radiance, max(1, len(radiance) // 256)), random.uniform(0, 360))
+        else:
+            light, radiance = DRAWN, drawn_light(random)
+            radiance *= tint_of(radiance, number)
+        path = lights / f"{light}-{number:03d}.exr"
+        if not path.exists():
+            write_exr(path, np.asarray(radiance, np.float32))
+        name = OBJECTS[(j + turn) % len(OBJECTS)]
+        out.append(photos.shot(folder, name, photos.studio_name(material), path, variation=VARIATION))
     return out
 
 
@@ -160,7 +158,7 @@ def main(arguments) -> int:
     options.add_argument("--no-take", dest="take", action="store_false", help="only photographs that are there")
     options.add_argument("--others", type=Path, nargs="*", default=[], help="folders of scripts/study photos, used too")
     given = options.parse_args(arguments)
-    library, reporter = open_library(), Reporter()
+    library = open_library()
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
     if given.take:
         photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES, denoise=True)
@@ -170,7 +168,7 @@ def main(arguments) -> int:
     for some in found:  # of one size each: an object's training is used for all of its photographs
         some.sort(key=lambda p: p.object)
         for flaw, into in seen.items():
-            into += cues.cues_of(some, library, choose("balanced"), reporter, flaw=flaw, every=True)
+            into += cues.cues_of(some, library, choose("balanced"), flaw=flaw, every=True)
     every = [s for some in seen.values() for s in some]
     used = {"verified": [s for s in every if not s.spoilt], "spoilt": [s for s in every if s.spoilt]}
     clean = seen[FLAWS[0]]

@@ -10,9 +10,9 @@ import numpy as np
 import trimesh
 
 from btfsep_engine import images
-from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import TriangleMesh
 from scripts.cycles.lights import true_lighting
+from scripts.studies.estimates import scene_of
 from scripts.studies.stability import scenes
 
 
@@ -70,12 +70,9 @@ def photograph(work, scene, geometry, name) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _geometry(folder: str):
-    from btfsep_engine.pipeline.scene import PreparedScene
-    from btfsep_engine.progress import Reporter
-
-    job = load_job(folder)
-    mesh = job.objects[0].mesh
-    return *welded(mesh), mesh.corner_uv, PreparedScene(job, Reporter()).regions[0]
+    scene = scene_of(folder)
+    mesh = scene.job.objects[0].mesh
+    return *welded(mesh), mesh.corner_uv, scene.regions[0]
 
 
 def welded(mesh: TriangleMesh):

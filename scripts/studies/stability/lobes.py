@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.render.sampling import spread
+from scripts.studies.estimates import scene_of
 
 ROWS, COLUMNS = 16, 32
 FINE = 2  # directions of a cell, along each side
@@ -81,12 +83,7 @@ def look(folder, *, count: int, shadows: bool = True):
     seen : Seen, of about ``count`` pixels
     radiance : (p, 3) float64, the photograph's
     """
-    from btfsep_engine.job.load import load_job
-    from btfsep_engine.pipeline.scene import PreparedScene
-    from btfsep_engine.progress import Reporter
-    from btfsep_engine.render.sampling import spread
-
-    scene = PreparedScene(load_job(folder), Reporter())
+    scene = scene_of(folder)
     points = scene.points(0, textured=False)
     points = points.take(np.flatnonzero(scene.usable(points)))
     points = points.take(spread(points, count))
