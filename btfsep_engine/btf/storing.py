@@ -2,8 +2,7 @@
 """Putting a material into a library folder, and taking one out, so that a stop at any moment loses nothing."""
 
 import contextlib
-import os
-import tempfile
+from itertools import count
 from pathlib import Path
 
 from btfsep_engine import atomic
@@ -38,50 +37,37 @@ def add(
     """
     folder = Path(folder)
     name_is_free(folder, material.name, overwrite)  # before the work; again under the lock
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for pattern in (".adding-*.btf", ".writing-*"):
-            atomic.sweep(folder, pattern)
-        handle, scratch = tempfile.mkstemp(prefix=".adding-", suffix=".btf", dir=folder)
-        os.close(handle)
-    except OSError as error:
-        raise InputError(f"cannot write to {folder}", error, "choose a folder that can be written") from error
-    scratch = Path(scratch)
-    try:
-        try:
-            write(scratch, material, height_mm=height_mm, setup=setup, layout=layout)
-        except InputError as error:  # the scratch file's name tells nobody anything
-            what = f"cannot write to {folder}" if scratch.name in error.what else error.what
-            raise InputError(what, error.got, error.do) from error
-        digest, size = file_sha256(scratch), scratch.stat().st_size
-        with changing(folder) as entries:
-            old = entries.get(material.name)
-            if old is not None and not overwrite:
-                raise _taken(material.name)
-            file = material.name.replace("/", "_") + ".btf"
-            if file.lower() in {e.file.lower() for e in entries.values()}:  # readers of the old index still find it
-                file = material.name.replace("/", "_") + f"-{digest[:8]}.btf"
-            entries[material.name] = entry = Entry(
-                name=material.name,
-                **{"class": material.material_class},
-                file=file,
-                texel_mm=material.texel_mm,
-                texels=material.texels.shape[:2],
-                components=material.texels.shape[2],
-                sha256=digest,
-                size=size,
-                relative_error=None if relative_error is None else round(float(relative_error), 4),
-                source=source.encode(errors="replace").decode()[:300],  # names of files are not always text
-                made_by=made_by,
-            )
-            os.replace(scratch, folder / file)
-        if old is not None and old.file != file:
-            with contextlib.suppress(OSError):
-                (folder / old.file).unlink()
-    finally:
+    atomic.sweep(folder)
+    with changing(folder) as entries:
+        old = entries.get(material.name)
+        if old is not None and not overwrite:
+            raise _taken(material.name)
+        path = folder / _free_file(material.name, entries)
+        write(path, material, height_mm=height_mm, setup=setup, layout=layout)
+        entries[material.name] = entry = Entry(
+            name=material.name,
+            **{"class": material.material_class},
+            file=path.name,
+            texel_mm=material.texel_mm,
+            texels=material.texels.shape[:2],
+            components=material.texels.shape[2],
+            sha256=file_sha256(path),
+            size=path.stat().st_size,
+            relative_error=None if relative_error is None else round(float(relative_error), 4),
+            source=source.encode(errors="replace").decode()[:300],  # names of files are not always text
+            made_by=made_by,
+        )
+    if old is not None:
         with contextlib.suppress(OSError):
-            scratch.unlink()
+            (folder / old.file).unlink()
     return entry
+
+
+def _free_file(name: str, entries: dict) -> str:
+    """A file's name that no entry has: what readers of the old index find stays until the new one is there."""
+    taken = {entry.file.lower() for entry in entries.values()}
+    stem = name.replace("/", "_")
+    return next(file for n in count() if (file := f"{stem}-{n}.btf" if n else f"{stem}.btf").lower() not in taken)
 
 
 def remove(folder, name: str) -> None:

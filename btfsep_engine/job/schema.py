@@ -8,7 +8,7 @@ import difflib
 import json
 from typing import Annotated, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, create_model
 
 from btfsep_engine.errors import InputError
 
@@ -110,21 +110,12 @@ class JobSchema(Strict):
     known_lamps: Annotated[list[KnownLampSchema], Field(max_length=MAX_KNOWN_LAMPS)] = []
 
 
-class CameraChangeSchema(Strict):
-    """What of a `CameraSchema` is another in a frame."""
-
-    width: Pixels | None = None
-    height: Pixels | None = None
-    fx: Focal | None = None
-    fy: Focal | None = None
-    cx: Position | None = None
-    cy: Position | None = None
-    to_world: Matrix | None = None
-    projection: Literal["perspective", "orthographic"] | None = None
-    k1: Bend | None = None
-    k2: Bend | None = None
-    p1: Bend | None = None
-    p2: Bend | None = None
+CameraChangeSchema = create_model(
+    "CameraChangeSchema",
+    __base__=Strict,
+    __doc__="What of a `CameraSchema` is another in a frame.",
+    **{name: (kind | None, None) for name, kind in CameraSchema.__annotations__.items()},
+)
 
 
 class PlaceSchema(Strict):

@@ -220,7 +220,7 @@ def test_two_processes_add_and_remove_at_once(tmp_path, request):
     assert set(opened.entries) == {f"felt/{who}{i}" for who in "ab" for i in range(1, 30)}
     for name in opened.entries:
         opened.load(name)
-    assert len(list(folder.glob("*.btf"))) == 58 and not list(folder.glob(".adding-*"))
+    assert len(list(folder.glob("*.btf"))) == 58 and not list(folder.glob(".writing-*"))
 
 
 def test_two_conversions_at_once_leave_one_whole_file(tmp_path, rng):
