@@ -60,11 +60,6 @@ class Store:
             _, (_, size) = self._things.popitem(last=False)
             over -= size
 
-    def allow(self, most_bytes: int) -> None:
-        """Bounds it anew; 0: nothing is kept."""
-        self.most_bytes = most_bytes
-        self._make_room()
-
     def forget(self) -> None:
         """Keeps nothing of what it has."""
         self._things.clear()

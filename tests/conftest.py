@@ -3,5 +3,14 @@
 
 import signal
 
+import pytest
+
 # A shell starts what runs in the background with Ctrl-C ignored, and children inherit that: some are to be stopped.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    """The folder of a cache of the test's own, empty at first."""
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"

@@ -47,12 +47,8 @@ CASES = (  # material, mean ABRDF?, millimetres in a unit
 
 def scenes() -> dict:
     """name -> (object, occluders)"""
-    bowl = trimesh.creation.icosphere(4)
-    bowl.update_faces(bowl.triangles_center[:, 2] < 0.1)
-    bowl.remove_unreferenced_vertices()
-    plate = trimesh.creation.box([1.2, 1.2, 0.02]).apply_translation([1.3, 0.2, 1.5])
-    ball = as_mesh(trimesh.creation.icosphere(4))
-    return {"ball": (ball, ()), "bowl": (as_mesh(bowl), ()), "shaded ball": (ball, (as_mesh(plate, flat=True),))}
+    ball = stage.ball()
+    return {"ball": (ball, ()), "bowl": (stage.bowl(), ()), "shaded ball": (ball, (stage.plate(),))}
 
 
 def job_of(meshes, occluders, millimetres):
@@ -88,7 +84,7 @@ def compare(job, material, lights, *, textured, pixels, samples, jitter=False) -
 
 def between(library, *, pixels, samples):
     """Rows: what six reflections add in a ball in a bowl under even light, by both transports."""
-    bowl, _ = scenes()["bowl"]
+    bowl = stage.bowl()
     ball = as_mesh(trimesh.creation.icosphere(4, 0.4).apply_translation([0.2, 0.1, -0.5]))
     job = job_of([ball, bowl], (), USUAL)
     tracer, light = Tracer([ball, bowl]), SHBasis(0)

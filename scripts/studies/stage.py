@@ -27,6 +27,25 @@ def as_mesh(shape, *, flat=False) -> TriangleMesh:
     return TriangleMesh(np.asarray(shape.vertices, np.float64), faces, np.asarray(normals, np.float32))
 
 
+def ball() -> TriangleMesh:
+    """The unit ball at the origin."""
+    return as_mesh(trimesh.creation.icosphere(4))
+
+
+def bowl() -> TriangleMesh:
+    """The lower half of that ball, seen from above: it lights itself."""
+    shape = trimesh.creation.icosphere(4)
+    shape.update_faces(shape.triangles_center[:, 2] < 0.1)
+    shape.remove_unreferenced_vertices()
+    return as_mesh(shape)
+
+
+def plate(height: float = 1.5, half: float = 0.6) -> TriangleMesh:
+    """A square above the scene, to one side of the camera's axis."""
+    shape = trimesh.creation.box([2 * half, 2 * half, 0.02])
+    return as_mesh(shape.apply_translation([1.3, 0.2, height]), flat=True)
+
+
 def looking_down(size: int, focal: float) -> Camera:
     """A square camera on the +z axis, 4 above the origin, looking down."""
     to_world = np.eye(4)

@@ -13,10 +13,9 @@ from blender_btfsep.export import export_job
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.recognition import recognise_object
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from scripts.cycles import studio
+from tests.render.scenes import scene_of
 
 FOUR = ("carpet/loop-sand", "leather/brown-grain", "wallpaper/damask-teal", "wood/oak-boards")
 LIGHTS = {"leather/brown-grain": "forest", "wallpaper/damask-teal": "city", "wood/oak-boards": "sunset"}
@@ -45,7 +44,7 @@ def recognise(tmp_path_factory):
 
     def run(job, names, *, verify=True):
         known = replace(library, entries={name: library.entries[name] for name in names})
-        return recognise_object(PreparedScene(job, Reporter()), 0, known, replace(SETTINGS, verify=verify))
+        return recognise_object(scene_of(job), 0, known, replace(SETTINGS, verify=verify))
 
     yield run
     patch.undo()

@@ -114,9 +114,8 @@ def test_any_damage_gives_an_error_in_words_or_a_valid_material(tmp_path_factory
 
 
 @pytest.mark.parametrize("number", range(len(VALID)))
-def test_every_kind_is_read_whole(tmp_path, monkeypatch, number):
+def test_every_kind_is_read_whole(tmp_path, own_cache, number):
     """What the fuzzing starts from; and cut at any byte it is refused."""
-    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
     path = tmp_path / "a.btf"
     path.write_bytes(VALID[number])
     assert read_within_bounds(path) is not None
@@ -129,9 +128,8 @@ def test_every_kind_is_read_whole(tmp_path, monkeypatch, number):
 
 @pytest.mark.parametrize("reduced", [0, 1])
 @pytest.mark.parametrize(("width", "height", "views"), [(1000, 1000, 4), (2, 2, 1000)])
-def test_large_but_honest_files_stay_within_twice_their_size(tmp_path, monkeypatch, reduced, width, height, views):
+def test_large_but_honest_files_stay_within_twice_their_size(tmp_path, own_cache, reduced, width, height, views):
     """One component: the smallest file for what it declares. Blocks of a fixed size are allowed besides."""
-    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
     rng = np.random.default_rng(0)
     v = np.stack([np.full(views, 0.5), np.linspace(0, 6, views)], 1)
     lights = VIEWS if views < 9 else v

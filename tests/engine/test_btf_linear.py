@@ -21,6 +21,8 @@ from btfsep_engine.progress import Reporter
 from btfsep_engine.sh import evaluate
 from tests.engine import btf_files
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 DIRECTIONS = ubo2014_directions()[::3]
 
 
@@ -48,11 +50,6 @@ def log_material(rng, side=24, k=6):
 def write_log(path, angular, spatial, side=24, **common):
     common = {"views": angles(DIRECTIONS), "lights": angles(DIRECTIONS), "width": side, "height": side} | common
     path.write_bytes(btf_files.fmf(angular.reshape(-1, angular.shape[-1]), spatial, reduced=1, **common))
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
 
 
 def test_recompression_is_near_the_best_factorisation_there_is(rng):

@@ -20,13 +20,10 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.lock import locked
 from tests.engine import btf_files
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 DIRECTIONS = ubo2014_directions()[::4]
 ANGLES = np.stack([np.arccos(DIRECTIONS[:, 2]), np.arctan2(DIRECTIONS[:, 1], DIRECTIONS[:, 0])], 1)
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
 
 
 def flat(name, value=0.4):

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the tests with a renderer share."""
 
-import json
-
-import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images, sh
+from btfsep_engine import images
+from scripts.studies.stage import shaded_ball, write_job
 from tests.render.scenes import as_mesh, looking_down, positive_light
 
 
@@ -24,23 +22,6 @@ def sphere_job_folder(tmp_path):
     Gives folder, coefficients (9, 3).
     """
     camera, x = looking_down(), positive_light(2)
-    rows, columns = np.mgrid[: camera.height, : camera.width]
-    origins, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
-    b = (origins * directions).sum(1)
-    discriminant = b * b - (origins**2).sum(1) + 1
-    hit = discriminant > 0
-    normals = origins + (-b - np.sqrt(np.maximum(discriminant, 0)))[:, None] * directions
-    image = np.where(hit[:, None], 0.8 / np.pi * sh.irradiance(x, normals), 0.1).reshape(camera.height, camera.width, 3)
-    images.write_exr(tmp_path / "photo.exr", image.astype(np.float32))
-    trimesh.creation.icosphere(5).export(tmp_path / "sphere.ply")
-    job = {
-        "format": "btfsep-job",
-        "version": 1,
-        "image": "photo.exr",
-        "camera": {**{k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}}
-        | {"to_world": camera.to_world.tolist()},
-        "objects": [{"name": "ball", "mesh": "sphere.ply"}],
-        "metres_per_unit": 0.05,
-    }
-    (tmp_path / "job.json").write_text(json.dumps(job))
+    write_job(tmp_path, trimesh.creation.icosphere(5), camera, mesh="sphere.ply", metres=0.05, name="ball")
+    images.write_exr(tmp_path / "photo.exr", shaded_ball(camera, x))
     return tmp_path, x

@@ -40,23 +40,6 @@ class Prepared:
         return scene.radiance(self.points.pixels, lights, samples=samples, seed=seed, jitter=False)
 
 
-def ball():
-    return as_mesh(trimesh.creation.icosphere(4))
-
-
-def bowl():
-    shape = trimesh.creation.icosphere(4)
-    shape.update_faces(shape.triangles_center[:, 2] < 0.1)
-    shape.remove_unreferenced_vertices()
-    return as_mesh(shape)
-
-
-def plate(height=1.5, half=0.6):
-    """A square above the scene, to one side of the camera's axis."""
-    shape = trimesh.creation.box([2 * half, 2 * half, 0.02])
-    return as_mesh(shape.apply_translation([1.3, 0.2, height]), flat=True)
-
-
 def sheet(*, mirrored=False, back=False, n=25):
     """A waved open sheet with its own UV, mirrored or not, its face or its back to the camera; n x n vertices."""
     x, y = np.meshgrid(np.linspace(-0.9, 0.9, n), np.linspace(-0.9, 0.9, n))

@@ -1,37 +1,73 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scenes that the tests make: simple shapes, cameras, jobs in memory."""
+"""Scenes and job folders of the tests: what benchmarks look at (`scripts.studies.stage`), and photographs of it."""
 
+import json
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from btfsep_engine import sh
+from btfsep_engine.cli import main
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.job.model import Camera, Job, JobObject, Occluder, Photo, TriangleMesh
+from btfsep_engine.job.model import Camera, Job, Photo, TriangleMesh
+from scripts.studies import stage
+from scripts.studies.estimates import scene_of
+from scripts.studies.stage import as_mesh, ball, bowl, plate, positive_light
+
+__all__ = (
+    "answer", "as_mesh", "ball", "bowl", "edited", "egg_and_pebble", "job_of", "looking_down", "off_as_seen",
+    "picture", "plate", "positive_light", "scene_of", "with_photo",
+)  # fmt: skip
+job_of = partial(stage.job_of, metres_per_unit=0.05)
 
 
-def as_mesh(shape, *, flat=False) -> TriangleMesh:
-    """A trimesh shape as a TriangleMesh with smooth (or flat) normals."""
-    faces = np.asarray(shape.faces, np.int32)
-    normals = np.repeat(shape.face_normals[:, None], 3, 1) if flat else shape.vertex_normals[faces]
-    return TriangleMesh(np.asarray(shape.vertices, np.float64), faces, np.asarray(normals, np.float32))
-
-
-def looking_down(size=96, focal=200.0, height=4.0) -> Camera:
+def looking_down(size=96, focal=200.0) -> Camera:
     """A square camera on the +z axis that looks down at the origin."""
-    to_world = np.eye(4)
-    to_world[2, 3] = height
-    return Camera(size, size, focal, focal, size / 2, size / 2, to_world)
+    return stage.looking_down(size, focal)
 
 
-def job_of(meshes, camera, *, occluders=(), metres_per_unit=0.05) -> Job:
-    """A job in memory, its photo black; ``occluders`` as of a job, or meshes of which nothing is known."""
-    photo = Photo(
-        np.zeros((camera.height, camera.width, 3), np.float32), np.ones((camera.height, camera.width), bool), 0
-    )
-    objects = tuple(JobObject(f"object {i}", mesh) for i, mesh in enumerate(meshes))
-    beside = tuple(o if isinstance(o, Occluder) else Occluder(o) for o in occluders)
-    return Job(Path("."), photo, camera, objects, beside, metres_per_unit, 0.0, "")
+def egg_and_pebble(level: int = 4) -> TriangleMesh:
+    """Two smooth things beside each other, of which no turn looks like another."""
+    egg, pebble = (trimesh.creation.icosphere(level, 1.0) for _ in range(2))
+    egg.apply_scale([0.5, 0.7, 0.45])
+    pebble.apply_scale([0.3, 0.25, 0.35]).apply_translation([0.55, 0.4, 0.0])
+    return as_mesh(trimesh.util.concatenate([egg, pebble]))
+
+
+def picture(points, values, *, size: int = 96, noise: float = 0.0, seed: int = 0) -> np.ndarray:
+    """(size, size, 3) float32: values (p, 3) at the pixels of points, with noise of so much of each; else black."""
+    image = np.zeros((size, size, 3), np.float32)
+    image[tuple(points.pixels.T)] = values * np.random.default_rng(seed).normal(1, noise, np.shape(values))
+    return image
+
+
+def with_photo(job: Job, image, usable=None, **more) -> Job:
+    """The job with another photograph (h, w, 3), all of it usable unless ``usable`` (h, w) says what."""
+    usable = np.ones(image.shape[:2], bool) if usable is None else usable
+    return replace(job, photo=Photo(np.asarray(image, np.float32), usable, int((~usable).sum()), **more))
+
+
+def edited(folder: Path, *, camera=(), first=(), to: Path | None = None, **changes) -> dict:
+    """Changes a folder's job.json, or writes the changed one into another folder; gives what is in it then.
+
+    ``camera``, ``first`` : keys of the camera and of the first object; all else are keys of the job
+    """
+    tree = json.loads((folder / "job.json").read_text())
+    tree["camera"] |= camera
+    if first:
+        tree["objects"][0] |= first
+    tree |= changes
+    ((to or folder) / "job.json").write_text(json.dumps(tree))
+    return tree
+
+
+def answer(capsys, *command) -> dict:
+    """The result of a command."""
+    assert main([*map(str, command), "--json"]) == 0
+    return json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
 
 
 def off_as_seen(x, truth) -> float:
@@ -43,11 +79,3 @@ def off_as_seen(x, truth) -> float:
     up = up[up[:, 2] > 0.3]
     found, right = (sh.irradiance(np.asarray(each)[:9], up) for each in (x, truth))
     return float(np.linalg.norm(found - right) / np.linalg.norm(right))
-
-
-def positive_light(order, seed=0) -> np.ndarray:
-    """Coefficients ((order + 1)^2, 3) of a light that is positive everywhere."""
-    x = np.random.default_rng(seed).normal(size=(sh.term_count(order), 3)) * 0.12
-    x[0] = 3.0
-    assert sh.to_map(x, 32, 64).min() > 0
-    return x

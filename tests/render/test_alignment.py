@@ -18,10 +18,10 @@ from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
 from btfsep_engine.pipeline.alignment import Aligner, align, camera_keys, with_camera
 from btfsep_engine.pipeline.estimation import run_estimate
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from tests.render.scenes import looking_down, off_as_seen, positive_light
+from scripts.studies.stage import write_job
+from tests.render.scenes import edited, looking_down, off_as_seen, positive_light, scene_of
 
 
 def potato():
@@ -35,13 +35,9 @@ def potato():
 def photographed(folder, shape, *, focal=200.0, seed=0, **lens):
     """Writes a job of a white shape before an uneven wall, shaded in closed form, and gives it as a scene."""
     camera, x = looking_down(focal=focal), positive_light(2)
-    shape.export(folder / "shape.ply")
-    shown = {k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
-    job = {"format": "btfsep-job", "version": 1, "image": "photo.exr", "metres_per_unit": 0.05}
-    job["camera"] = {**shown, "to_world": camera.to_world.tolist(), **lens}
-    job["objects"] = [{"name": "shape", "mesh": "shape.ply"}]
-    (folder / "job.json").write_text(json.dumps(job))
-    scene = PreparedScene(load_job(folder, with_photo=False), Reporter())
+    write_job(folder, shape, camera, mesh="shape.ply", metres=0.05, name="shape")
+    edited(folder, camera=lens)
+    scene = scene_of(load_job(folder, with_photo=False))
     rows, columns = np.mgrid[: camera.height, : camera.width]
     wall = 0.12 + 0.03 * np.sin(columns / 17) * np.cos(rows / 11)
     image = np.repeat(wall[..., None], 3, 2)
@@ -50,7 +46,7 @@ def photographed(folder, shape, *, focal=200.0, seed=0, **lens):
     image[seen] = 0.8 / np.pi * sh.irradiance(x, points.normal)
     image *= 1 + 0.01 * np.random.default_rng(seed).normal(size=image.shape)
     images.write_exr(folder / "photo.exr", image.astype(np.float32))
-    return PreparedScene(load_job(folder), Reporter())
+    return scene_of(folder)
 
 
 def frame_of(scene) -> Frame:
@@ -144,7 +140,7 @@ def test_cut_by_the_frame(tmp_path):
 
 
 def test_a_photo_without_edges_moves_nothing(potatoes):
-    flat = PreparedScene(potatoes.job, Reporter())
+    flat = scene_of(potatoes.job)
     even = np.full_like(potatoes.job.photo.radiance, 0.2)
     flat.job = replace(flat.job, photo=replace(flat.job.photo, radiance=even))
     assert not align(flat).aligned
@@ -153,10 +149,8 @@ def test_a_photo_without_edges_moves_nothing(potatoes):
 def job_off_by(scene, pixels, folder):
     """The scene's job folder anew, with a camera that seven numbers, in pixels, have moved."""
     source = scene.job.folder
-    tree = json.loads((source / "job.json").read_text())
-    tree["camera"] |= camera_keys(off_by(scene, pixels).job.camera)
     folder.mkdir()
-    (folder / "job.json").write_text(json.dumps(tree))
+    edited(source, to=folder, camera=camera_keys(off_by(scene, pixels).job.camera))
     for name in ("photo.exr", "shape.ply"):
         (folder / name).write_bytes((source / name).read_bytes())
     return folder
@@ -166,7 +160,7 @@ def test_what_texture_draws_is_no_gain(potatoes):
     """Blotches on object and wall: a place nearby goes better, but only here and there in the picture."""
     blotches = gaussian_filter(np.random.default_rng(1).normal(size=potatoes.view.mesh.shape), 2.0)
     photo = potatoes.job.photo.radiance * np.exp(0.3 / blotches.std() * blotches)[..., None]
-    blotched = PreparedScene(potatoes.job, Reporter())
+    blotched = scene_of(potatoes.job)
     blotched.job = replace(blotched.job, photo=replace(blotched.job.photo, radiance=photo.astype(np.float32)))
     found = align(blotched)
     assert found.gain.outline + found.gain.shading > 0.03

@@ -12,10 +12,9 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
 from btfsep_engine.pipeline.alignment import align, with_camera
 from btfsep_engine.pipeline.mending import mends
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.progress import Reporter
 from scripts.studies.depth import frayed, z_depth
-from tests.render.scenes import off_as_seen, positive_light
+from tests.render.scenes import edited, off_as_seen, positive_light, scene_of
 from tests.render.test_alignment import estimated, photographed, potato
 
 NEAR = 0.7  # pixels: the tests' photos have hard edges, of which no pixel shows where in it they lie
@@ -31,7 +30,6 @@ def shifted(scene, folder, right: int, down: int, *, depth=None, edge=1, **told)
 
     ``edge`` : how many pixels there are for each of the scene's, along an edge
     """
-    tree = json.loads((scene.job.folder / "job.json").read_text())
     depth = z_depth(scene) if depth is None else depth
     image = np.roll(scene.job.photo.radiance, (down, right), (0, 1))
     files = {"photo.exr": image, "depth.exr": depth[..., None].repeat(3, -1).astype(np.float32)}
@@ -40,14 +38,9 @@ def shifted(scene, folder, right: int, down: int, *, depth=None, edge=1, **told)
         images.write_exr(folder / name, pixels.repeat(edge, 0).repeat(edge, 1))
     images.write_png(folder / "mask.png", 255 * (depth > 0)[..., None].repeat(3, -1).astype(np.uint8))
     surface = {"name": "potato", "mesh": None, "mask": "mask.png" if edge == 1 else None}
-    camera = tree["camera"] | {k: edge * tree["camera"][k] for k in ("width", "height", "fx", "fy", "cx", "cy")}
-    tree |= {"depth": "depth.exr", "objects": [surface], "camera": camera, **told}
-    (folder / "job.json").write_text(json.dumps(tree))
+    camera = {k: edge * getattr(scene.job.camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")}
+    edited(scene.job.folder, to=folder, camera=camera, depth="depth.exr", objects=[surface], **told)
     return folder
-
-
-def scene_of(folder) -> PreparedScene:
-    return PreparedScene(load_job(folder), Reporter())
 
 
 @pytest.mark.parametrize("way", [(3, -2), (-9, 5), (11, 11)])
@@ -103,7 +96,7 @@ def test_a_shifted_depth_is_the_same_surface_elsewhere_in_the_photo(potatoes, tm
     shown = scene_of(shifted(potatoes, tmp_path / "b", 0, 0, depth_shift=[7.0, -4.0]))
     np.testing.assert_array_equal(shown.job.objects[0].mesh.vertices, there.objects[0].mesh.vertices)
     np.testing.assert_array_equal(shown.job.objects[0].mask, np.roll(there.objects[0].mask, (-4, 7), (0, 1)))
-    seen = PreparedScene(there, Reporter()).view.mesh == 0
+    seen = scene_of(there).view.mesh == 0
     assert (np.roll(seen, (-4, 7), (0, 1)) != (shown.view.mesh == 0)).mean() < 0.002
     again = run_align(tmp_path / "b", reporter=Reporter())  # the photo is in the depth's place
     assert again["depth_shift"] == pytest.approx((-7, 4), abs=NEAR)
@@ -114,8 +107,7 @@ def test_a_shift_without_a_depth_is_refused(potatoes, tmp_path):
     folder = shifted(potatoes, tmp_path / "job", 0, 0, depth_shift=[1.0])
     with pytest.raises(InputError, match="depth_shift; it has 1 entries; it needs at least 2"):
         load_job(folder)
-    tree = json.loads((folder / "job.json").read_text()) | {"depth": None, "depth_shift": [1.0, 0.0]}
-    (folder / "job.json").write_text(json.dumps(tree))
+    edited(folder, depth=None, depth_shift=[1.0, 0.0])
     with pytest.raises(InputError, match="depth_shift; the job has no depth"):
         load_job(folder)
 

@@ -10,7 +10,6 @@ import trimesh
 from btfsep_engine.atomic import plain
 from btfsep_engine.btf.library import REFERENCE
 from btfsep_engine.btf.model import Lambertian
-from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.alternatives import alternatives, combinations, mixture
@@ -18,11 +17,9 @@ from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
 from btfsep_engine.pipeline.record import result_record
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.recogniser import Recognition
-from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
 
 SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2)
 DARK = Lambertian("test/dark", np.full(3, 0.1))
@@ -42,12 +39,10 @@ class Shelf:
 def scene():
     """A dark ball."""
     ball = as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.9))
-    made = PreparedScene(job_of([ball], looking_down()), Reporter())
+    made = scene_of(job_of([ball], looking_down()))
     points = made.points(0, textured=False)
-    image = np.zeros((96, 96, 3), np.float32)
     values = made.radiance(points, DARK, SHLighting(positive_light(2)), directions=512)[:, 0]
-    image[points.pixels[:, 0], points.pixels[:, 1]] = values * np.random.default_rng(3).normal(1, 0.02, values.shape)
-    made.job = replace(made.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
+    made.job = with_photo(made.job, picture(points, values, noise=0.02, seed=3))
     return made
 
 

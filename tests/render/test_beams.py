@@ -14,7 +14,8 @@ from btfsep_engine.render.arrays import mi
 from btfsep_engine.render.beams import beam_radiance, lamp_radiance
 from btfsep_engine.render.reference import Reference
 from tests.render.btf_materials import glossy, matte, textured
-from tests.render.prepared import MILLIMETRES, Prepared, ball, plate, sheet
+from tests.render.prepared import MILLIMETRES, Prepared, sheet
+from tests.render.scenes import ball, plate
 
 LAMPS = np.array([[0.3, 0.1, 1], [-0.8, 0.3, 0.6], [0.2, -0.9, 0.3], [0.1, 0.6, -0.7]])
 LAMPS /= np.linalg.norm(LAMPS, axis=1, keepdims=True)

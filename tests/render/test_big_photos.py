@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from btfsep_engine.job.model import Photo
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.sampling import thinned
-from tests.render.scenes import job_of, looking_down
+from tests.render.scenes import job_of, looking_down, scene_of
 
 
 def test_a_region_is_thinned_evenly_and_to_size():
@@ -43,12 +41,12 @@ def test_the_smaller_scene_is_what_a_smaller_camera_sees(sphere, size, side):
     job = job_of([sphere], camera)
     random = np.random.default_rng(0)
     photo = Photo(random.random((size, size, 3), np.float32), random.random((size, size)) < 0.9, 0)
-    scene = PreparedScene(replace(job, photo=photo), Reporter())
+    scene = scene_of(replace(job, photo=photo))
     small = scene.at_most(side)
     edge = -(-size // side)
     camera = small.job.camera
     assert camera.width == camera.height == size // edge <= side
-    traced = PreparedScene(small.job, Reporter())
+    traced = scene_of(small.job)
     assert (traced.view.mesh == small.view.mesh).mean() > 0.995  # a silhouette may fall between
     both = (traced.view.mesh == 0) & (small.view.mesh == 0)
     one, other = (s.points(0, region=both, textured=False) for s in (traced, small))
@@ -63,5 +61,5 @@ def test_the_smaller_scene_is_what_a_smaller_camera_sees(sphere, size, side):
 
 
 def test_a_small_scene_is_its_own(sphere):
-    scene = PreparedScene(job_of([sphere], looking_down()), Reporter())
+    scene = scene_of(job_of([sphere], looking_down()))
     assert scene.at_most(96) is scene

@@ -11,19 +11,16 @@ from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.interreflection import with_own_light
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.sampling import spread
-from tests.render.prepared import bowl
-from tests.render.scenes import job_of, looking_down
+from tests.render.scenes import bowl, job_of, looking_down, scene_of
 
 SETTINGS = choose("draft", directions=128, estimator="least-squares", order=0, samples=64)
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return PreparedScene(job_of([bowl()], looking_down()), Reporter())
+    return scene_of(job_of([bowl()], looking_down()))
 
 
 def brightness(scene, how, albedo, bounces) -> float:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whole runs with cameras that are no plain pinholes: the light comes back, and the photo is rendered again."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +8,13 @@ import pytest
 
 from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.estimation import run_estimate
 from btfsep_engine.pipeline.relighting import run_relight
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.studies.depth import z_depth
-from tests.render.scenes import off_as_seen, positive_light
+from tests.render.scenes import edited, off_as_seen, positive_light, scene_of
 from tests.render.test_alignment import photographed, potato
 
 WHITE = "reference/white-diffuse"
@@ -46,22 +43,21 @@ def test_the_light_comes_back_and_makes_the_photo_again(job):
     told = {"lighting": result["lighting"], "out": out, "material": WHITE}
     run_relight(folder, library, replace(settings, bounces=1), reporter=Reporter(), **told)
     shown, photo = images.read_linear(out).pixels, images.read_linear(folder / "photo.exr").pixels
-    seen = PreparedScene(load_job(folder), Reporter()).regions[0]
+    seen = scene_of(folder).regions[0]
     assert np.median(np.abs(shown - photo)[seen] / photo[seen]) < 0.05
 
 
 def test_a_depth_of_the_same_camera_gives_the_same_light(job):
     folder, truth = job
-    images.write_exr(folder / "z.exr", z_depth(PreparedScene(load_job(folder), Reporter())))
-    tree = json.loads((folder / "job.json").read_text())
-    (folder / "job.json").write_text(json.dumps(tree | {"depth": "z.exr", "objects": []}))
+    images.write_exr(folder / "z.exr", z_depth(scene_of(folder)))
+    edited(folder, depth="z.exr", objects=[])
     settings = choose("draft", **SETTINGS)
     result = run_estimate(folder, open_library(None), settings, material=WHITE, with_report=False, reporter=Reporter())
     assert off_as_seen(read_lighting(result["lighting"]).coefficients, truth) < 0.1
 
 
 def test_a_smaller_picture_has_the_rays_of_its_blocks(job):
-    whole = PreparedScene(load_job(job[0]), Reporter())
+    whole = scene_of(job[0])
     small, edge = whole.at_most(32), 3
     rows, columns = np.mgrid[: small.job.camera.height, : small.job.camera.width].reshape(2, -1)
     found = small.job.camera.rays(columns + 0.5, rows + 0.5)

@@ -15,7 +15,7 @@ from btfsep_engine.cli import main
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import exactly, read_lighting, write_lighting, write_lighting_exr
 from tests.render.progress_lines import assert_whole_run
-from tests.render.scenes import off_as_seen
+from tests.render.scenes import edited, looking_down, off_as_seen
 
 A_TENTH = 0.12  # reflectance is known no better: a white ball may be a rough one with a little gloss
 WHITE = ["--material", "reference/white-diffuse"]
@@ -23,12 +23,6 @@ WHITE = ["--material", "reference/white-diffuse"]
 
 def json_lines(text) -> list:
     return [json.loads(line) for line in text.splitlines()]
-
-
-def edited(folder, **changes):
-    """The folder's job.json with some of its fields replaced."""
-    job = json.loads((folder / "job.json").read_text())
-    (folder / "job.json").write_text(json.dumps({**job, **changes}))
 
 
 def test_doctor_finds_this_machine_well(capsys):
@@ -224,9 +218,7 @@ def broken(folder, name):
         images.write_exr(folder / "photo.exr", photo)
         return "NaN"
     if name == "turned away":
-        job = json.loads((folder / "job.json").read_text())
-        job["camera"]["to_world"] = (np.array(job["camera"]["to_world"]) @ np.diag([1, -1, -1, 1])).tolist()
-        edited(folder, camera=job["camera"])
+        edited(folder, camera={"to_world": (looking_down().to_world @ np.diag([1, -1, -1, 1])).tolist()})
         return "the camera does not see it"
     if name == "version":
         edited(folder, version=7)
@@ -235,8 +227,7 @@ def broken(folder, name):
         data = (folder / "photo.exr").read_bytes()
         (folder / "photo.exr").write_bytes(data[: len(data) // 3])
         return "photo.exr"
-    job = json.loads((folder / "job.json").read_text())
-    edited(folder, objects=[{**job["objects"][0], "material": "reference/white-difuse"}])
+    edited(folder, first={"material": "reference/white-difuse"})
     return "reference/white-diffuse"
 
 
@@ -296,10 +287,9 @@ def test_the_module_and_the_console_script_are_the_same_program():
 def test_two_objects_share_one_light(sphere_job_folder, capsys):
     """A second sphere of another albedo beside the first: the fit uses both."""
     folder, truth = sphere_job_folder
-    job = json.loads((folder / "job.json").read_text())
     small = {"name": "small", "mesh": "sphere.ply", "material": "reference/grey18"}
     small["to_world"] = [[0.1, 0, 0, -0.8], [0, 0.1, 0, 0.8], [0, 0, 0.1, 0], [0, 0, 0, 1]]
-    first = {**job["objects"][0], "material": "reference/white-diffuse"}
+    first = {"name": "ball", "mesh": "sphere.ply", "material": "reference/white-diffuse"}
     edited(folder, objects=[first, small])
     light = exactly(truth)
     write_lighting(folder / "light.json", light)

@@ -10,7 +10,8 @@ import pytest
 from btfsep_engine import images, sh
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import read_lighting
-from tests.render.scenes import looking_down, off_as_seen
+from scripts.studies.stage import seen_normals
+from tests.render.scenes import edited, looking_down, off_as_seen
 
 LAMP = np.array([0.5, 0.4, 0.77]) / np.linalg.norm([0.5, 0.4, 0.77])
 EVEN, STRENGTH = 0.4, np.array([3.0, 2.7, 2.2])  # radiance, and irradiance on what faces the lamp
@@ -26,22 +27,15 @@ def truth():
 
 def ball():
     """(96, 96, 3) radiance of the white ball under the lamp, 0 beside it, and where it is."""
-    camera = looking_down()
-    rows, columns = np.mgrid[: camera.height, : camera.width]
-    origins, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
-    b = (origins * directions).sum(1)
-    discriminant = b * b - (origins**2).sum(1) + 1
-    normals = origins + (-b - np.sqrt(np.maximum(discriminant, 0)))[:, None] * directions
-    received = np.pi * EVEN + np.maximum(normals @ LAMP, 0)[:, None] * STRENGTH
-    there = (discriminant > 0).reshape(96, 96)
-    return np.where(there[..., None], (ALBEDO / np.pi * received).reshape(96, 96, 3), 0), there
+    normals, there = seen_normals(looking_down())
+    received = np.pi * EVEN + np.maximum(normals @ LAMP, 0)[..., None] * STRENGTH
+    return np.where(there[..., None], ALBEDO / np.pi * received, 0), there
 
 
 def estimated(folder, codes, capsys):
     """Coefficients of the light of an sRGB photo of 8 bits, and what result.json says."""
     cv2.imwrite(str(folder / "photo.png"), codes[..., ::-1])
-    job = json.loads((folder / "job.json").read_text())
-    (folder / "job.json").write_text(json.dumps(job | {"image": "photo.png"}))
+    edited(folder, image="photo.png")
     command = ["estimate", str(folder), "--material", "reference/white-diffuse", "--preset", "draft", "--no-report"]
     assert main(command) == 0
     capsys.readouterr()

@@ -14,10 +14,8 @@ from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.coarse_chroma import BESIDE, KAPPA, NEXT, chroma_weights
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen
+from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, scene_of
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=1024)
@@ -29,7 +27,7 @@ def photographed():
     """An egg under light from a side, its radiance as if white, and the light's coefficients."""
     egg = trimesh.creation.icosphere(4, 1.0)
     egg.apply_scale([0.6, 0.75, 0.5])
-    scene = PreparedScene(job_of([as_mesh(egg)], looking_down()), Reporter())
+    scene = scene_of(job_of([as_mesh(egg)], looking_down()))
     truth = np.zeros((9, 3))
     truth[0], truth[1], truth[2], truth[3], truth[6] = 3.0, 0.9, 1.2, -1.1, 0.5
     points = scene.points(0, region=scene.view.mesh == 0, textured=False)
@@ -49,7 +47,7 @@ def saved(scene, image, colour, background, path, how=()):
     photo = replace(
         scene.job.photo, radiance=read.pixels, usable=read.usable, bits=read.bits, coarse_chroma=read.coarse_chroma
     )
-    return PreparedScene(replace(scene.job, photo=photo), Reporter())
+    return scene_of(replace(scene.job, photo=photo))
 
 
 def error(found, truth) -> float:
@@ -72,7 +70,7 @@ def test_the_light_of_a_red_object_is_that_of_a_file_without_loss(photographed, 
     lossless = found(saved(scene, image, RED, LAWN, tmp_path / "a.png"))
     coarse = saved(scene, image, RED, LAWN, tmp_path / "a.jpg", [cv2.IMWRITE_JPEG_QUALITY, 92])
     photo = replace(coarse.job.photo, coarse_chroma=False)
-    untold = PreparedScene(replace(coarse.job, photo=photo), Reporter())
+    untold = scene_of(replace(coarse.job, photo=photo))
     mended, as_stored = found(coarse), found(untold)
     assert mended < 1.5 * lossless + 0.01 and as_stored > 2 * mended
 

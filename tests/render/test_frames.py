@@ -19,8 +19,7 @@ from btfsep_engine.pipeline import following
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from tests.render.prepared import bowl
-from tests.render.scenes import looking_down, positive_light
+from tests.render.scenes import bowl, looking_down, positive_light
 
 QUICK = ("--material", "reference/white-diffuse", "--preset", "draft", "--pixels", "600", "--align", "never")
 LAMP, OTHER = (np.array(d) / np.linalg.norm(d) for d in ([0.6, 0.3, 0.74], [-0.7, 0.1, 0.7]))

@@ -12,16 +12,13 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.log_normal import LightSolver
-from btfsep_engine.job.model import Occluder, Photo
+from btfsep_engine.job.model import Occluder
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.refine import ground
 from btfsep_engine.pipeline.refine.ground import places_of, used_as_evidence
 from btfsep_engine.pipeline.refine.seen_colour import AGREE, seen_colours, seen_places
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
-from tests.render.prepared import ball
-from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+from tests.render.scenes import as_mesh, ball, job_of, looking_down, positive_light, scene_of, with_photo
 
 COLOUR = np.array([0.7, 0.3, 0.1])
 DARK = Surface((0.05,) * 3, roughness=1.0, specular=0.0)  # a ball that sends next to nothing to the table
@@ -33,7 +30,7 @@ def photographed(light, *, evidence: bool):
     table = Occluder(as_mesh(plate, flat=True), None, evidence)
     job = job_of([ball()], looking_down(), occluders=[table])
     job = replace(job, objects=tuple(replace(o, surface=DARK) for o in job.objects))
-    scene, image = PreparedScene(job, Reporter()), np.zeros((96, 96, 3), np.float32)
+    scene, image = scene_of(job), np.zeros((96, 96, 3), np.float32)
     rays = fibonacci_sphere(4000)
     sky = sh.series(light, rays) * (4 / 4000)
     for number, albedo in ((0, np.full(3, 0.05)), (1, COLOUR)):
@@ -43,11 +40,11 @@ def photographed(light, *, evidence: bool):
         normal = at / np.linalg.norm(at, axis=1, keepdims=True) if number == 0 else np.tile([0, 0, 1.0], (len(at), 1))
         seen = scene.tracer.visible(at, normal, rays) * np.maximum(normal @ rays.T, 0)
         image[rows, columns] = albedo * (seen @ sky)
-    return replace(job, photo=Photo(image, np.ones((96, 96), bool), 0))
+    return with_photo(job, image)
 
 
 def estimated(job, **told):
-    return estimate(PreparedScene(job, Reporter()), open_library(None), choose("draft", pixels=500, **told))
+    return estimate(scene_of(job), open_library(None), choose("draft", pixels=500, **told))
 
 
 def test_what_is_not_known_of_the_table_its_pixels_say():
@@ -65,7 +62,7 @@ def test_what_is_not_known_of_the_table_its_pixels_say():
 def test_a_ground_of_many_colours_is_left_out():
     job = photographed(positive_light(2), evidence=True)
     image = job.photo.radiance * np.where(np.indices((96, 96)).sum(0)[..., None] // 24 % 2, 1, 0.2).astype(np.float32)
-    image = np.where((PreparedScene(job, Reporter()).view.mesh == 1)[..., None], image, job.photo.radiance)
+    image = np.where((scene_of(job).view.mesh == 1)[..., None], image, job.photo.radiance)
     found = estimated(replace(job, photo=replace(job.photo, radiance=image)))
     assert found.choice["ground"].startswith("not used as evidence: it is not of one colour")
     assert found.light.alone is None and found.fit.all_coefficients.shape == (100, 3)
@@ -86,7 +83,7 @@ def test_it_is_asked_for_and_else_changes_nothing():
 
 def test_places_are_means_of_blocks_of_what_shows_the_table(monkeypatch):
     job = photographed(positive_light(2), evidence=True)
-    scene = PreparedScene(job, Reporter())
+    scene = scene_of(job)
     points, radiance = places_of(scene, 0)
     assert 250 < len(points) < 900 and (points.position[:, 2] == pytest.approx(-1.01, abs=1e-6))
     here = job.photo.radiance[tuple(points.pixels.T)]
@@ -95,7 +92,7 @@ def test_places_are_means_of_blocks_of_what_shows_the_table(monkeypatch):
     fewer, sparse = places_of(scene, 0)
     assert 200 < len(fewer) < 900 and sparse.mean(0) == pytest.approx(radiance.mean(0), rel=0.02)
     hidden = replace(job, photo=replace(job.photo, usable=scene.view.mesh == 0))
-    assert places_of(PreparedScene(hidden, Reporter()), 0) is None
+    assert places_of(scene_of(hidden), 0) is None
 
 
 def test_light_of_any_strength_that_reaches_nothing_is_not_believed(monkeypatch):

@@ -13,7 +13,7 @@ import trimesh
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.cli import main
-from btfsep_engine.job.model import Occluder, Photo
+from btfsep_engine.job.model import Occluder
 from btfsep_engine.kept import STORE
 from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.light.lightings import SHBasis
@@ -22,15 +22,12 @@ from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine import interreflection
 from btfsep_engine.pipeline.refine.interreflection import carried_over, even_sky_bound, own_light, with_own_light
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render import radiosity
 from btfsep_engine.render.sampling import spread
 from btfsep_engine.render.tracer import Tracer
-from tests.render.prepared import ball, bowl
-from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+from tests.render.scenes import answer, as_mesh, ball, bowl, job_of, looking_down, positive_light, scene_of, with_photo
 
 BRIGHT, GREY, DARK = (Lambertian(f"test/{a}", np.full(3, a)) for a in (0.85, 0.3, 0.05))
 STRAIGHT = choose("draft", bounces=1, directions=256)
@@ -38,7 +35,7 @@ STRAIGHT = choose("draft", bounces=1, directions=256)
 
 def photographed(meshes, materials, *, settings=STRAIGHT, occluders=(), count=500):
     """A problem whose photo has all interreflections, by the kernel, with noise; fitted without any."""
-    scene = PreparedScene(job_of(meshes, looking_down(), occluders=occluders), Reporter())
+    scene = scene_of(job_of(meshes, looking_down(), occluders=occluders))
     points = [scene.points(i, textured=False) for i in range(len(meshes))]
     points = [p.take(spread(p, count)) for p in points]
     full, _ = basis_images(scene, materials, points, SHBasis(2), choose("draft", bounces=20, directions=1024))
@@ -47,28 +44,28 @@ def photographed(meshes, materials, *, settings=STRAIGHT, occluders=(), count=50
     for p, a in zip(points, full, strict=True):
         values = np.einsum("ptc,tc->pc", a, positive_light(2))
         image[p.pixels[:, 0], p.pixels[:, 1]] = values * noise.normal(1, 0.03, values.shape)
-    scene.job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0))
+    scene.job = with_photo(scene.job, image)
     return make_problem(scene, materials, points, settings)
 
 
-def answer(problem, settings=STRAIGHT):
+def decision(problem, settings=STRAIGHT):
     light = fit_together([problem], settings)
     return own_light(Model(settings, {"mean": [problem]}), light, bounces=20), light.fit
 
 
 @pytest.mark.parametrize("settings", [STRAIGHT, replace(STRAIGHT, estimator="least-squares", order=2)])
 def test_a_bright_bowl_is_modelled_and_a_dark_one_is_not(settings):
-    bright, _ = answer(photographed([bowl()], [BRIGHT], settings=settings), settings)
+    bright, _ = decision(photographed([bowl()], [BRIGHT], settings=settings), settings)
     assert bright.modelled and bright.change > 1 and bright.share > 0.1
     assert bright.why.startswith("interreflections are modelled")
-    dark, _ = answer(photographed([bowl()], [DARK], settings=settings), settings)
+    dark, _ = decision(photographed([bowl()], [DARK], settings=settings), settings)
     assert not dark.modelled and dark.change < 0.5 and dark.share < 0.05
     assert dark.why.startswith("interreflections are left out")
 
 
 def both_ways(material):
     problem = photographed([bowl()], [material])
-    found, fit = answer(problem)
+    found, fit = decision(problem)
     settings = replace(STRAIGHT, bounces=20)
     return found, fit, fit_together([with_own_light(problem, settings)], settings).fit
 
@@ -106,17 +103,17 @@ def test_modelling_it_takes_the_error_away():
 def test_a_ball_needs_no_light_to_be_decided(monkeypatch):
     problem = photographed([ball()], [BRIGHT])
     monkeypatch.setattr(interreflection, "carried_over", None)  # would be called if the scene's light were looked at
-    found, _ = answer(problem)
+    found, _ = decision(problem)
     assert not found.modelled and found.change is None and found.bound < interreflection.NEGLIGIBLE
 
 
 def test_a_bright_neighbour_counts_and_a_black_one_does_not():
     wall = trimesh.creation.box([0.1, 4, 4]).apply_translation([1.3, 0, 0])
     beside = photographed([ball(), as_mesh(wall, flat=True)], [BRIGHT, BRIGHT])
-    assert answer(beside)[0].modelled
+    assert decision(beside)[0].modelled
     black = Occluder(as_mesh(wall, flat=True), Surface((0.0,) * 3, specular=0.0))
     occluded = photographed([ball()], [BRIGHT], occluders=[black])
-    found, _ = answer(occluded)
+    found, _ = decision(occluded)
     assert found.bound > interreflection.NEGLIGIBLE  # it cannot be told from the rays alone
     assert not found.modelled and found.share < 0.01
 
@@ -146,22 +143,11 @@ def test_smooth_values_are_carried_over():
 
 def test_the_command_decides_by_itself_and_says_so(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
-    command = [
-        "estimate",
-        str(folder),
-        "--material",
-        "reference/white-diffuse",
-        "--order",
-        "2",
-        "--no-report",
-        "--json",
-    ]
-    assert main([*command, "--pixels", "500"]) == 0
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    command = ["estimate", str(folder), "--material", "reference/white-diffuse", "--order", "2", "--no-report"]
+    result = answer(capsys, *command, "--pixels", "500")
     assert result["choice"]["interreflections"].startswith("interreflections are left out: they are at most 0.0 %")
     assert result["transport"]["bounces"] == result["settings"]["bounces"] == 1
-    assert main([*command, "--pixels", "500", "--bounces", "3"]) == 0
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+    result = answer(capsys, *command, "--pixels", "500", "--bounces", "3")
     assert "interreflections" not in result["choice"] and result["transport"]["bounces"] == 3
     assert main([*command, "--bounces", "0"]) != 0
 

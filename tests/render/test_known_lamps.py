@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lamps whose direction is given, by the job or the command line: they stay, are named, and are doubted."""
 
-import json
-
 import numpy as np
 import pytest
 import trimesh
@@ -10,7 +8,7 @@ import trimesh
 from btfsep_engine import images
 from btfsep_engine.conventions import angles_of_direction, direction_of_angles
 from btfsep_engine.light.files import read_lighting
-from tests.render.scenes import looking_down, off_as_seen
+from tests.render.scenes import edited, looking_down, off_as_seen
 from tests.render.test_frames import LAMP, OTHER, answer, assert_as_alone, lamp_light, photographed, shaded
 
 SPEAKS, GUESS = "the photo speaks against the lamp whose direction is given", "little more than a guess"
@@ -27,9 +25,7 @@ def lamplit(sphere_job_folder):
 
 def known(folder, *directions, **more):
     """Has the job name lamps."""
-    job = json.loads((folder / "job.json").read_text())
-    lamps = [{"direction": np.asarray(d).tolist()} for d in directions]
-    (folder / "job.json").write_text(json.dumps({**job, "known_lamps": lamps, **more}))
+    edited(folder, known_lamps=[{"direction": np.asarray(d).tolist()} for d in directions], **more)
 
 
 def estimated(folder, capsys, *more):

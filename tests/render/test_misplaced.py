@@ -1,38 +1,30 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where the photo shows the object elsewhere than the geometry, ranges are wider, and the light is the same."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import trimesh
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
-from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
-from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
+from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
 
 
 def photographed(shift: int) -> PreparedScene:
     """A white ball before black, its photo ``shift`` pixels to the right."""
     mesh = as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.6))
     job = job_of([mesh], looking_down())
-    scene = PreparedScene(job, Reporter())
+    scene = scene_of(job)
     points = scene.points(0, textured=False)
     light = SHLighting(positive_light(2))
     settings = choose("draft", bounces=1)
     seen = basis_images(scene, [Lambertian("white", np.full(3, 0.8))], [points], light, settings)[0][0][:, 0]
-    image = np.zeros((96, 96, 3), np.float32)
-    image[tuple(points.pixels.T)] = seen
-    image = np.roll(image, shift, axis=1)
-    job = replace(job, photo=Photo(image, np.ones((96, 96), bool), 0))
-    return PreparedScene(job, Reporter())
+    return scene_of(with_photo(job, np.roll(picture(points, seen), shift, axis=1)))
 
 
 @pytest.mark.parametrize("shift", [0, 4])

@@ -12,17 +12,15 @@ from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.near_lamp import CLOSEST, nearness
-from btfsep_engine.job.model import Photo
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.refine import near
 from btfsep_engine.pipeline.refine.near import moved
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.report import pictures
-from tests.render.scenes import as_mesh, job_of, looking_down
+from scripts.studies.measures import order2
+from tests.render.scenes import as_mesh, job_of, looking_down, picture, scene_of, with_photo
 
 ALBEDO, FIRST, SECOND = 0.8, np.array([-0.55, 0.1, 0.0]), np.array([0.5, -0.25, 0.15])
 RADIUS = 0.42  # of each ball; a single one would do: its normal says where a point is
@@ -37,7 +35,7 @@ def balls():
 def photographed(distance: float, *, sky=0.25):
     """Two white balls under an even sky and a lamp at a distance from their middle, without their own reflections."""
     job = job_of([balls()], looking_down())
-    scene = PreparedScene(job, Reporter())
+    scene = scene_of(job)
     points = scene.points(0, textured=False)
     low, high = job.objects[0].mesh.vertices.min(0), job.objects[0].mesh.vertices.max(0)
     centre, size = (low + high) / 2, np.linalg.norm(high - low) / 2
@@ -46,17 +44,14 @@ def photographed(distance: float, *, sky=0.25):
     away = np.linalg.norm(to_lamp, axis=1)
     cosine = np.maximum((points.normal * to_lamp).sum(1) / away, 0)
     seen = ALBEDO / np.pi * (np.pi * cosine * (distance * size / away) ** 2 + np.pi * sky)
-    image = np.zeros((96, 96, 3), np.float32)
-    image[tuple(points.pixels.T)] = seen[:, None] * np.random.default_rng(0).normal(1, 0.02, (len(seen), 1))
+    image = picture(points, seen[:, None], noise=0.02)
     truth = sh.evaluate(4, direction)[:, None] * np.full(3, np.pi)
     truth[0] += sky * np.sqrt(4 * np.pi)
-    job = replace(job, photo=Photo(image, np.ones((96, 96), bool), 0))
-    return PreparedScene(job, Reporter()), direction, centre, size, truth
+    return scene_of(with_photo(job, image)), direction, centre, size, truth
 
 
 def off(found, truth) -> float:
-    x, t = found.fit.coefficients[:9], truth[:9]
-    return float(np.linalg.norm((x * t).sum() / (x * x).sum() * x - t) / np.linalg.norm(t))
+    return order2(found.fit.coefficients, truth)
 
 
 def estimated(scene, others=()):
@@ -117,7 +112,7 @@ def test_what_was_found_before_stays_taken_off_and_no_more_is_than_the_lamp_send
 def test_a_place_is_believed_where_the_evidence_is_clear_and_of_a_depth_clearer(far_answer, monkeypatch):
     assert near.Photographed(far_answer.model, far_answer.light).clearly == near.CLEARLY
     (problem,) = far_answer.model.problems
-    scene = PreparedScene(problem.scene.job, Reporter())
+    scene = scene_of(problem.scene.job)
     scene.job = replace(scene.job, objects=(replace(scene.job.objects[0], unseen=balls()),))
     model = replace(far_answer.model, looks={"mean": [replace(problem, scene=scene)]})
     assert near.Photographed(model, far_answer.light).clearly == near.OF_A_DEPTH > near.CLEARLY
@@ -128,7 +123,7 @@ def test_a_place_is_believed_where_the_evidence_is_clear_and_of_a_depth_clearer(
 def test_of_two_photos_each_loses_it_in_its_own_exposure():
     scene = photographed(2.5)[0]
     photo = replace(scene.job.photo, radiance=4 * scene.job.photo.radiance)
-    both = estimated(scene, others=[PreparedScene(replace(scene.job, photo=photo), Reporter())])
+    both = estimated(scene, others=[scene_of(replace(scene.job, photo=photo))])
     one, other = (problem.correction for problem in both.model.problems)
     np.testing.assert_allclose(other, 4 * one, rtol=1e-3, atol=1e-6)
     assert all(photo.residuals[0] < 0.06 for photo in both.photos)

@@ -13,8 +13,8 @@ from btfsep_engine.btf.model import Lambertian, Material
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.render.appearance import to_local
-from tests.render.prepared import Prepared, ball
-from tests.render.scenes import positive_light
+from tests.render.prepared import Prepared
+from tests.render.scenes import ball, positive_light
 
 NAME = "test/sheen"
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Odd meshes, cameras and photos through the whole command: the right light, or one clear sentence."""
 
-import json
-
 import cv2
 import numpy as np
 import pytest
@@ -11,15 +9,10 @@ import trimesh
 from btfsep_engine import images
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import exactly, read_lighting, write_lighting
+from tests.render.scenes import edited, looking_down
 
 # the light has order 2 and nothing is noisy: least squares finds it exactly, whatever the file looks like
 RUN = ["--material", "reference/white-diffuse", "--order", "2", "--estimator", "least-squares", "--no-report"]
-
-
-def edited(folder, change):
-    job = json.loads((folder / "job.json").read_text())
-    change(job)
-    (folder / "job.json").write_text(json.dumps(job))
 
 
 def estimated(folder, *options):
@@ -61,7 +54,7 @@ def rewritten(shape, name):
 def test_the_same_surface_described_oddly_gives_the_same_light(sphere_job_folder, name):
     folder, truth = sphere_job_folder
     data = rewritten(trimesh.creation.icosphere(4), name).export(file_type="obj", include_normals=False)
-    edited(folder, lambda job: job["objects"][0].update(mesh="odd.obj"))
+    edited(folder, first={"mesh": "odd.obj"})
     (folder / "odd.obj").write_text(data)
     assert np.linalg.norm(estimated(folder) - truth) < 0.05 * np.linalg.norm(truth)
 
@@ -79,27 +72,23 @@ def test_size_and_place_do_not_matter(sphere_job_folder, scale, offset):
     place = np.diag([scale, scale, scale, 1.0])
     place[:3, 3] = offset
 
-    def change(job):
-        camera = np.array(job["camera"]["to_world"])
-        camera[:3, 3] = scale * camera[:3, 3] + offset
-        job["camera"]["to_world"] = camera.tolist()
-        job["objects"][0]["to_world"] = place.tolist()
-
-    edited(folder, change)
+    camera = looking_down().to_world
+    camera[:3, 3] = scale * camera[:3, 3] + offset
+    edited(folder, camera={"to_world": camera.tolist()}, first={"to_world": place.tolist()})
     assert np.linalg.norm(estimated(folder) - truth) < 0.05 * np.linalg.norm(truth)
 
 
 def test_a_mask_of_another_size_is_refused(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
     cv2.imwrite(str(folder / "mask.png"), np.full((20, 30), 255, np.uint8))
-    edited(folder, lambda job: job["objects"][0].update(mask="mask.png"))
+    edited(folder, first={"mask": "mask.png"})
     assert "mask.png" in refused(folder, capsys)
 
 
 def test_vertices_that_are_not_numbers_are_refused(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
     (folder / "odd.obj").write_text("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n")
-    edited(folder, lambda job: job["objects"][0].update(mesh="odd.obj"))
+    edited(folder, first={"mesh": "odd.obj"})
     assert "NaN" in refused(folder, capsys)
 
 
@@ -110,7 +99,7 @@ def test_a_16_bit_photo_gives_the_light_up_to_its_scale(sphere_job_folder):
     linear = np.clip(pixels * scale, 0, 1)
     coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     cv2.imwrite(str(folder / "photo.png"), np.round(coded[..., ::-1] * 65535).astype(np.uint16))
-    edited(folder, lambda job: job.update(image="photo.png"))
+    edited(folder, image="photo.png")
     assert np.linalg.norm(estimated(folder) / scale - truth) < 0.03 * np.linalg.norm(truth)
 
 
@@ -126,7 +115,7 @@ def test_how_far_the_ground_goes_on_does_not_matter(sphere_job_folder):
         ground = trimesh.creation.box([2 * half, 2 * half, 0.02])
         ground.apply_translation([0, 0, -1.2]).export(folder / "ground.ply")
         black = {"base_color": [0.0, 0.0, 0.0], "specular": 0.0}
-        edited(folder, lambda job: job.update(occluders=[{"mesh": "ground.ply", "surface": black}]))
+        edited(folder, occluders=[{"mesh": "ground.ply", "surface": black}])
 
     on_ground(3)
     shown = ["--lighting", str(folder / "light.json"), "--material", "reference/white-diffuse", "--directions", "4096"]

@@ -11,26 +11,15 @@ import trimesh
 from btfsep_engine import images
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import read_lighting
-from tests.render.scenes import looking_down
+from scripts.studies.stage import seen_normals
+from tests.render.scenes import edited, looking_down
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # of numbers: overflow, division by zero, NaN
 RUN = ["--material", "reference/white-diffuse"]
 PICTURES = {"lighting.json", "lighting.exr", "report.png", "result.json"}
 
 
-def edited(folder, **changes):
-    job = json.loads((folder / "job.json").read_text())
-    first = {k: changes.pop(k) for k in ("mesh", "mask", "uv") if k in changes}
-    job["objects"] = [job["objects"][0] | first]
-    (folder / "job.json").write_text(json.dumps(job | changes))
-
-
-def with_camera(folder, **changes):
-    job = json.loads((folder / "job.json").read_text())
-    edited(folder, camera=job["camera"] | changes)
-
-
-def with_photo(folder, pixels, name="photo.exr"):
+def photographed(folder, pixels, name="photo.exr"):
     images.write_exr(folder / name, pixels)
     edited(folder, image=name)
 
@@ -75,8 +64,8 @@ def near(found, truth, tolerance=0.06):
 
 def test_a_photo_of_one_pixel(sphere_job_folder):
     folder, _ = sphere_job_folder
-    with_photo(folder, np.full((1, 1, 3), 0.4, np.float32))
-    with_camera(folder, width=1, height=1, fx=2.0, fy=2.0, cx=0.5, cy=0.5)
+    photographed(folder, np.full((1, 1, 3), 0.4, np.float32))
+    edited(folder, camera=dict(width=1, height=1, fx=2.0, fy=2.0, cx=0.5, cy=0.5))
     estimated(folder)
 
 
@@ -84,15 +73,15 @@ def test_a_photo_of_one_pixel(sphere_job_folder):
 def test_a_photo_of_one_row_or_column(sphere_job_folder, shape):
     folder, _ = sphere_job_folder
     h, w = shape
-    with_photo(folder, np.full((h, w, 3), 0.4, np.float32))
-    with_camera(folder, width=w, height=h, cx=w / 2, cy=h / 2)
+    photographed(folder, np.full((h, w, 3), 0.4, np.float32))
+    edited(folder, camera=dict(width=w, height=h, cx=w / 2, cy=h / 2))
     estimated(folder)
 
 
 def test_a_grey_photo_gives_grey_light(sphere_job_folder):
     folder, truth = sphere_job_folder
     grey = photo_of(folder).mean(-1)
-    with_photo(folder, grey)
+    photographed(folder, grey)
     found = estimated(folder)
     assert np.allclose(found, found[:, :1], rtol=1e-3, atol=1e-3 * np.abs(found).max())
     assert near(estimated(folder, *EXACT).mean(-1), truth.mean(-1))
@@ -113,13 +102,13 @@ def test_transparent_pixels_are_left_out_of_the_light(sphere_job_folder):
     folder, truth = sphere_job_folder
     pixels = np.dstack([photo_of(folder), np.ones((96, 96), np.float32)])
     pixels[40:60, 30:50] = [9.0, 0.0, 9.0, 0.0]  # what a cut-out leaves behind
-    with_photo(folder, pixels)
+    photographed(folder, pixels)
     assert near(estimated(folder, *EXACT), truth)
 
 
 def test_a_photo_that_is_all_transparent_is_refused(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
-    with_photo(folder, np.dstack([photo_of(folder), np.zeros((96, 96), np.float32)]))
+    photographed(folder, np.dstack([photo_of(folder), np.zeros((96, 96), np.float32)]))
     assert "transparent" in refused(folder, capsys)
 
 
@@ -127,7 +116,7 @@ def test_an_object_that_is_all_transparent_is_refused(sphere_job_folder, capsys)
     folder, _ = sphere_job_folder
     alpha = np.zeros((96, 96), np.float32)
     alpha[:3, :3] = 1  # of the background something is there
-    with_photo(folder, np.dstack([photo_of(folder), alpha]))
+    photographed(folder, np.dstack([photo_of(folder), alpha]))
     for options in ((), ("--estimator", "least-squares")):
         assert "object 'ball'" in refused(folder, capsys, *options)
 
@@ -147,7 +136,7 @@ def test_pixels_that_are_no_numbers_are_refused_and_counted(sphere_job_folder, c
     folder, _ = sphere_job_folder
     pixels = photo_of(folder)
     pixels[3, 5] = pixels[50, 40, 1] = value
-    with_photo(folder, pixels)
+    photographed(folder, pixels)
     line = refused(folder, capsys)
     assert "2 pixels are NaN or infinite" in line and "x 5, y 3" in line
 
@@ -157,21 +146,21 @@ def test_negative_pixels_of_a_sharpened_photo_do_no_harm(sphere_job_folder):
     pixels = photo_of(folder)
     pixels[5:8, 5:8] = -0.3  # the background
     pixels[48, 48] = -0.01
-    with_photo(folder, pixels)
+    photographed(folder, pixels)
     assert near(estimated(folder, *EXACT), truth)
 
 
 @pytest.mark.parametrize("value", [1e-30, 1e30])
 def test_a_photo_of_one_value(sphere_job_folder, value):
     folder, _ = sphere_job_folder
-    with_photo(folder, np.full((96, 96, 3), value, np.float32))
+    photographed(folder, np.full((96, 96, 3), value, np.float32))
     estimated(folder)
 
 
 @pytest.mark.parametrize("value", [1e20, 1e37])
 def test_light_is_in_the_units_of_the_photo_whatever_they_are(sphere_job_folder, value):
     folder, truth = sphere_job_folder
-    with_photo(folder, photo_of(folder) * np.float32(value / 4))
+    photographed(folder, photo_of(folder) * np.float32(value / 4))
     assert near(estimated(folder, *EXACT), truth * value / 4)
     assert json.loads((folder / "result" / "result.json").read_text())["objects"][0]["residual"] < 0.01
 
@@ -180,7 +169,7 @@ def test_light_is_in_the_units_of_the_photo_whatever_they_are(sphere_job_folder,
 def test_a_photo_with_black_channels(sphere_job_folder, lit):
     """A sodium lamp: there is no light in the other channels, and no noise from which theirs could be told."""
     folder, truth = sphere_job_folder
-    with_photo(folder, photo_of(folder) * np.float32(lit))
+    photographed(folder, photo_of(folder) * np.float32(lit))
     assert near(estimated(folder, *EXACT), truth * lit)
     found = estimated(folder)
     dark = np.array(lit) == 0
@@ -193,14 +182,14 @@ def test_a_pixel_that_is_far_brighter_than_all_others_is_spoken_of(sphere_job_fo
     folder, _ = sphere_job_folder
     pixels = photo_of(folder)
     pixels[48, 48, channels] = value
-    with_photo(folder, pixels)
+    photographed(folder, pixels)
     estimated(folder, "--pixels", "0")
     assert "poorly" in capsys.readouterr().err
 
 
 def test_a_black_photo_is_refused(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
-    with_photo(folder, np.zeros((96, 96, 3), np.float32))
+    photographed(folder, np.zeros((96, 96, 3), np.float32))
     assert "black" in refused(folder, capsys)
 
 
@@ -209,7 +198,7 @@ def test_a_black_photo_is_refused(sphere_job_folder, capsys):
 
 def test_masks_that_are_wrong_are_refused(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
-    edited(folder, mask="mask.png")
+    edited(folder, first={"mask": "mask.png"})
     corner = np.zeros((96, 96), np.uint8)
     corner[:4, :4] = 255
     for mask, words in (
@@ -226,7 +215,7 @@ def test_a_mask_of_one_pixel(sphere_job_folder):
     mask = np.zeros((96, 96), np.uint8)
     mask[48, 48] = 255
     cv2.imwrite(str(folder / "mask.png"), mask)
-    edited(folder, mask="mask.png")
+    edited(folder, first={"mask": "mask.png"})
     estimated(folder)
 
 
@@ -235,12 +224,12 @@ def test_a_mask_of_one_pixel(sphere_job_folder):
 
 def test_a_camera_inside_a_closed_mesh_is_refused_and_in_an_open_one_sees(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
-    with_camera(folder, to_world=np.eye(4).tolist())
+    edited(folder, camera={"to_world": np.eye(4).tolist()})
     assert "inside closed geometry" in refused(folder, capsys)
     shape = trimesh.creation.icosphere(4)
     shape.update_faces(shape.triangles_center[:, 2] < 0.3)
     shape.export(folder / "open.ply")
-    edited(folder, mesh="open.ply")
+    edited(folder, first={"mesh": "open.ply"})
     estimated(folder)
 
 
@@ -248,7 +237,7 @@ def test_a_camera_on_the_surface(sphere_job_folder):
     folder, _ = sphere_job_folder
     pose = np.eye(4)
     pose[2, 3] = 1.0
-    with_camera(folder, to_world=pose.tolist())
+    edited(folder, camera={"to_world": pose.tolist()})
     estimated(folder)
 
 
@@ -256,7 +245,7 @@ def test_a_camera_that_sees_nothing_is_refused(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
     pose = np.eye(4)
     pose[:3, 3] = [50.0, 0, 4]
-    with_camera(folder, to_world=pose.tolist())
+    edited(folder, camera={"to_world": pose.tolist()})
     assert "the camera does not see it" in refused(folder, capsys)
 
 
@@ -271,14 +260,14 @@ def test_an_object_behind_another_is_refused(sphere_job_folder, capsys):
 def test_a_single_triangle(sphere_job_folder, uv):
     folder, _ = sphere_job_folder
     (folder / "one.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0.5 1\nf 1/1 2/2 3/3\n")
-    edited(folder, mesh="one.obj", uv=uv)
+    edited(folder, first={"mesh": "one.obj", "uv": uv})
     estimated(folder, "--material", "leather/brown-grain", "--appearance", "textured")
 
 
 def test_uv_without_area_are_refused(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
     (folder / "one.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nvt 0.5 0.5\nf 1/1 2/1 3/1\n")
-    edited(folder, mesh="one.obj", uv="mesh")
+    edited(folder, first={"mesh": "one.obj", "uv": "mesh"})
     options = ("--material", "leather/brown-grain", "--appearance", "textured")
     assert "texture coordinates without area" in refused(folder, capsys, *options)
 
@@ -299,7 +288,7 @@ def test_uv_without_area_are_refused(sphere_job_folder, capsys):
 def test_meshes_that_are_none_are_refused(sphere_job_folder, capsys, text, words):
     folder, _ = sphere_job_folder
     (folder / "odd.obj").write_text(text)
-    edited(folder, mesh="odd.obj")
+    edited(folder, first={"mesh": "odd.obj"})
     line = refused(folder, capsys)
     assert words in line and "odd.obj" in line
 
@@ -318,7 +307,7 @@ def test_a_bad_mesh_is_as_good_as_it_can_be(sphere_job_folder, material):
     fins = np.stack([faces[:30, 0], faces[:30, 1], np.full(30, len(ball.vertices))], -1)
     shape = trimesh.Trimesh(vertices, np.concatenate([faces, fins]), process=False)
     (folder / "odd.obj").write_text(shape.export(file_type="obj", include_normals=False))
-    edited(folder, mesh="odd.obj")
+    edited(folder, first={"mesh": "odd.obj"})
     white = material == "reference/white-diffuse"
     found = estimated(folder, "--material", material, "--appearance", "textured", *(EXACT if white else ()))
     if white:
@@ -330,18 +319,13 @@ def test_a_bad_mesh_is_as_good_as_it_can_be(sphere_job_folder, material):
 
 def depth_of_a_sphere():
     camera = looking_down()
-    rows, columns = np.mgrid[:96, :96]
-    origins, directions = camera.rays(columns.ravel() + 0.5, rows.ravel() + 0.5)
-    b = (origins * directions).sum(1)
-    inside = b * b - (origins**2).sum(1) + 1
-    t = np.where(inside > 0, -b - np.sqrt(np.maximum(inside, 0)), 0)
-    return np.where(inside > 0, -directions[:, 2] * t, 0).reshape(96, 96).astype(np.float32)
+    normals, inside = seen_normals(camera)
+    return np.where(inside, camera.to_world[2, 3] - normals[..., 2], 0).astype(np.float32)
 
 
 def with_depth(folder, depth):
     images.write_exr(folder / "depth.exr", depth)
-    job = json.loads((folder / "job.json").read_text())
-    (folder / "job.json").write_text(json.dumps(job | {"depth": "depth.exr", "objects": []}))
+    edited(folder, depth="depth.exr", objects=[])
 
 
 def test_a_depth_with_holes(sphere_job_folder):
@@ -385,6 +369,6 @@ def test_a_failure_leaves_an_earlier_result_alone(sphere_job_folder, capsys):
     before = {p.name: p.read_bytes() for p in (folder / "result").iterdir()}
     pixels = photo_of(folder)
     pixels[0, 0] = np.nan
-    with_photo(folder, pixels)
+    photographed(folder, pixels)
     refused(folder, capsys)
     assert {p.name: p.read_bytes() for p in (folder / "result").iterdir()} == before

@@ -7,13 +7,11 @@ import trimesh
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.pipeline.model import view_problem
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.outlines import FARTHEST, STEP, outlines
 from btfsep_engine.render.surface import camera_view
 from btfsep_engine.render.tracer import Tracer
-from tests.render.scenes import as_mesh, job_of, looking_down
+from tests.render.scenes import as_mesh, job_of, looking_down, scene_of
 
 
 def seen(shape, camera):
@@ -111,11 +109,11 @@ def test_objects_that_touch_have_an_outline_between_them_and_only_objects_count(
 
 def test_no_fit_uses_what_lies_beside_an_outline():
     shape = trimesh.util.concatenate([slab(0.0), slab(0.4, half=0.2)])
-    scene = PreparedScene(job_of([as_mesh(shape, flat=True)], looking_down()), Reporter())
+    scene = scene_of(job_of([as_mesh(shape, flat=True)], looking_down()))
     white = open_library(None).load("reference/white-diffuse")
     assert view_problem(scene, [white], choose("draft", pixels=0)).rings.min() == 1
     everywhere = view_problem(scene, [white], choose("draft", pixels=0, estimator="least-squares", order=2))
     assert everywhere.rings.min() == 0  # the paper's fit is as it was
     thin = trimesh.creation.box((1.0, 0.05, 0.05))  # three pixels wide
-    few = PreparedScene(job_of([as_mesh(thin, flat=True)], looking_down()), Reporter())
+    few = scene_of(job_of([as_mesh(thin, flat=True)], looking_down()))
     assert len(view_problem(few, [white], choose("draft", pixels=0)).pixels) > 50

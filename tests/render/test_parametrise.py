@@ -11,10 +11,7 @@ from btfsep_engine.render import parametrise, surface
 from btfsep_engine.render.tracer import Tracer
 from tests.render.scenes import as_mesh, job_of, looking_down
 
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def signed_areas(uv):

@@ -15,15 +15,10 @@ from btfsep_engine.pipeline.sequence import run_sequence
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from tests.render.progress_lines import assert_whole_run
-from tests.render.scenes import off_as_seen
+from tests.render.scenes import answer, edited, off_as_seen
 
 WHITE = ["--material", "reference/white-diffuse"]
 QUICK = ["--pixels", "800", "--directions", "128", "--bounces", "1"]
-
-
-def last(capsys) -> dict:
-    """The result of the last line."""
-    return json.loads(capsys.readouterr().out.strip().splitlines()[-1])["result"]
 
 
 def test_a_plan_needs_no_photo_and_knows_what_gloss_adds(sphere_job_folder, capsys):
@@ -31,8 +26,7 @@ def test_a_plan_needs_no_photo_and_knows_what_gloss_adds(sphere_job_folder, caps
     (folder / "photo.exr").unlink()
     found = {}
     for name in ("reference/white-diffuse", "leather/brown-grain"):
-        assert main(["plan", str(folder), "--material", name, "--noise", "0.05", *QUICK, "--json"]) == 0
-        found[name] = last(capsys)
+        found[name] = answer(capsys, "plan", folder, "--material", name, "--noise", "0.05", *QUICK)
     white, leather = found.values()
     assert 3 < white["effective_degrees_of_freedom"] < leather["effective_degrees_of_freedom"] < 100
     # across the view a matte sphere tells; along it (z), half of the normals are not seen
@@ -53,8 +47,8 @@ def test_noise_makes_a_plan_less_sure(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
     errors = []
     for noise in ("0.01", "0.4"):
-        assert main(["plan", str(folder), *WHITE, "--noise", noise, *QUICK, "--json"]) == 0
-        errors.append(last(capsys)["expected_error"]["order_1"]["median"])
+        planned = answer(capsys, "plan", folder, *WHITE, "--noise", noise, *QUICK)
+        errors.append(planned["expected_error"]["order_1"]["median"])
     assert errors[0] < errors[1]
 
 
@@ -97,8 +91,7 @@ def test_frames_of_a_sequence_are_coded_as_the_job_says(sphere_job_folder, capsy
     scale = 0.5 / photo.max()
     for i in range(2):  # the first frame and further ones are read in different places
         images.write_exr(tmp_path / f"f{i}.exr", images.linear_to_srgb(photo * scale).astype(np.float32))
-    job = json.loads((folder / "job.json").read_text())
-    (folder / "job.json").write_text(json.dumps({**job, "image_colorspace": "srgb"}))
+    edited(folder, image_colorspace="srgb")
     assert main(["sequence", str(folder), "--images", str(tmp_path / "*.exr"), *WHITE, "--order", "2", *QUICK]) == 0
     for i in range(2):
         light = read_lighting(folder / "sequence" / f"f{i}.json").coefficients / scale
@@ -110,13 +103,10 @@ def test_two_photos_share_one_light_at_any_exposure(sphere_job_folder, capsys, t
     folder, truth = sphere_job_folder
     other = tmp_path / "other"
     other.mkdir()
-    job = json.loads((folder / "job.json").read_text())
     images.write_exr(other / "photo.exr", images.read_linear(folder / "photo.exr").pixels * np.float32(factor))
     (other / "sphere.ply").write_bytes((folder / "sphere.ply").read_bytes())
-    (other / "job.json").write_text(json.dumps(job))
-    command = ["estimate", str(folder), "--with", str(other), *WHITE, "--order", "2", "--no-report", *QUICK, "--json"]
-    assert main(command) == 0
-    result = last(capsys)
+    edited(folder, to=other)
+    result = answer(capsys, "estimate", folder, "--with", other, *WHITE, "--order", "2", "--no-report", *QUICK)
     assert result["photos"][1]["exposure"] == pytest.approx(factor, rel=0.01)
     found = read_lighting(result["lighting"]).coefficients
     assert off_as_seen(found, truth) < 0.12  # reflectance is known to a tenth

@@ -9,10 +9,8 @@ import trimesh
 
 from btfsep_engine.job.model import Photo
 from btfsep_engine.pipeline.points import chosen_points, names_of, photographed_regions
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
-from tests.render.scenes import as_mesh, job_of, looking_down
+from tests.render.scenes import as_mesh, job_of, looking_down, scene_of
 
 
 def plate(width, x):
@@ -27,14 +25,14 @@ def job():
     return job_of([plate(0.3, -0.6), plate(0.9, 0.3)], looking_down())
 
 
-def scene_of(job, *, clipped, usable):
+def scene_with(job, *, clipped, usable):
     """A scene whose photo has (h, w) bool pixels with a clipped red, and usable ones."""
     channels = clipped[..., None] & np.array([True, False, False])
-    return PreparedScene(replace(job, photo=Photo(job.photo.radiance, usable, 0, clipped=channels)), Reporter())
+    return scene_of(replace(job, photo=Photo(job.photo.radiance, usable, 0, clipped=channels)))
 
 
 def test_pixels_are_shared_by_what_is_seen_of_each_object(job):
-    scene, settings = PreparedScene(job, Reporter()), choose("draft", pixels=800)
+    scene, settings = scene_of(job), choose("draft", pixels=800)
     small, large = (len(p) for p in chosen_points(scene, settings, regions=scene.regions, textured=False))
     assert [small, large] == pytest.approx([200, 600], abs=15)
     every = chosen_points(scene, choose("paper", pixels=0), regions=scene.regions, textured=False)
@@ -45,10 +43,10 @@ def test_pixels_are_shared_by_what_is_seen_of_each_object(job):
 
 @pytest.mark.parametrize(("estimator", "bounds"), [("map", True), ("least-squares", False)])
 def test_saturated_pixels_are_bounds_with_a_prior_and_left_out_without(job, estimator, bounds):
-    _, region = PreparedScene(job, Reporter()).regions
+    _, region = scene_of(job).regions
     rows = np.arange(96)[:, None]
     clipped, transparent = region & (rows < 45), region & (rows > 60)
-    scene = scene_of(job, clipped=clipped, usable=~clipped & ~transparent)
+    scene = scene_with(job, clipped=clipped, usable=~clipped & ~transparent)
     small, large = photographed_regions(scene, choose("draft", estimator=estimator))
     np.testing.assert_array_equal(small, scene.regions[0])
     np.testing.assert_array_equal(large, region & ~transparent & (bounds | ~clipped))
@@ -58,7 +56,7 @@ def test_saturated_pixels_are_bounds_with_a_prior_and_left_out_without(job, esti
 
 
 def test_of_what_is_transparent_alone_no_bound_is_said(job):
-    _, region = PreparedScene(job, Reporter()).regions
-    scene = scene_of(job, clipped=np.zeros_like(region), usable=~(region & (np.arange(96)[:, None] > 60)))
+    _, region = scene_of(job).regions
+    scene = scene_with(job, clipped=np.zeros_like(region), usable=~(region & (np.arange(96)[:, None] > 60)))
     photographed_regions(scene, choose("draft"))
     assert "were left out" in scene.reporter.warnings[0]

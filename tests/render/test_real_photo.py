@@ -10,17 +10,14 @@ import trimesh
 from btfsep_engine import images
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
-from btfsep_engine.job.model import Photo
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
 from btfsep_engine.pipeline.real_photo import PHOTOS_OWN
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
+from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light, scene_of, with_photo
 
 GREY = Lambertian("test/grey", np.full(3, 0.5))
 SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2)
@@ -31,7 +28,7 @@ def scene_of_balls(places, *, dyes=None, limit=None):
     """Grey balls, photographed under `positive_light` with 2 % noise, clipped at a quantile of their brightness."""
     balls = [as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=0.45)) for _ in places]
     balls = [replace(m, vertices=m.vertices + place) for m, place in zip(balls, places, strict=True)]
-    scene = PreparedScene(job_of(balls, looking_down()), Reporter())
+    scene = scene_of(job_of(balls, looking_down()))
     image = np.zeros((96, 96, 3), np.float32)
     rng = np.random.default_rng(3)
     for i in range(len(places)):
@@ -45,7 +42,7 @@ def scene_of_balls(places, *, dyes=None, limit=None):
         clipped = image >= top
         image = np.minimum(image, top)
     whole = ~clipped.any(-1)
-    scene.job = replace(scene.job, photo=Photo(image, whole, int((~whole).sum()), clipped))
+    scene.job = with_photo(scene.job, image, whole, clipped=clipped)
     return scene
 
 

@@ -10,15 +10,12 @@ import pytest
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
-from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.pipeline.recognition import bounding_window, trained_recogniser, training_region
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.verification import SIMILARITIES, Verification
-from btfsep_engine.progress import Reporter
 from tests.render.progress_lines import assert_whole_run
-from tests.render.scenes import positive_light
+from tests.render.scenes import positive_light, scene_of
 
 CHOSEN = ("leather/brown-grain", "felt/green-coarse", "wood/oak-boards")
 
@@ -107,7 +104,7 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
     for right, wrong in ((CHOSEN[0], CHOSEN[2]), (CHOSEN[2], CHOSEN[0])):
         target = ["--lighting", str(light), "--material", right, "--library", str(small_library), "--preset", "draft"]
         assert main(["relight", str(folder), *target, "--out", str(folder / "photo.exr")]) == 0
-        scene = PreparedScene(load_job(folder), Reporter())
+        scene = scene_of(folder)
         region = training_region(scene.regions[0], settings.training_pixels)
         window = bounding_window(region)
         recogniser = trained_recogniser(scene, 0, library, settings)

@@ -9,11 +9,9 @@ from scipy.ndimage import gaussian_filter
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.light.lightings import EnvironmentMaps
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise import descriptors, training
 from btfsep_engine.recognise.vlad import Encoding
-from tests.render.scenes import as_mesh, job_of, looking_down
+from tests.render.scenes import as_mesh, job_of, looking_down, scene_of
 
 GRAIN = {"made/fine": 0.7, "made/coarse": 3.0, "made/flat": None}
 
@@ -42,7 +40,7 @@ def lights(seed, count):
 def rendered():
     """region (h, w) and render(material, lightings) -> (M, h, w, 3), NaN outside."""
     job = job_of([as_mesh(trimesh.creation.icosphere(4))], looking_down(size=160, focal=300.0))
-    scene = PreparedScene(job, Reporter())
+    scene = scene_of(job)
     region = scene.regions[0]
     points = scene.points(0, region=region, textured=True)
     transport = scene.transport(points, directions=128)

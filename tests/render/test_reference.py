@@ -21,8 +21,8 @@ from btfsep_engine.render.reference import Reference
 from btfsep_engine.render.surface import camera_view
 from btfsep_engine.render.transport import Transport
 from tests.render.btf_materials import diffuse, glossy, matte, textured
-from tests.render.prepared import MILLIMETRES, Prepared, ball, bowl, plate
-from tests.render.scenes import as_mesh, looking_down
+from tests.render.prepared import MILLIMETRES, Prepared
+from tests.render.scenes import as_mesh, ball, bowl, looking_down, plate
 
 COUNTS = (3001, 3517, 4021, 4523)  # directions of the kernel's four runs
 

@@ -8,17 +8,23 @@ import trimesh
 
 from btfsep_engine.btf.departures import departures
 from btfsep_engine.btf.model import Lambertian
-from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
-from btfsep_engine.progress import Reporter
 from tests.engine.half_sphere import even, lamp
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
+from tests.render.scenes import (
+    as_mesh,
+    job_of,
+    looking_down,
+    off_as_seen,
+    picture,
+    positive_light,
+    scene_of,
+    with_photo,
+)
 
 GREY = Lambertian("test/grey", np.full(3, 0.5))
 SETTINGS = choose("draft", bounces=1, directions=256, appearance="mean", order=2)
@@ -31,13 +37,10 @@ WINDOW = (
 
 def found_for(material, light, noise=0.01, **changes):
     """The fits with the grey material and with what is nearer, of a ball's photo that ``material`` made; and why."""
-    scene = PreparedScene(job_of([as_mesh(trimesh.creation.icosphere(4, radius=0.45))], looking_down()), Reporter())
+    scene = scene_of(job_of([as_mesh(trimesh.creation.icosphere(4, radius=0.45))], looking_down()))
     points = scene.points(0, textured=False)
     values = scene.radiance(points, material, SHLighting(light), directions=512)[:, 0]
-    image = np.zeros((96, 96, 3), np.float32)
-    random = np.random.default_rng(0)
-    image[points.pixels[:, 0], points.pixels[:, 1]] = values * random.normal(1, noise, values.shape)
-    scene.job = replace(scene.job, photo=Photo(image, np.ones((96, 96), bool), 0))
+    scene.job = with_photo(scene.job, picture(points, values, noise=noise))
     problems = [make_problem(scene, [GREY], [points.take(np.arange(0, len(points), 3))], SETTINGS)]
     light = fit_together(problems, SETTINGS)
     _, nearer, words = nearer_materials(Model(replace(SETTINGS, **changes), {"mean": problems}), light)

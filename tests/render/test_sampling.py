@@ -11,19 +11,16 @@ from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.maps import natural_amplitude
 from btfsep_engine.pipeline.basis import USUAL, basis_images
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render import sampling
 from btfsep_engine.render.surface import camera_view
-from tests.render.prepared import ball, bowl
-from tests.render.scenes import as_mesh, job_of, looking_down
+from tests.render.scenes import as_mesh, ball, bowl, job_of, looking_down, scene_of
 
 GREY = Lambertian("test/grey", np.full(3, 0.5))
 
 
 def prepared(*meshes):
-    scene = PreparedScene(job_of(meshes, looking_down()), Reporter())
+    scene = scene_of(job_of(meshes, looking_down()))
     return scene, scene.points(0, textured=False)
 
 

@@ -15,13 +15,11 @@ from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.following import Follower
 from btfsep_engine.pipeline.refine.seen_colour import BRIGHTEST, LEAST_COSINE, seen_colours, seen_places, sent
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.reference import Reference
 from btfsep_engine.render.surface import surface_points
-from tests.render.prepared import ball
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
+from tests.render.scenes import as_mesh, ball, job_of, looking_down, off_as_seen, positive_light, scene_of, with_photo
 
 SIZE = 64
 COLOUR = np.array([0.8, 0.25, 0.05])
@@ -40,7 +38,7 @@ def job_with(surface, *, focal=60.0):
 def shown():
     """(h, w, 9, 3): the pixels of the ball and the orange wall under each light, and which show the wall."""
     job = job_with(Surface(tuple(COLOUR), roughness=1.0, specular=0.0))
-    scene = PreparedScene(job, Reporter())
+    scene = scene_of(job)
     pixels = np.argwhere(scene.view.mesh >= 0)
     reference = Reference(job, scene.tracer, [WHITE], bounces=8, textured=False)
     image = np.zeros((SIZE, SIZE, 9, 3), np.float32)
@@ -54,13 +52,11 @@ def photo_of(shown, light=TRUTH):
 
 
 def estimated(image, surface=None, *, usable=None, mask=None, others=()):
-    usable = np.ones((SIZE, SIZE), bool) if usable is None else usable
+    def scene_with(image):
+        job = with_photo(job_with(surface), image, usable)
+        return scene_of(replace(job, objects=(replace(job.objects[0], mask=mask),)))
 
-    def scene_of(image):
-        job = replace(job_with(surface), photo=Photo(image.astype(np.float32), usable, 0))
-        return PreparedScene(replace(job, objects=(replace(job.objects[0], mask=mask),)), Reporter())
-
-    scenes = [scene_of(each) for each in (image, *others)]
+    scenes = [scene_with(each) for each in (image, *others)]
     return estimate(scenes[0], open_library(None), SETTINGS, material="reference/white-diffuse", others=scenes[1:])
 
 
@@ -96,7 +92,7 @@ def test_of_permuted_channels_the_colour_is_permuted(shown, found):
 
 def test_places_count_by_what_the_middle_of_the_objects_receives_of_them():
     """cos / r^2 of the piece of surface that a pixel shows, its area from where the corners' rays meet the wall."""
-    scene = PreparedScene(job_with(None, focal=100.0), Reporter())
+    scene = scene_of(job_with(None, focal=100.0))
     points = surface_points(scene.view, scene.job, 1, region=scene.view.mesh == 1)
     x, camera = -1.05, scene.job.camera
     corners = []
@@ -129,7 +125,7 @@ def test_a_colour_is_the_mean_of_its_places_as_they_count_and_what_is_known_is_n
     np.testing.assert_allclose((read(photo * most[:, None]) / read(photo))[:2], part[:2], rtol=1e-6)
     known = Surface(tuple(COLOUR), roughness=1.0, specular=0.0)
     job = replace(problem.scene.job, occluders=(replace(problem.scene.job.occluders[0], surface=known),))
-    assert seen_places(PreparedScene(job, Reporter())) == {}
+    assert seen_places(scene_of(job)) == {}
 
 
 def test_under_a_light_taken_too_dark_the_hue_stays(found):
@@ -147,7 +143,7 @@ def test_where_the_photo_does_not_show_it_nothing_is_read(shown):
     for each in (hidden, cut_out, masked):
         assert not each.scene.colours and "by evidence a grey of" in each.choice["surroundings"]
         assert np.array_equal(each.fit.samples, hidden.fit.samples)
-    outside = PreparedScene(job_with(None, focal=300.0), Reporter())
+    outside = scene_of(job_with(None, focal=300.0))
     assert not (outside.view.mesh == 1).any() and seen_places(outside) == {}
 
 
@@ -172,7 +168,7 @@ def test_each_photo_is_read_in_its_own_exposure(shown):
 def test_a_further_frame_keeps_the_colour(shown, found):
     follower = Follower(found, open_library(None))
     image = photo_of(shown, positive_light(2, seed=5))
-    scene = PreparedScene(job_with(None), Reporter())
+    scene = scene_of(job_with(None))
     scene = follower.scene_of(scene, Photo(image.astype(np.float32), np.ones((SIZE, SIZE), bool), 0), Reporter())
     frame = follower.estimate(scene)
     assert frame.how != "model chosen"

@@ -9,11 +9,8 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.light.files import Lighting, write_lighting
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.relighting import lighting_of
-from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.progress import Reporter
 from btfsep_engine.report import render_objects
-from tests.render.prepared import ball
-from tests.render.scenes import job_of, looking_down
+from tests.render.scenes import ball, job_of, looking_down, scene_of
 
 SUNS = (
     Sun((0.6, 0.0, 0.8), (3.0, 2.0, 1.0), (0, 0, 0)),
@@ -30,7 +27,7 @@ def test_a_ball_under_several_suns(tmp_path, count):
     write_lighting(tmp_path / "l.json", Lighting(4, x, 0 * x, np.ones(25, bool), suns=SUNS[:count]))
     whole, rest, suns = lighting_of(tmp_path / "l.json")
     assert len(suns) == count and np.allclose(rest.coefficients, sky) and np.allclose(whole.coefficients, x)
-    scene = PreparedScene(job_of([ball()], looking_down()), Reporter())
+    scene = scene_of(job_of([ball()], looking_down()))
     grey = Lambertian("test/grey", np.full(3, 0.3))
     image = render_objects(scene, [grey], rest, textured=False, directions=512, suns=suns)[0]
     points = scene.points(0, textured=False)

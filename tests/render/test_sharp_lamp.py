@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A sun on gloss has an image of its own; light without one has not."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
 
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
@@ -17,28 +15,20 @@ from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import Model, view_problem
 from btfsep_engine.pipeline.refine import sharp
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import SolvedLight
-from btfsep_engine.progress import Reporter
-from tests.render.scenes import as_mesh, job_of, looking_down
+from scripts.studies.measures import order2
+from tests.render.scenes import egg_and_pebble, job_of, looking_down, picture, scene_of, with_photo
 
 GLOSS = "wood/walnut-lacquered"
 SETTINGS = choose("draft", bounces=1, directions=512)
 TOWARDS = np.array([-0.45, 0.3, 0.84]) / np.linalg.norm([-0.45, 0.3, 0.84])
 
 
-def egg_and_pebble():
-    egg, pebble = (trimesh.creation.icosphere(5, 1.0) for _ in range(2))
-    egg.apply_scale([0.5, 0.7, 0.45])
-    pebble.apply_scale([0.3, 0.25, 0.35]).apply_translation([0.55, 0.4, 0.0])
-    return as_mesh(trimesh.util.concatenate([egg, pebble]))
-
-
 @pytest.fixture(scope="module")
 def prepared():
     """The scene, its points, its material, and the light of a sky: coefficients (9, 3)."""
-    scene = PreparedScene(job_of([egg_and_pebble()], looking_down()), Reporter())
+    scene = scene_of(job_of([egg_and_pebble(5)], looking_down()))
     sky = np.zeros((9, 3))
     sky[0], sky[1], sky[2], sky[3] = 1.5, 0.3, 0.5, -0.2
     points = scene.points(0, region=scene.view.mesh == 0, textured=False)
@@ -51,20 +41,15 @@ def photographed(prepared, irradiance: float, *, limit=np.inf):
     seen = scene.radiance(points, material, SHLighting(sky), directions=4096)[:, 0]
     sun = Sun(TOWARDS, np.full(3, irradiance), np.zeros(3))
     seen = seen + scene.sun_radiance(points, material, sun)
-    seen = seen * np.random.default_rng(0).normal(1, 0.02, seen.shape)
-    image, clipped = np.zeros((96, 96, 3), np.float32), np.zeros((96, 96, 3), bool)
-    image[tuple(points.pixels.T)] = np.minimum(seen, limit)
-    clipped[tuple(points.pixels.T)] = seen >= limit
-    photo = replace(scene.job.photo, radiance=image, clipped=clipped if clipped.any() else None)
-    photo = replace(photo, usable=~clipped.any(-1), saturated=int(clipped.any(-1).sum()))
-    there = PreparedScene(replace(scene.job, photo=photo), Reporter())
-    return there, sky + sh.evaluate(2, TOWARDS)[:, None] * irradiance
+    image = picture(points, seen, noise=0.02)
+    clipped = image >= limit
+    job = with_photo(scene.job, np.minimum(image, limit), ~clipped.any(-1), clipped=clipped if clipped.any() else None)
+    return scene_of(job), sky + sh.evaluate(2, TOWARDS)[:, None] * irradiance
 
 
 def found_in(scene, truth):
     found = estimate(scene, open_library(None), SETTINGS, material=GLOSS)
-    x = found.fit.coefficients[:9]
-    return found, float(np.linalg.norm((x * truth).sum() / (x * x).sum() * x - truth) / np.linalg.norm(truth))
+    return found, order2(found.fit.coefficients, truth)
 
 
 def test_a_sun_whose_highlight_is_clipped_is_found_as_sharp_as_it_is(prepared, monkeypatch):

@@ -12,10 +12,8 @@ from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.refine.shift import INNER, _moved, differences, shifted
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen
+from tests.render.scenes import as_mesh, egg_and_pebble, job_of, looking_down, off_as_seen, picture, scene_of
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=1024)
@@ -24,22 +22,18 @@ SETTINGS = choose("draft", bounces=1, directions=1024)
 @pytest.fixture(scope="module")
 def photographed():
     """An egg and a pebble under light from above and a side, their photo with a camera's noise, and the light."""
-    egg, pebble = (trimesh.creation.icosphere(4, 1.0) for _ in range(2))
-    egg.apply_scale([0.5, 0.7, 0.45])
-    pebble.apply_scale([0.3, 0.25, 0.35]).apply_translation([0.55, 0.4, 0.0])
-    scene = PreparedScene(job_of([as_mesh(trimesh.util.concatenate([egg, pebble]))], looking_down()), Reporter())
+    scene = scene_of(job_of([egg_and_pebble()], looking_down()))
     truth = np.zeros((9, 3))
     truth[0], truth[1], truth[2], truth[3], truth[6] = 3.0, 0.9, 1.2, -1.1, 0.5
     points = scene.points(0, region=scene.view.mesh == 0, textured=False)
-    image = np.zeros((96, 96, 3), np.float32)
     white = open_library(None).load(WHITE)
-    image[tuple(points.pixels.T)] = scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0]
+    image = picture(points, scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0])
     return scene, image * np.random.default_rng(0).normal(1, 0.02, image.shape).astype(np.float32), truth
 
 
 def found_of(scene, image, right=0, down=0):
     photo = replace(scene.job.photo, radiance=np.roll(image, (down, right), (0, 1)))
-    there = PreparedScene(replace(scene.job, photo=photo), Reporter())
+    there = scene_of(replace(scene.job, photo=photo))
     return estimate(there, open_library(None), SETTINGS, material=WHITE)
 
 
@@ -49,9 +43,7 @@ def test_differences_are_the_photo_moved_turned_and_magnified(photographed):
     problem = view_problem(scene, [open_library(None).load(WHITE)], SETTINGS)
     y, x = np.mgrid[:96, :96].astype(float) - 48
     image = np.stack([2 + 0.01 * x, 3 - 0.02 * y, 1 + 1e-4 * (x * x + x * y)], -1).astype(np.float32)
-    there = replace(
-        problem, scene=PreparedScene(replace(scene.job, photo=replace(scene.job.photo, radiance=image)), Reporter())
-    )
+    there = replace(problem, scene=scene_of(replace(scene.job, photo=replace(scene.job.photo, radiance=image))))
     right, down, larger, turned = np.moveaxis(differences(there), 1, 0)
     well = problem.rings > 3
     y, x = (problem.pixels - 48.0)[well].T
@@ -70,7 +62,7 @@ def test_pixels_that_are_no_numbers_have_no_part_in_a_slope(photographed):
     holed = image.copy()
     holed[20:76:5, ::7] = np.nan
     photo = replace(scene.job.photo, radiance=holed)
-    there = replace(problem, scene=PreparedScene(replace(scene.job, photo=photo), Reporter()))
+    there = replace(problem, scene=scene_of(replace(scene.job, photo=photo)))
     assert np.isfinite(differences(there)).all() and np.abs(differences(there)).max() > 0
 
 
@@ -97,7 +89,7 @@ def chi2_of(scene, images, exposures=(1, 1)):
     scenes = []
     for image, e in zip(images, exposures, strict=True):
         photo = replace(scene.job.photo, radiance=np.float32(e) * image)
-        scenes.append(PreparedScene(replace(scene.job, photo=photo), Reporter()))
+        scenes.append(scene_of(replace(scene.job, photo=photo)))
     found = estimate(scenes[0], open_library(None), SETTINGS, material=WHITE, others=scenes[1:])
     problems = [replace(p, slopes=None) for p in found.model.problems]
     return _moved(problems, [differences(p) for p in problems], found.light), found
@@ -130,7 +122,7 @@ def test_slopes_are_half_a_pixels_in_the_unit_of_what_is_fitted(photographed, mo
     scene, image, _ = photographed
     problem = view_problem(scene, [open_library(None).load(WHITE)], SETTINGS)
     photo = replace(scene.job.photo, radiance=image)
-    problem = replace(problem, scene=PreparedScene(replace(scene.job, photo=photo), Reporter()))
+    problem = replace(problem, scene=scene_of(replace(scene.job, photo=photo)))
     scales = np.array([[0.5, 1.0, 2.0]])
     found = estimate(problem.scene, open_library(None), SETTINGS, material=WHITE)
     scaled = replace(problem, scales=scales, measured=problem.radiance() / scales)
@@ -168,12 +160,12 @@ def test_slopes_are_of_the_surface_itself_in_pixels_of_a_photo_of_any_size():
         low, high = (trimesh.creation.box((10.0, 10.0, 0.02)) for _ in range(2))
         high.apply_translation([5.1, 0.0, 0.5])
         camera = looking_down(size=size, focal=2.1 * size)
-        scene = PreparedScene(job_of([as_mesh(trimesh.util.concatenate([low, high]), flat=True)], camera), Reporter())
+        scene = scene_of(job_of([as_mesh(trimesh.util.concatenate([low, high]), flat=True)], camera))
         problem = view_problem(scene, [open_library(None).load(WHITE)], choose("draft", bounces=1, directions=64))
         y, x = np.mgrid[:size, :size] / size
         image = np.stack([1 + x, 2 - 3 * y, x + y], -1) + 50.0 * (scene.view.distance < 3.8)[..., None]
         photo = replace(scene.job.photo, radiance=image.astype(np.float32))
-        there = replace(problem, scene=PreparedScene(replace(scene.job, photo=photo), Reporter()))
+        there = replace(problem, scene=scene_of(replace(scene.job, photo=photo)))
         right, down = np.moveaxis(differences(there), 1, 0)[:2] * size
         assert scene.outlines.edge == (1 if size == 96 else 3) and len(right) > 1500
         np.testing.assert_allclose(right, np.broadcast_to([1, 0, 1], right.shape), atol=0.05)

@@ -18,22 +18,10 @@ from btfsep_engine.pipeline.relighting import earlier_materials
 from btfsep_engine.render.homogeneous import homogeneous, pictured
 from btfsep_engine.render.reference import Reference
 from tests.render.prepared import MILLIMETRES, Prepared, sheet
-from tests.render.scenes import positive_light
+from tests.render.scenes import answer, edited, positive_light
 
-QUICK = ["--pixels", "1500", "--directions", "256", "--order", "2", "--no-report", "--json"]
+QUICK = ["--pixels", "1500", "--directions", "256", "--order", "2", "--no-report"]
 WHITE = {"base_color": [0.8, 0.8, 0.8], "specular": 0}
-
-
-def stated(folder, surface, **changes):
-    """The folder's job with the surface of its object, and other changes of it."""
-    job = json.loads((folder / "job.json").read_text())
-    job["objects"][0] |= {"surface": surface, **changes}
-    (folder / "job.json").write_text(json.dumps(job))
-
-
-def result_of(capsys, *command):
-    assert main([str(c) for c in command]) == 0
-    return json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
 
 
 def error_of(path, truth):
@@ -42,21 +30,21 @@ def error_of(path, truth):
 
 def test_estimate_plan_sequence_and_relight_take_it(sphere_job_folder, capsys, tmp_path):
     folder, truth = sphere_job_folder
-    stated(folder, WHITE)
-    result = result_of(capsys, "estimate", folder, *QUICK)
+    edited(folder, first={"surface": WHITE})
+    result = answer(capsys, "estimate", folder, *QUICK)
     (ball,) = result["objects"]
     assert (ball["material"], ball["class"], ball["recognised"]) == ("surface/given", "surface", False)
     assert error_of(result["lighting"], truth) < 0.12
-    planned = result_of(capsys, "plan", folder, *QUICK[:4], "--json")
+    planned = answer(capsys, "plan", folder, *QUICK[:4])
     assert planned["objects"][0]["material"] == "surface/given"
-    frames = result_of(capsys, "sequence", folder, "--images", folder / "*.exr", *QUICK[:6], "--json")
+    frames = answer(capsys, "sequence", folder, "--images", folder / "*.exr", *QUICK[:6])
     assert error_of(folder / "sequence" / frames["frames"][0]["lighting"], truth) < 0.12
-    result_of(capsys, "relight", folder, "--lighting", result["lighting"], "--out", tmp_path / "again.exr", "--json")
+    answer(capsys, "relight", folder, "--lighting", result["lighting"], "--out", tmp_path / "again.exr")
     photo, again = (images.read_linear(p).pixels for p in (folder / "photo.exr", tmp_path / "again.exr"))
     shown = again.sum(-1) > 0
     assert np.median(np.abs(again / photo - 1)[shown]) < 0.02
     # a name on the command line is what counts, and with half the albedo comes twice the light
-    half = result_of(capsys, "estimate", folder, "--material", "surface/matte", *QUICK)
+    half = answer(capsys, "estimate", folder, "--material", "surface/matte", *QUICK)
     assert half["objects"][0]["material"] == "surface/matte"
     assert error_of(half["lighting"], 1.6 * truth) < 0.12
 
@@ -74,11 +62,11 @@ def test_photographs_solved_together_each_state_it(sphere_job_folder, capsys, tm
     other.mkdir()
     for name in ("photo.exr", "sphere.ply", "job.json"):
         (other / name).write_bytes((folder / name).read_bytes())
-    stated(folder, WHITE)
+    edited(folder, first={"surface": WHITE})
     assert main(["estimate", str(folder), "--with", str(other), *QUICK[:-1]]) == 2
     assert "give that key in every job" in capsys.readouterr().err
-    stated(other, WHITE)
-    result = result_of(capsys, "estimate", folder, "--with", other, *QUICK)
+    edited(other, first={"surface": WHITE})
+    result = answer(capsys, "estimate", folder, "--with", other, *QUICK)
     assert error_of(result["lighting"], truth) < 0.12
 
 
@@ -108,11 +96,11 @@ def painted_ball(folder):
 def test_an_image_is_fitted_with_its_texture(sphere_job_folder, capsys):
     folder, truth = sphere_job_folder
     painted_ball(folder)
-    stated(folder, {"base_color": "paint.exr", "specular": 0}, mesh="ball.obj")
-    result = result_of(capsys, "estimate", folder, *QUICK)
+    edited(folder, first={"surface": {"base_color": "paint.exr", "specular": 0}, "mesh": "ball.obj"})
+    result = answer(capsys, "estimate", folder, *QUICK)
     assert error_of(result["lighting"], truth) < 0.35 and result["residual"] < 0.08
     assert "lines up and is used" in result["choice"]["appearance"]
-    flat = result_of(capsys, "estimate", folder, "--appearance", "mean", *QUICK)
+    flat = answer(capsys, "estimate", folder, "--appearance", "mean", *QUICK)
     assert flat["residual"] > 0.1 and error_of(flat["lighting"], truth) > 0.4  # light has to imitate the paint
 
 
@@ -158,7 +146,7 @@ def test_an_image_of_one_colour_is_that_colour():
 
 def test_names_of_the_family_go_where_names_go(sphere_job_folder, capsys):
     folder, truth = sphere_job_folder
-    stated(folder, None, material="surface/matte")
-    result = result_of(capsys, "estimate", folder, *QUICK)
+    edited(folder, first={"surface": None, "material": "surface/matte"})
+    result = answer(capsys, "estimate", folder, *QUICK)
     assert result["objects"][0]["material"] == "surface/matte" and error_of(result["lighting"], 1.6 * truth) < 0.12
     assert open_library().load("surface/matte").name == "surface/matte"

@@ -12,20 +12,27 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.fit.stated import restated
-from btfsep_engine.job.model import Occluder, Photo, TriangleMesh
+from btfsep_engine.job.model import Occluder, TriangleMesh
 from btfsep_engine.light.lightings import EnvironmentMaps, SHBasis
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import solve_model
 from btfsep_engine.pipeline.refine.interreflection import contradicted, even_sky_bound
 from btfsep_engine.pipeline.refine.surroundings import Greys, believed, with_other_greys
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.progress import Reporter
 from btfsep_engine.render.reference import Reference
 from btfsep_engine.render.sampling import spread
-from tests.render.prepared import ball
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light
+from tests.render.scenes import (
+    as_mesh,
+    ball,
+    job_of,
+    looking_down,
+    off_as_seen,
+    picture,
+    positive_light,
+    scene_of,
+    with_photo,
+)
 
 WHITE = Lambertian("test/white", np.full(3, 0.8))
 
@@ -41,7 +48,7 @@ def table(half, surface, *, thickness=0.02) -> Occluder:
 
 
 def prepared(*occluders, mesh=None, count=150):
-    scene = PreparedScene(job_of([mesh or ball()], looking_down(), occluders=occluders), Reporter())
+    scene = scene_of(job_of([mesh or ball()], looking_down(), occluders=occluders))
     points = scene.points(0, textured=False)
     return scene, points.take(spread(points, count))
 
@@ -136,11 +143,10 @@ def estimated(occluder, truth):
     points = scene.points(0, textured=False)
     full, _ = basis_images(scene, [WHITE], [points], SHBasis(2), replace(settings, bounces=8, directions=1024))
     values = np.einsum("ptc,tc->pc", full[0], truth)
-    image = np.zeros((96, 96, 3), np.float32)
-    image[points.pixels[:, 0], points.pixels[:, 1]] = values * np.random.default_rng(1).normal(1, 0.02, values.shape)
-    job = replace(scene.job, photo=Photo(image, np.ones(image.shape[:2], bool), 0), occluders=(occluder,))
+    photographed = with_photo(scene.job, picture(points, values, noise=0.02, seed=1))
+    job = replace(photographed, occluders=(occluder,))
     library = open_library(None)
-    return estimate(PreparedScene(job, Reporter()), library, settings, material="reference/white-diffuse")
+    return estimate(scene_of(job), library, settings, material="reference/white-diffuse")
 
 
 def test_a_table_that_is_not_known_is_found_grey_and_a_black_one_explains_nothing():
