@@ -82,7 +82,7 @@ class Reference:
     ):
         self.job, self.tracer = job, tracer
         unseen = [
-            m if m is None else Lambertian(diffuse_albedo(m))
+            m if m is None else Lambertian("unseen", diffuse_albedo(m))
             for m, o in zip(materials, job.objects, strict=True)
             if o.unseen is not None
         ]

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Jobs with a depth: what the surface receives is what the whole body's visible side receives."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,19 +9,16 @@ import trimesh
 
 from btfsep_engine import images
 from btfsep_engine.btf.model import Lambertian
-from btfsep_engine.cli import main
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
-from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import JobObject
+from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.doubts import alignment_doubt
-from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import TransportSettings
-from btfsep_engine.progress import Reporter
 from scripts.studies.depth import z_depth
-from tests.render.scenes import as_mesh, job_of, looking_down
+from tests.render.scenes import answer, as_mesh, edited, job_of, looking_down, off_as_seen, scene_of
 
 WHITE = Lambertian("white", np.full(3, 0.8))
 
@@ -45,11 +41,11 @@ def received(scene, region, *, bounces):
 
 @pytest.mark.parametrize("degrees", [45, 55])
 def test_a_closed_depth_receives_what_the_body_receives(degrees):
-    whole = PreparedScene(job_of([cup(degrees)], looking_down(focal=160.0)), Reporter())
+    whole = scene_of(job_of([cup(degrees)], looking_down(focal=160.0)))
     depth, camera = z_depth(whole), whole.job.camera
     surface = JobObject("surface", mesh_from_depth(depth, camera))
     closed = replace(surface, unseen=closing_mesh(depth, camera))
-    one_sided, closed = (PreparedScene(replace(whole.job, objects=(o,)), Reporter()) for o in (surface, closed))
+    one_sided, closed = (scene_of(replace(whole.job, objects=(o,))) for o in (surface, closed))
     region = whole.regions[0] & one_sided.regions[0] & closed.regions[0]
     assert region.sum() > 0.5 * whole.regions[0].sum()
     for bounces in (1, 6):
@@ -75,11 +71,11 @@ def highlights(depth, moved):
 def test_holes_in_a_depth_are_no_outlines():
     """A sensor misses highlights, a little beside where they are: that is not how far the camera is off."""
     sphere = as_mesh(trimesh.creation.icosphere(5))
-    whole = PreparedScene(job_of([sphere], looking_down(focal=160.0)), Reporter())
+    whole = scene_of(job_of([sphere], looking_down(focal=160.0)))
     photo, depth = highlights(z_depth(whole), 4)
     surface = JobObject("surface", mesh_from_depth(depth, whole.job.camera))
     closed = replace(surface, unseen=closing_mesh(depth, whole.job.camera))
-    one_sided, closed = (PreparedScene(replace(whole.job, objects=(o,)), Reporter()) for o in (surface, closed))
+    one_sided, closed = (scene_of(replace(whole.job, objects=(o,))) for o in (surface, closed))
     doubt = alignment_doubt(silhouette_shift(photo, one_sided.view.mesh >= 0))
     assert doubt is not None and "4 to the left" in doubt  # were the holes' edges outlines
     assert alignment_doubt(silhouette_shift(photo, closed.view.mesh >= 0)) is None
@@ -90,23 +86,22 @@ def test_holes_in_a_depth_are_no_outlines():
 
 def test_the_result_says_what_is_taken_for_true(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
-    command = [
-        "estimate",
-        str(folder),
-        "--material",
-        "reference/white-diffuse",
-        "--pixels",
-        "500",
-        "--no-report",
-        "--json",
-    ]
+    command = ["estimate", folder, "--material", "reference/white-diffuse", "--pixels", "500", "--no-report"]
 
     def choice():
-        assert main(command) == 0
-        return json.loads(capsys.readouterr().out.splitlines()[-1])["result"]["choice"]
+        return answer(capsys, *command)["choice"]
 
     assert "geometry" not in choice()  # a mesh is all there is
-    job = json.loads((folder / "job.json").read_text())
-    images.write_exr(folder / "z.exr", z_depth(PreparedScene(load_job(folder), Reporter())))
-    (folder / "job.json").write_text(json.dumps(job | {"depth": "z.exr", "objects": []}))
+    images.write_exr(folder / "z.exr", z_depth(scene_of(folder)))
+    edited(folder, depth="z.exr", objects=[])
     assert "one side" in choice()["geometry"]
+
+
+def test_a_depth_is_path_traced_with_what_it_hides(sphere_job_folder, capsys):
+    folder, truth = sphere_job_folder
+    images.write_exr(folder / "z.exr", z_depth(scene_of(folder)))
+    edited(folder, depth="z.exr", objects=[])
+    options = ["--transport", "reference", "--samples", "64", "--pixels", "300", "--order", "2", "--no-report"]
+    result = answer(capsys, "estimate", folder, "--material", "reference/white-diffuse", *options)
+    assert result["transport"]["by"] == "reference"
+    assert off_as_seen(read_lighting(result["lighting"]).coefficients, truth) < 0.1
