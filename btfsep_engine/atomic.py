@@ -106,7 +106,8 @@ def remove(*paths) -> None:
 
 def digest(path) -> str:
     """SHA-256 of what is in a file, in hexadecimal."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_bytes(path, name: str | None = None) -> bytes:

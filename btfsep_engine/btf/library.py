@@ -5,7 +5,6 @@ The index is written last, so that a library which is being built is the one bef
 """
 
 import difflib
-import hashlib
 import json
 import stat
 from contextlib import contextmanager
@@ -224,10 +223,4 @@ def unknown_material(name: str, names) -> InputError:
 def is_whole(folder: Path, entry: Entry) -> bool:
     """Whether the file of an entry is there and is what the index says."""
     path = folder / entry.file
-    return path.is_file() and path.stat().st_size == entry.size and file_sha256(path) == entry.sha256
-
-
-def file_sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
+    return path.is_file() and path.stat().st_size == entry.size and atomic.digest(path) == entry.sha256

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from btfsep_engine import atomic
 from btfsep_engine.btf.formats.writing import write
-from btfsep_engine.btf.library import Entry, changing, entries_of, file_sha256, open_library
+from btfsep_engine.btf.library import Entry, changing, entries_of, open_library
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.errors import InputError
 
@@ -51,7 +51,7 @@ def add(
             texel_mm=material.texel_mm,
             texels=material.texels.shape[:2],
             components=material.texels.shape[2],
-            sha256=file_sha256(path),
+            sha256=atomic.digest(path),
             size=path.stat().st_size,
             relative_error=None if relative_error is None else round(float(relative_error), 4),
             source=source.encode(errors="replace").decode()[:300],  # names of files are not always text

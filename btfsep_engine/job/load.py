@@ -166,8 +166,7 @@ class _Folder:
             raise InputError(what, got, "check the name, or export the job again")
         if plain not in self.used:  # before it is read: a file that changes meanwhile is not the one that is called so
             try:
-                with path.open("rb") as file:
-                    self.used[plain] = hashlib.file_digest(file, "sha256").hexdigest()
+                self.used[plain] = atomic.digest(path)
             except OSError:  # who reads it says so
                 self.used[plain] = ""
         return path
