@@ -30,7 +30,7 @@ def test_what_is_saved_through_it_is_read_as_the_light_that_it_was(tmp_path):
     read = images.read_linear(tmp_path / "shown.png", colorspace="camera").pixels[4]
     bright = light[0] > 0.02
     assert np.abs(np.log(read / light[0]))[bright].max() < 0.03
-    assert np.abs(np.log(read / light[0])).max() < 0.2  # the curve's table has 256 entries
+    assert np.abs(np.log(read / light[0])).max() < 0.35  # the curve's table has 256 entries
     as_srgb = images.read_linear(tmp_path / "shown.png", colorspace="srgb").pixels[4]
     assert np.abs(np.log(as_srgb / light[0]))[bright].max() > 0.5
     view.curve_mapping.curves[3].points[4].location[1] += 0.05
