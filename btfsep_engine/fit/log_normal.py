@@ -32,7 +32,7 @@ from btfsep_engine.fit.ground import Ground, WithGround
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.posterior import HIDDEN, WIDER, hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
-from btfsep_engine.fit.search import Solution
+from btfsep_engine.fit.search import Solution, nearby
 from btfsep_engine.fit.sharp_lamp import Sharpened
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import natural_field
@@ -134,6 +134,19 @@ class LightSolver:
             rough_light(photo, **self._held)
             return self._fit(photo, *onward(photo, before.election.solution, before.election.rival))
 
+    def again(self, radiance, elected: Fit, last: Fit) -> Fit:
+        """As `solve`, of a photograph that differs from that of ``elected`` by little more than noise.
+
+        What was learned of that one's misfit, how much its pixels count, and what is stated of its light are this
+        one's; the search begins at the light of ``last``, the same or another such photograph's.
+        """
+        with one_thread():
+            known = elected.election
+            photo = known.photo.again(radiance)
+            best = nearby(photo, known.solution, last.election.solution.white)
+            fit = self._fit(photo, best, known.rival, like=elected)
+            return replace(fit, state=cache(lambda: moved(elected, fit)))
+
     def beside_ground(self, radiance, alone: Fit, ground: Ground, *, weights=None) -> Fit:
         """As `solve`, of what the ``ground`` shows, too; ``alone`` : the same photograph's without it."""
         with one_thread():
@@ -160,7 +173,8 @@ class LightSolver:
         how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes}
         return kind(self.basis, radiance, weights=weights, **how)
 
-    def _fit(self, photo: Photograph, best: Solution, rival: Solution | None) -> Fit:
+    def _fit(self, photo: Photograph, best: Solution, rival: Solution | None, *, like: Fit | None = None) -> Fit:
+        """The Fit of a solution; ``like`` : of nearly the same light by the same model, which decides as many unknowns."""
         tint = colour.split(best.x[:, 0] * photo.level)
         unit = photo.level * tint.gain
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
@@ -171,8 +185,8 @@ class LightSolver:
             state=cache(lambda: self._stated(best, rival, unit, tint, photo)),
             residual=float(np.sqrt(left.sum() / energy.sum())),
             residual_per_channel=np.sqrt(left / np.maximum(energy, 1e-300)),
-            condition=self.basis.condition(self.order),
-            effective_degrees_of_freedom=decided_unknowns(best.factor),
+            condition=like.condition if like else self.basis.condition(self.order),
+            effective_degrees_of_freedom=like.effective_degrees_of_freedom if like else decided_unknowns(best.factor),
             noise=float(np.sqrt(best.v[:3].sum() / photo.mean_square.sum())),
             tint=tint,
             election=Election(best, rival, photo, unit),
@@ -286,6 +300,19 @@ class LightSolver:
                 return values - self.basis.predicted(x.reshape(3, terms).T * photo.level)
 
         return left
+
+
+def moved(before: Fit, now: Fit) -> Stated:
+    """What is stated of a light that is another but for noise: the same, about where it is ``now``."""
+    stated, step = before.state(), now.all_coefficients - before.all_coefficients
+    mean, lamps = float(SINGLE * now.all_coefficients[0].mean()), []
+    for lamp in stated.lamps:
+        i = int(np.argmax([direction @ lamp.direction for direction, _ in before.election.lamps]))
+        direction, irradiance = now.election.lamps[i]
+        irradiance = irradiance * now.tint.gain
+        share = float(irradiance.mean()) / mean
+        lamps.append(replace(lamp, direction=direction, irradiance=irradiance, share=share))
+    return replace(stated, interval=stated.interval + step, samples=stated.samples + step, lamps=tuple(lamps))
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ there are): n pixels in channels whose misfits go together as `effective` indepe
 """
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lapack
@@ -205,12 +205,16 @@ class Photograph:
         self.count = weight.sum(0)
         self._weight, self._smooth = weight, None
         self._slopes = None if slopes is None else slopes / (basis.response * self.level)
-        self.moments = [basis.rows(c).T @ (weight[:, c] * self.b[:, c]) for c in range(3)]
         self._axis_rows = [np.ascontiguousarray(own.T) for _, own in self._axes]
-        self.energies = (weight * self.b**2).sum(0)
+        self._take_in()
+        self._effective, self.effective = effective, 1.0 if effective is None else effective
+
+    def _take_in(self) -> None:
+        """The products of the photograph's own values, `b`."""
+        self.moments = [self.basis.rows(c).T @ (self._weight[:, c] * self.b[:, c]) for c in range(3)]
+        self.energies = (self._weight * self.b**2).sum(0)
         # at least 1 where the unit is the channel's mean; a channel that is black has no less noise for that
         self.mean_square = np.maximum(self.energies / np.maximum(self.count, 1e-300), 1.0)
-        self._effective, self.effective = effective, 1.0 if effective is None else effective
 
     shadowed = None
     """(n, 3) directions -> (n,) bool, those of lamps whose shadow would be seen; None: nothing shows shadows."""
@@ -256,6 +260,22 @@ class Photograph:
             f = self._misfits(c)
             weighted = f * self._weight[:, c, None]
             self._products.append((weighted.T @ f, weighted.T @ self.basis.rows(c), weighted.T @ self.b[:, c]))
+
+    def again(self, radiance) -> "Photograph":
+        """The products of another photograph ``radiance`` (p, 3) of much the same light.
+
+        Weights, unit, and what the misfit is a part of are this one's: what is new is A^T N^-1 b alone.
+        """
+        out = copy.copy(self)
+        out.b = np.asarray(radiance, np.float64) / (self.basis.response * self.level)
+        out._take_in()
+        misfits = [self._misfits(c).T @ (self._weight[:, c] * out.b[:, c]) for c in range(3)]
+        out._products = [(*of_f, f) for (*of_f, _), f in zip(self._products, misfits, strict=True)]
+        out._smooth = {
+            discrepancy: [replace(own, of_photo=own.own.T @ f) for own, f in zip(each, misfits, strict=True)]
+            for discrepancy, each in self._smooth.items()
+        }
+        return out
 
     def _misfits(self, c: int) -> np.ndarray:
         """F of a channel at D = 1, (p, k): what the photo may differ by beside noise."""

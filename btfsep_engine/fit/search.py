@@ -11,7 +11,7 @@ of (rows, rows), (I + J^T J)^-1 = I - J^T (I + J J^T)^-1 J, and steps are in sin
 left over, found again as the light is; it is never less than `FLOOR`: no model of a material is better.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,6 +34,7 @@ NEAR = 0.3  # of the same: after so small a gain,
 AGAIN = 3  # so many steps are made with the slopes that are there, and the gradient anew: a fifth of the cost
 LONGEST = 1.0  # of any white unknown, in a step that rests on slopes alone
 SLOWER = 100  # their last gain is so many times less than a whole step's may be: they close in slowly
+CHORDS = 8  # such steps of a light that is there but for noise: two or three are usual
 STIFFEST = 1e5  # of the damping
 ROUNDED = 1e-6  # of the largest value of a matrix in single precision, that its smallest are wrong by
 
@@ -132,6 +133,28 @@ def solve(
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)
     )
     return Solution(model, white, x, radiance, v, discrepancy, rows, evidence, all_steps, slopes, factor)
+
+
+def nearby(photo: Photograph, best: Solution, white) -> Solution:
+    """The most probable light of ``photo``, which differs from the photograph of ``best`` by little more than noise.
+
+    At the noise and by the slopes that are there: only gradients are found anew. ``white`` : where the search begins
+    """
+    rows, model = photo.rows(best.v, best.discrepancy), best.model
+    by_direction = model.field.by_direction(rows.root, np.float32)
+    ends = np.cumsum([len(y) for y in rows.target])[:-1]
+    x, radiance = model.light(white)
+    r = rows.residual(x)
+    now, steps, gain = 0.5 * (r @ r + white @ white), 0, np.inf
+    while steps < CHORDS and gain > GAIN * max(1.0, 0.01 * now) / SLOWER:
+        gradient = model.gradient(white, radiance, rows.root, by_direction, np.split(r, ends)) + white
+        moved = white - _answer(best.slopes, best.small_factor, gradient)
+        x_there, radiance_there = model.light(moved)
+        r = rows.residual(x_there)
+        gain = now - (there := 0.5 * (r @ r + moved @ moved))
+        if gain > 0:
+            white, x, radiance, now, steps = moved, x_there, radiance_there, there, steps + 1
+    return replace(best, white=white, x=x, radiance=radiance, rows=rows, steps=steps)
 
 
 def _and_one(gram, more=0.0) -> np.ndarray:

@@ -21,6 +21,7 @@ from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of
 from btfsep_engine.pipeline.model import Model, first_model
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
+from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.seen_colour import with_colours
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -37,10 +38,14 @@ CHOSEN, ELECTED, FOLLOWED = "model chosen", "light elected", "light followed"
 
 @dataclass(frozen=True)
 class FollowedEstimate:
-    """An Estimate, and what of it was found for its own photo: `CHOSEN`, `ELECTED` or `FOLLOWED`."""
+    """An Estimate, and what of it was found for its own photo: `CHOSEN`, `ELECTED` or `FOLLOWED`.
+
+    ``as_before`` : whether the photo is that of the last other one but for noise, and what was said of that holds
+    """
 
     estimate: Estimate
     how: str
+    as_before: bool = False
 
 
 class Follower:
@@ -72,6 +77,9 @@ class Follower:
 
     @one_thread()
     def _estimate(self, scene: PreparedScene) -> FollowedEstimate:
+        there = scene.seen == self._elected.scene.seen
+        if there and (again := self._again(scene)):
+            return FollowedEstimate(again, FOLLOWED, as_before=True)
         with scene.reporter.stage("transport"):
             simplest = first_model([scene], self.chosen.model.materials[:1], self.chosen.model.settings)
         if not hangs_on_light(self.chosen.model):
@@ -81,7 +89,7 @@ class Follower:
             if model.looks is not simplest.looks or model.appearance != simplest.appearance:
                 solver, (problem,) = light_solver(simplest.problems, model.settings), simplest.problems
                 beside = solver.first_look(problem.radiance(), weights=problem.weights)
-            light = self._followed(model, beside)
+            light = None if there else self._followed(model, beside)
             if light is not None:
                 return FollowedEstimate(self._completed(model, light), FOLLOWED)
             with scene.reporter.stage("fit"):
@@ -90,6 +98,26 @@ class Follower:
             if not tells_more(found, self.chosen):
                 return FollowedEstimate(found, ELECTED)
         return FollowedEstimate(light_of(simplest, self.library), CHOSEN)
+
+    def _again(self, scene: PreparedScene) -> Estimate | None:
+        """The Estimate of a photo of the view that was elected last, all as it was settled there but for the light.
+
+        None where it does not stand still, or a ground is evidence of it.
+        """
+        elected = self._elected
+        (problem,), light = elected.model.problems, elected.light
+        seen = copy.copy(problem.scene)
+        seen.job, seen.reporter, seen.curves = scene.job, scene.reporter, scene.curves
+        if light.alone or (problem := problem.again(seen)) is None:
+            return None
+        with scene.reporter.stage("fit"):
+            stated = replace(light.fit, state=elected.fit.state)  # of all materials that things may be made of
+            fit = light.solver.again(problem.radiance(), stated, self._last.light.fit)
+            if not stands_still(fit, stated):
+                return None
+        model = replace(elected.model, looks={elected.model.appearance: [problem]})
+        model, light, _ = key_lights(model, replace(light, fit=fit))
+        return Estimate(model, light, elected.choice)
 
     def _followed(self, model: Model, beside: Fit | None) -> SolvedLight | None:
         """The light of a model from the last one on, of whatever view; None where it does not stand still.

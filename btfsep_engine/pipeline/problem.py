@@ -10,6 +10,7 @@ from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.settings import Settings
 
+CLIPS = 0.02  # of the values: so many may be clipped in one photograph and not in another that differs by noise
 STARTED = 1 << 20  # blocks' numbers of one object
 
 
@@ -99,6 +100,20 @@ class Problem:
     def by_object(self, values) -> list:
         """Rows of all points, (p, …), cut by object; views into them."""
         return np.split(values, np.cumsum([len(p) for p in self.points])[:-1])
+
+    def again(self, scene) -> "Problem | None":
+        """The same of another photograph of the same view, that of ``scene``; what was settled of this one stays.
+
+        None where it shows not all of these pixels, or other ones are clipped.
+        """
+        out = replace(self, scene=scene)
+        was, now = self.clipped, out.clipped
+        if (was != now).mean() > CLIPS or not (self.values_of(scene.job.photo.usable) | now.any(1)).all():
+            return None
+        if self.measured is None:
+            return out
+        values = self.as_measured(self.values_of(scene.job.photo.radiance).astype(np.float64))
+        return replace(out, measured=np.where(was, self.measured, values))
 
     def subset(self, used) -> "Problem":
         """The same with some of its points: ``used`` (p,) bool."""

@@ -84,6 +84,7 @@ class Frames:
         self._poses, self._reporter = poses, reporter
         self._pose, self._job = None, job  # of the last frame
         self._scene, self._follower = None, None
+        self._said = []  # warnings of the last frame, without those of its file and of the camera
         self.first = None  # its Estimate
 
     def estimate(self, file: Path) -> tuple[Estimate, dict]:
@@ -94,12 +95,15 @@ class Frames:
             photo = read_photo(file, self._job.camera, colorspace=self._job.image_colorspace, notes=reporter.warnings)
         begun = time.perf_counter()
         try:
+            self._look(photo, reporter)
+            said = len(reporter.warnings)
             found = self._light(photo, reporter)
             estimate = found.estimate
             residual, lighting = estimate.fit.residual, estimate.lighting
             with reporter.timed("checks"):
-                for doubt in all_doubts(estimate):
+                for doubt in self._said if found.as_before else all_doubts(estimate):
                     reporter.warn(doubt)
+            self._said = reporter.warnings[said:]
         except InputError as error:
             raise InputError(f"{file.name}: {error.what}", error.got, error.do) from error
         seconds = time.perf_counter() - begun
@@ -126,10 +130,13 @@ class Frames:
             told = {"colorspace": self._settings.colorspace, "suns": self._settings.sun}
             self._job = load_job(self._still.folder, with_photo=False, schema=pose, **told)
 
-    def _light(self, photo: Photo, reporter: Reporter) -> FollowedEstimate:
-        """The Estimate of a photo, and what of it was found for it alone (`following.FollowedEstimate`)."""
+    def _look(self, photo: Photo, reporter: Reporter) -> None:
+        """Looks at the scene, where it is not the last frame's; its camera goes where this photo has it."""
         if self._scene is None:
             self._scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
+
+    def _light(self, photo: Photo, reporter: Reporter) -> FollowedEstimate:
+        """The Estimate of a photo, and what of it was found for it alone (`following.FollowedEstimate`)."""
         if self._follower is None:
             self.first = found_light(self._scene, self._library, self._settings, material=self._material)
             self._follower = Follower(self.first, self._library)
