@@ -174,7 +174,7 @@ class LightSolver:
         return kind(self.basis, radiance, weights=weights, **how)
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None, *, like: Fit | None = None) -> Fit:
-        """The Fit of a solution; ``like`` : of nearly the same light by the same model, which decides as many unknowns."""
+        """The Fit of a solution; ``like`` : of nearly the same light by its model, which decides as many unknowns."""
         tint = colour.split(best.x[:, 0] * photo.level)
         unit = photo.level * tint.gain
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
