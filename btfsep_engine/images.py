@@ -75,15 +75,16 @@ def luminance(pixels) -> np.ndarray:
     return np.asarray(pixels) @ REC709_LUMINANCE.astype(np.asarray(pixels).dtype)
 
 
-def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None) -> Image:
+def read_linear(path, *, colorspace: str = "auto", by_camera: bool = False, max_pixels: int | None = None) -> Image:
     """Reads EXR, HDR, PNG, JPEG, TIFF or WebP as linear Rec.709. Grey images become three equal channels.
 
     Parameters
     ----------
     path : file
-    colorspace : "auto" (floating-point formats are linear, integer ones sRGB-coded, or "camera" where they name one),
-        "srgb", "linear", "camera": integers are what cameras make of a photograph (`camera_curve`),
+    colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb", "linear",
+        "camera": integers are what cameras make of a photograph (`camera_curve`),
         or "agx": they are a picture that Blender's view transform made
+    by_camera : "auto" takes integers of a file that names its camera for that camera's own picture
     max_pixels : refuse larger images, and those that do not say their size, before anything is decoded
 
     Raises InputError: the file is missing, unreadable, truncated, no image, of no size or of an absurd one.
@@ -92,7 +93,7 @@ def read_linear(path, *, colorspace: str = "auto", max_pixels: int | None = None
         raise ValueError(colorspace)
     stored, alpha, peak, inside, header = _stored(Path(path), max_pixels)
     camera = "" if peak is None else image_headers.camera(header)
-    if colorspace == "auto" and camera:
+    if colorspace == "auto" and by_camera and camera:
         colorspace = "camera"
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
     saturated = clipped.any(-1)

@@ -246,7 +246,7 @@ def _fits(size, name: str, camera: Camera) -> None:
 
 def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Photo:
     _fits(images.declared_size(path), name, camera)  # before it is decoded: a small file can claim gigabytes
-    image = images.read_linear(path, colorspace="auto" if colorspace == "unknown" else colorspace)
+    image = images.read_linear(path, colorspace="auto" if colorspace == "unknown" else colorspace, by_camera=True)
     height, width = image.pixels.shape[:2]
     _fits((width, height), name, camera)
     finite = np.isfinite(image.pixels).all(-1)

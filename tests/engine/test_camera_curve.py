@@ -71,11 +71,12 @@ def test_the_camera_that_a_file_names(suffix, order, tmp_path):
     assert image_headers.camera(data) == "NIKON CORPORATION NIKON D750"
     assert image_headers.camera(with_exif(suffix, exif("Canon", "Canon EOS 6D", order))) == "Canon EOS 6D"
     (tmp_path / f"a{suffix}").write_bytes(data)
-    read = images.read_linear(tmp_path / f"a{suffix}")
+    read = images.read_linear(tmp_path / f"a{suffix}", by_camera=True)
     assert read.camera == "NIKON CORPORATION NIKON D750"
     plain = images.read_linear(tmp_path / f"a{suffix}", colorspace="srgb").pixels
     np.testing.assert_allclose(read.pixels, camera_curve.to_scene(plain), rtol=1e-5, atol=1e-6)
     assert not np.allclose(read.pixels, plain, rtol=0.1)
+    np.testing.assert_array_equal(images.read_linear(tmp_path / f"a{suffix}").pixels, plain)  # a texture is no photo
     stated = images.read_linear(tmp_path / f"a{suffix}", colorspace="camera").pixels
     np.testing.assert_array_equal(stated, read.pixels)
 
@@ -83,7 +84,7 @@ def test_the_camera_that_a_file_names(suffix, order, tmp_path):
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tif"])
 def test_a_file_of_no_camera_is_sRGB(suffix, tmp_path):
     cv2.imwrite(str(tmp_path / f"a{suffix}"), np.full((6, 8, 3), 120, np.uint8))
-    read = images.read_linear(tmp_path / f"a{suffix}")
+    read = images.read_linear(tmp_path / f"a{suffix}", by_camera=True)
     assert read.camera == ""
     np.testing.assert_array_equal(read.pixels, images.read_linear(tmp_path / f"a{suffix}", colorspace="srgb").pixels)
 
