@@ -27,6 +27,7 @@ there are): n pixels in channels whose misfits go together as `effective` indepe
 
 import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
@@ -80,15 +81,24 @@ class Basis:
         self._kept = None
         if self.pixels <= CHUNK:
             self._kept = [np.ascontiguousarray(self._rows(c, slice(None))) for c in range(3)]
-        self.grams = [self._weighted_gram(c, None) for c in range(3)]
-        self.axes = [np.linalg.eigh(gram) for gram in self.grams]
         self.mean_response = sum(self.rows(c).mean(0) for c in range(3)) / 3  # (terms,)
+
+    @cached_property
+    def grams(self) -> list:
+        """A^T A of each channel."""
+        return [self._weighted_gram(c, None) for c in range(3)]
+
+    @cached_property
+    def axes(self) -> list:
+        """Eigenvalues and eigenvectors of them."""
+        return [np.linalg.eigh(gram) for gram in self.grams]
 
     def with_image(self, image) -> "Basis":
         """The same with one more basis image (p, 3), after the others."""
         out = copy.copy(self)
         out.images = np.concatenate([self.images, np.asarray(image, self.images.dtype)[:, None]], 1)
         out.terms += 1
+        out.__dict__ = {name: value for name, value in vars(out).items() if name not in ("grams", "axes")}
         out._prepare()
         return out
 

@@ -3,13 +3,16 @@
 
 scripts/study sequences PHOTOS [--objects …] [--materials …]    a folder of jobs OBJECT_MATERIAL_LIGHT
 
-Of every view (an object in a material) four sequences are made of its photographs:
+Of every view (an object in a material) seven sequences are made:
 
 - cuts: one photograph after another, each under another light
 - change: from each photograph to the next in --steps mixtures, which are photographs of mixed lights; noise of 1 %
 - still: the first photograph --frames times, each with noise of its own of 1 % of its mean
 - moving: the camera turns by 2 degrees about the vertical in each frame; photos by the engine's own kernel, of the
   material under the first photograph's light, straight from outside, with that noise
+- off: as still, of the first photograph moved by 1.5 pixels
+- sun, sun moves: as still, by the kernel under a sky and a sun, which stands or moves by 0.05 degrees in each frame (a
+  sun does so in 12 seconds)
 
 Each is solved by `pipeline.sequence`, and each frame alone by the whole way of an estimate in the same process, which
 keeps as much. Prints, by how the light of a frame was found: frames; how many coefficients are the same in every digit;
@@ -33,6 +36,7 @@ from btfsep_engine.job.load import load_job, read_photo
 from btfsep_engine.job.poses import posed_jobs
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.sequence import run_sequence
 from btfsep_engine.pipeline.settings import choose
@@ -42,6 +46,9 @@ from scripts.studies.estimates import scene_of
 
 NOISE = 0.01  # of a photo's mean
 TURN = np.radians(2)
+SUN_TURN = 0.05  # degrees
+SKY = np.array([[1.3, 1.4, 1.7], [0.3, 0.3, 0.3], [0.5, 0.5, 0.5], [-0.2, -0.2, -0.2]])  # coefficients, of order 1
+OF_SUN = np.array([3.3, 3.0, 2.7])  # irradiance
 HEADS = ("sequence", "found", "frames", "same digits", "order 2", "in deviations", "ms", "ms alone")
 
 
@@ -70,6 +77,27 @@ def moving(shown, library, schemas, random):
         yield noisy(image, random)
 
 
+def moved(picture):
+    """A photograph (h, w, 3) half a pixel and one more to the right."""
+    left = np.roll(picture, 1, 1)
+    return (left + np.roll(left, 1, 1)) / 2
+
+
+def sunlit(shown, library, frames: int, degrees: float, random):
+    """Photographs of the first one's things under a sky and a sun, which turns by so much in each, by the kernel."""
+    scene, material = scene_of(load_job(shown.folder)), library.load(shown.material).mean_material()
+    camera, points = scene.job.camera, scene.points(0, textured=False)
+    x, y, z = camera.to_world[:3, :3].T  # it comes from above the camera, on the left
+    middle = -0.45 * x + 0.3 * y + 0.84 * z
+    below = scene.radiance(points, material, SHLighting(SKY), directions=4096)[:, 0]
+    for i in range(frames):
+        towards = middle + np.tan(np.radians(degrees * i)) * np.linalg.norm(middle) * np.cross(middle, y)
+        sun = Sun(towards / np.linalg.norm(towards), OF_SUN, np.zeros(3))
+        image = np.zeros((camera.height, camera.width, 3))
+        image[tuple(points.pixels.T)] = below + scene.sun_radiance(points, material, sun)
+        yield noisy(image, random)
+
+
 def sequences_of(shown, library, schemas, given):
     """(name, pictures) of each sequence of a view."""
     random = np.random.default_rng(0)
@@ -78,6 +106,9 @@ def sequences_of(shown, library, schemas, given):
     yield "change", mixtures(shown, given.steps, random)
     yield "still", [noisy(first, random) for _ in range(given.frames)]
     yield "moving", moving(shown[0], library, schemas, random)
+    yield "off", [noisy(moved(first), random) for _ in range(given.frames)]
+    yield "sun", sunlit(shown[0], library, given.frames, 0.0, random)
+    yield "sun moves", sunlit(shown[0], library, given.frames, SUN_TURN, random)
 
 
 def poses_of(job, frames) -> dict:

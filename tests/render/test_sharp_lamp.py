@@ -16,7 +16,7 @@ from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import Model, view_problem
 from btfsep_engine.pipeline.refine import sharp
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.pipeline.together import SolvedLight
+from btfsep_engine.pipeline.together import SolvedLight, fit_together
 from scripts.studies.measures import order2
 from tests.render.scenes import egg_and_pebble, job_of, looking_down, picture, scene_of, with_photo
 
@@ -87,6 +87,18 @@ def test_an_image_of_its_own_is_the_beam_and_its_excess_what_order_9_lacks(prepa
     assert (change[calm] * lamp.slopes[0][calm]).sum() / np.square(lamp.slopes[0][calm]).sum() == pytest.approx(
         0.01, rel=0.2
     )
+
+
+def test_a_sharp_lamp_is_sought_where_the_misfit_looks_like_its_image(prepared):
+    scene, _ = photographed(prepared, 4.0)
+    problem = view_problem(scene, [prepared[2]], SETTINGS)
+    lamp = sharp.OwnImage([problem], TOWARDS)
+    x = np.pad(prepared[3], ((0, 91), (0, 0))) + 4 * sh.evaluate(9, TOWARDS)[:, None]
+    noise = np.random.default_rng(2).normal(1, 0.02, lamp.image.shape)
+    by_harmonics = replace(problem, measured=problem.predicted(x) * noise)
+    for seen, sharper in ((problem, True), (by_harmonics, False)):
+        light = fit_together([seen], replace(SETTINGS, order=2))
+        assert sharp.looks_sharp(light, [seen], 4 * lamp.excess, np.ones(lamp.image.shape)) == sharper
 
 
 def test_one_more_image_beside_a_basis_is_as_if_it_had_been_there(prepared):
