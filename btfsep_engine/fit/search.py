@@ -34,7 +34,7 @@ NEAR = 0.3  # of the same: after so small a gain,
 AGAIN = 3  # so many steps are made with the slopes that are there, and the gradient anew: a fifth of the cost
 LONGEST = 1.0  # of any white unknown, in a step that rests on slopes alone
 SLOWER = 100  # their last gain is so many times less than a whole step's may be: they close in slowly
-CHORDS = 8  # such steps of a light that is there but for noise: two or three are usual
+FEW = 4  # whole steps, after those by slopes that are known, to a light that is there but for noise: one is usual
 STIFFEST = 1e5  # of the damping
 ROUNDED = 1e-6  # of the largest value of a matrix in single precision, that its smallest are wrong by
 
@@ -138,22 +138,14 @@ def solve(
 def nearby(photo: Photograph, best: Solution, white) -> Solution:
     """The most probable light of ``photo``, which differs from the photograph of ``best`` by little more than noise.
 
-    At the noise and by the slopes that are there: only gradients are found anew. ``white`` : where the search begins
+    At that one's noise, and by its slopes as far as these lead. Where more than noise changed, the search is not ended.
+
+    ``white`` : where it begins
     """
-    rows, model = photo.rows(best.v, best.discrepancy), best.model
-    by_direction = model.field.by_direction(rows.root, np.float32)
-    ends = np.cumsum([len(y) for y in rows.target])[:-1]
-    x, radiance = model.light(white)
-    r = rows.residual(x)
-    now, steps, gain = 0.5 * (r @ r + white @ white), 0, np.inf
-    while steps < CHORDS and gain > GAIN * max(1.0, 0.01 * now) / SLOWER:
-        gradient = model.gradient(white, radiance, rows.root, by_direction, np.split(r, ends)) + white
-        moved = white - _answer(best.slopes, best.small_factor, gradient)
-        x_there, radiance_there = model.light(moved)
-        r = rows.residual(x_there)
-        gain = now - (there := 0.5 * (r @ r + moved @ moved))
-        if gain > 0:
-            white, x, radiance, now, steps = moved, x_there, radiance_there, there, steps + 1
+    rows = photo.rows(best.v, best.discrepancy)
+    by_direction = best.model.field.by_direction(rows.root, np.float32)
+    known = best.slopes, best.small_factor
+    white, x, radiance, _, steps = _minimised(rows, best.model, white, FEW, by_direction, known)
     return replace(best, white=white, x=x, radiance=radiance, rows=rows, steps=steps)
 
 
@@ -179,11 +171,16 @@ def _cholesky(gram, damping: float) -> np.ndarray:
     return lower
 
 
-def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction):
-    """theta, x, radiance, (|r|^2 + |theta|^2) / 2, and the steps that were taken."""
+def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction, known=None):
+    """theta, x, radiance, (|r|^2 + |theta|^2) / 2, and the steps that were taken.
+
+    ``known`` : J nearby and the factor of I + J J^T or I + J^T J, by which the first steps go; None: found at once
+    """
     x, radiance = model.light(white)
     r = rows.residual(x)
     now, damping, steps, again = 0.5 * (r @ r + white @ white), 1e-2, 0, 0
+    if known is not None:
+        (jacobian, lower), damping, again = known, 0.0, AGAIN
     ends = np.cumsum([len(y) for y in rows.target])[:-1]
     while steps < most or again:
         if not again:

@@ -3,10 +3,11 @@
 
 What an estimate finds out about things rather than light, it need not find out again: materials and how they depart
 from the library's, appearance, light between surfaces, colours of surroundings, the camera and its tone curve. All else
-is done as for a photo alone. A light that stands still (`stands_still`) is found from the last one on, in a part of the
-time; any other is elected anew: where a photo alone would have chosen the same model, its light is the same in every
-digit. Where a photo may tell more of the model than the one that it was chosen by (`tells_more`), or the model hangs on
-that one's light (`hangs_on_light`), it is chosen anew.
+is done as for a photo alone where the light moves: it is elected anew, and where a photo alone would have chosen the
+same model, it is the same in every digit. A light that stands still (`stands_still`) is found from the last one on, in
+a part of the time; of the same view, all that was settled of the last photo stays (`Problem.again`), be it of its
+light: a lamp's own image, or what the photo may be moved by. Where a photo may tell more of the model than the one that
+it was chosen by (`tells_more`), or the model hangs on that one's light (`hangs_on_light`), it is chosen anew.
 """
 
 import copy
@@ -120,9 +121,9 @@ class Follower:
         return Estimate(model, light, elected.choice)
 
     def _followed(self, model: Model, beside: Fit | None) -> SolvedLight | None:
-        """The light of a model from the last one on, of whatever view; None where it does not stand still.
+        """The light of a model from the last one on, of another view; None where it does not stand still.
 
-        Nor is a lamp nearby followed, whose place is sought by other fits, or a light that a ground is evidence of.
+        Nor is a lamp followed whose image was settled in the other view, or a light that a ground is evidence of.
         ``beside`` : as of `fit_together`
         """
         (problem,), solver = model.problems, light_solver(model.problems, model.settings)

@@ -48,6 +48,7 @@ NOISE = 0.01  # of a photo's mean
 TURN = np.radians(2)
 SUN_TURN = 0.05  # degrees
 SKY = np.array([[1.3, 1.4, 1.7], [0.3, 0.3, 0.3], [0.5, 0.5, 0.5], [-0.2, -0.2, -0.2]])  # coefficients, of order 1
+ABOUT_CAMERA = np.array([[-0.45, 0.3, 0.84], [0.84, 0.0, 0.45]])  # to the sun, behind the camera, and where it goes
 OF_SUN = np.array([3.3, 3.0, 2.7])  # irradiance
 HEADS = ("sequence", "found", "frames", "same digits", "order 2", "in deviations", "ms", "ms alone")
 
@@ -87,11 +88,10 @@ def sunlit(shown, library, frames: int, degrees: float, random):
     """Photographs of the first one's things under a sky and a sun, which turns by so much in each, by the kernel."""
     scene, material = scene_of(load_job(shown.folder)), library.load(shown.material).mean_material()
     camera, points = scene.job.camera, scene.points(0, textured=False)
-    x, y, z = camera.to_world[:3, :3].T  # it comes from above the camera, on the left
-    middle = -0.45 * x + 0.3 * y + 0.84 * z
+    middle, aside = (a / np.linalg.norm(a) for a in ABOUT_CAMERA @ camera.to_world[:3, :3].T)
     below = scene.radiance(points, material, SHLighting(SKY), directions=4096)[:, 0]
     for i in range(frames):
-        towards = middle + np.tan(np.radians(degrees * i)) * np.linalg.norm(middle) * np.cross(middle, y)
+        towards = middle + np.tan(np.radians(degrees * i)) * aside
         sun = Sun(towards / np.linalg.norm(towards), OF_SUN, np.zeros(3))
         image = np.zeros((camera.height, camera.width, 3))
         image[tuple(points.pixels.T)] = below + scene.sun_radiance(points, material, sun)

@@ -10,7 +10,7 @@ from scipy.optimize import approx_fprime
 
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
-from btfsep_engine.fit.search import _cholesky, solve
+from btfsep_engine.fit.search import _cholesky, nearby, solve
 from btfsep_engine.light.log_field import even_field, natural_field
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, shown, side_light
 
@@ -197,3 +197,24 @@ def test_a_matrix_that_spans_more_than_single_precision_has_a_factor():
     factor = np.tril(_cholesky(gram, 0.0)).astype(float)
     assert np.isfinite(np.log(np.diag(factor))).all()
     assert np.abs(factor @ factor.T - whole).max() < 1e-5 * whole.max()
+
+
+def test_the_light_of_a_photograph_that_differs_by_noise_is_found_from_the_others(rng):
+    basis, normals, _ = half_sphere(rng, pixels=300)
+    slopes, weights = 0.05 * rng.normal(size=(300, 2, 3)), rng.uniform(0.5, 1, (300, 3))
+    photo = Photograph(Basis(basis, normals), shown(basis, side_light(), rng, 0.01), weights=weights, slopes=slopes)
+    first = solve(photo, LightModel(natural_field(), (SUN,)))
+    photo.learn_from(first.x)
+    first = solve(photo, first.model, white=first.white, v=first.v)
+    there = photo.again(photo.b * photo.level * photo.basis.response)
+    for mine, own in ((there.rows(first.v, NEARLY_RIGHT), first.rows), (there, photo)):
+        for name in ("target", "root") if mine is not there else ("moments", "energies"):
+            for a, b in zip(getattr(mine, name), getattr(own, name), strict=True):
+                np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+    other = photo.again(shown(basis, side_light(), rng, 0.01))
+    found = nearby(other, first, first.white)
+    searched = solve(other, first.model, white=first.white, v=first.v, rounds=1)
+    spread = 1 / np.sqrt(np.diag(first.factor @ first.factor.T))
+    np.testing.assert_array_less(np.abs(found.white - searched.white), 0.1 * spread)
+    assert np.abs(found.white - first.white).max() > 0.1  # which is another light
+    np.testing.assert_allclose(found.x, found.model.light(found.white)[0])
