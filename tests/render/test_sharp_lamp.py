@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A sun on gloss has an image of its own; light without one has not."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
