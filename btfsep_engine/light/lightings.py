@@ -108,22 +108,6 @@ class SHLighting(_SmoothLight):
 
 
 @dataclass(frozen=True)
-class FieldLighting(_SmoothLight):
-    """One light whose logarithm is a field (light.log_field.LogField) at its ``white`` unknowns: positive everywhere.
-
-    ``level`` : (3,), what its radiance is multiplied by.
-    """
-
-    field: object
-    white: np.ndarray
-    level: np.ndarray
-    name: str = "light"
-
-    def radiance(self, directions) -> np.ndarray:
-        return (self.field.at(self.white, np.asarray(directions)) * self.level)[:, None, :]
-
-
-@dataclass(frozen=True)
 class EnvironmentMaps:
     """M environment maps of one size.
 

@@ -18,7 +18,7 @@ The light's coefficients up to the fit's order are sums over directions of equal
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -209,6 +209,13 @@ def build(table: dict, *, order: int = FIELD_ORDER, chroma_order: int = CHROMA_O
 def natural_field() -> LogField:
     """The field that the shipped table describes."""
     return build(json.loads(TABLE.read_text()))
+
+
+@lru_cache(maxsize=1)
+def coarse_field(order: int, chroma_order: int, terms: int, count: int) -> LogField:
+    """The same prior of coarser light, where what is asked of it is coarse: see `LogField`."""
+    field = build(json.loads(TABLE.read_text()), order=order, chroma_order=chroma_order)
+    return replace(field, terms=terms, count=count)
 
 
 @lru_cache(maxsize=1)

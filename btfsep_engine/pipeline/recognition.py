@@ -13,9 +13,10 @@ from btfsep_engine.pipeline.settings import RecognitionSettings
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import judgements
-from btfsep_engine.recognise.model_file import cached
+from btfsep_engine.recognise.model_file import cached, known_materials
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import METHODS, render_samples, train
+from btfsep_engine.recognise.vlad import WORDS
 
 WINDOW = 64  # edge in pixels of the windows that a large object is cut down to
 # One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials. Surfaces by
@@ -67,8 +68,8 @@ def bounding_window(region) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def training_key(scene: PreparedScene, index: int, region, library, lights, settings: RecognitionSettings) -> str:
-    """All that a training depends on beside the engine's own code: geometry, camera, library, lights, method."""
+def training_view(scene: PreparedScene, index: int, region, lights, settings: RecognitionSettings) -> str:
+    """All that a training depends on beside the library and the engine's own code: geometry, camera, lights, method."""
     job = scene.job
     seen = job.objects[index]
     return digest(
@@ -77,9 +78,9 @@ def training_key(scene: PreparedScene, index: int, region, library, lights, sett
         [[m.vertices, m.faces] for m in (seen.mesh, *scene.tracer.meshes)],
         job.camera,
         job.metres_per_unit,
-        library.digest,
         [lights.names, lights.maps],
         METHODS[settings.recogniser],
+        WORDS.read_bytes(),
         [settings.classifier, settings.training_directions, settings.seed],
     )
 
@@ -88,16 +89,24 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Reco
     """The recogniser for one object of the job: from the cache, or trained now.
 
     Its training images are the job's own geometry, seen by the job's camera, in every material of the library
-    under natural light (the paper, section 3.2).
+    under natural light (the paper, section 3.2). Of those that another training of the same view knew, none is made.
     """
     reporter = scene.reporter
     region = training_region(scene.regions[index], settings.training_pixels)
     window = bounding_window(region)
     lights = training_lights(settings.training_turns)
-    key = training_key(scene, index, region, library, lights, settings)
+    view, method = training_view(scene, index, region, lights, settings), METHODS[settings.recogniser]
+    contents = {
+        name: library.entries[name].sha256 if name in library.entries else name
+        for name in library.names()
+        if name not in INDISTINGUISHABLE
+    }
+    of_images = [light.partition("@")[0] for light in lights.names]
 
     def make() -> Recogniser:
-        names = [n for n in library.names() if n not in INDISTINGUISHABLE]
+        known = known_materials(view, contents) if method.ready else {}
+        known = {name: (of_images, vectors) for name, vectors in known.items() if len(vectors) == lights.count}
+        names = [n for n in contents if n not in known]
         with reporter.stage("training rays"):
             points = scene.points(index, region=region, textured=True)
             transport = scene.transport(points, directions=settings.training_directions)
@@ -112,12 +121,14 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Reco
             classifier=settings.classifier,
             seed=settings.seed,
             reporter=reporter,
-            method=METHODS[settings.recogniser],
+            method=method,
             expected=len(names) * len(lights.names),
+            known=known,
+            contents=contents,
         )
 
     with reporter.stage("training"):
-        return cached(key, make)
+        return cached(digest(view, library.digest), make, view=view)
 
 
 def recognise_object(scene: PreparedScene, index: int, library, settings: RecognitionSettings) -> Recognition:

@@ -11,13 +11,19 @@ texture. `recognise.judgement` says what all of it is worth.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.election import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
-from btfsep_engine.light.lightings import FieldLighting, SHBasis
+from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.light.log_field import coarse_field, even_field
 from btfsep_engine.recognise.contrast import Contrast, contrast, unlike
+from btfsep_engine.recognise.descriptors import extract
 from btfsep_engine.recognise.judgement import judgements, utilities
 from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.render.sampling import choose_pixels
@@ -25,8 +31,9 @@ from btfsep_engine.threads import one_thread
 
 EXPLAINED = 24  # the first of the classifier's; others keep what the worst of these has
 RENDERED = 8  # of these, the likeliest
-PIXELS = 1500  # of the fit of the light
-ORDER = 9
+PIXELS = 1000  # of the fit of the light
+ORDER = 6  # of its coefficients
+FIELD = 8, 4, sh.term_count(ORDER), 256  # of its logarithm: orders of lightness and of colours; directions
 EXPLANATIONS = ("evidence", "tint")
 SIMILARITIES = ("texture", "contrast", "chroma", "skewness", "correlation")
 # standard deviations of the mean's log2 R / B and log2 G / sqrt(R B) in natural light and lamps: nine maps show 0.21
@@ -41,12 +48,13 @@ class Explained:
 
     Attributes
     ----------
-    light : FieldLighting, in the photo's unit; positive, where a series would ring about a lamp and go negative
+    light : (CELLS, 3), in the photo's unit, the radiance of each of `Cells`; positive, where a series would ring about
+        a lamp and go negative
     colour : (3,), the light's mean radiance
     evidence : logarithm of how probable the photo is
     """
 
-    light: FieldLighting
+    light: np.ndarray
     colour: np.ndarray
     evidence: float
 
@@ -57,14 +65,62 @@ class Photographed:
 
     Attributes
     ----------
-    radiance : (h, w, 3), the window of the photograph, NaN where a pixel is unusable
-    vector : (length,) VLAD of the whole object
+    usable : (p,) bool, the pixels of the region that have a value in the photograph
+    texture : (length,) SIFT's part of the VLAD of the whole object, of unit length
     contrast : recognise.contrast.Contrast
     """
 
-    radiance: np.ndarray
-    vector: np.ndarray
+    usable: np.ndarray
+    texture: np.ndarray
     contrast: Contrast
+
+
+class CoarselyLit(Photograph):
+    """The products of a photograph with basis images of `ORDER`."""
+
+    @property
+    def fields(self):
+        """As of `Photograph`."""
+        return coarse_field(*FIELD), even_field()
+
+
+@dataclass(frozen=True)
+class Cells:
+    """``count`` lights that share out the sphere: each is 1 where it is the nearest, and 0 elsewhere.
+
+    An object's images under them are the same for every photograph; their mixture is a picture in any smooth light.
+    """
+
+    count: int
+    returns = True
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(fibonacci_sphere(self.count))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"cell {i}" for i in range(self.count))
+
+    def radiance(self, directions) -> np.ndarray:
+        return (self.nearest(directions)[:, None] == np.arange(self.count))[..., None].astype(float)
+
+    def cell_averages(self, directions) -> np.ndarray:
+        """Point values: a direction counts for the cell that it lies in."""
+        return self.radiance(directions)
+
+    def nearest(self, directions) -> np.ndarray:
+        """(n,) int, the cell of each direction (n, 3)."""
+        return self._tree.query(np.asarray(directions))[1]
+
+    def means(self, radiance, directions) -> np.ndarray:
+        """(count, 3), the mean in each cell of the ``radiance`` (3, n) of directions (n, 3) spread over the sphere."""
+        cell = self.nearest(directions)
+        number = np.maximum(np.bincount(cell, minlength=self.count), 1)
+        return np.stack([np.bincount(cell, channel, self.count) / number for channel in radiance], 1)
+
+
+CELLS = Cells(64)  # of the light that a candidate is rendered under
 
 
 class Verification:
@@ -107,7 +163,9 @@ class Verification:
         cues = {cue: _of_all(values, range(len(materials)), count) for cue, values in found.items()}
         likely = np.argsort(-utilities(judgements()["explained"].weights, votes | cues), kind="stable")
         likely = [i for i in likely if i < len(materials)][: self.rendered]
-        photo = Photographed(radiance, vectors[-1], contrast(radiance, self.region))
+        texture = recogniser.encoder.part(vectors[-1], "sift")
+        usable = np.isfinite(radiance[self.region]).all(-1)
+        photo = Photographed(usable, texture, contrast(radiance, self.region))
         # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
         similar = [
             dict.fromkeys(SIMILARITIES, np.nan)
@@ -126,23 +184,34 @@ class Verification:
         good = np.isfinite(b).all(-1)
         with one_thread():
             basis = Basis(self._bases[material.name][good], self.points.normal[self.few][good])
-            photo = Photograph(basis, b[good])
+            photo = CoarselyLit(basis, b[good])
             best = natural_light(photo, rounds=2)
-        white = best.model.parts(best.white)[0]
-        return Explained(FieldLighting(best.model.field, white, photo.level), best.x[:, 0] * photo.level, best.evidence)
+        light = CELLS.means(best.radiance, best.model.field.directions) * photo.level
+        return Explained(light, best.x[:, 0] * photo.level, best.evidence)
 
     def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> dict[str, float]:
         """`SIMILARITIES` of the photograph and a material under a light: a cosine, -1 to 1, and differences, <= 0."""
+        under, light = self.transport.radiance(material, CELLS), light.astype(np.float32)
+        pixels = np.stack([under[..., c] @ light[:, c] for c in range(3)], 1)
+        pixels[~photo.usable] = np.nan
+        differences = unlike(contrast(self._image(pixels), self.region), photo.contrast)
+        mean = max(float(pixels[photo.usable].mean()), 1e-30)
+        noisy = pixels + NOISE * np.sqrt(np.maximum(pixels, 0) * mean) * self._noise
+        image = self._image(np.maximum(noisy, 1e-4 * mean))
+        descriptors = extract(image, self.region, settings=recogniser.settings)
+        texture = recogniser.encoder.whole(descriptors, "sift") @ photo.texture
+        return {"texture": float(texture)} | {name: -value for name, value in differences.items()}
+
+    def _image(self, pixels) -> np.ndarray:
+        """(h, w, 3), of the values (p, 3) of the region's pixels; NaN elsewhere."""
         image = np.full((*self.region.shape, 3), np.nan, np.float32)
-        image[self.region] = self.transport.radiance(material, light)[:, 0]
-        usable = self.region & np.isfinite(photo.radiance).all(-1)
-        image = np.where(usable[..., None], image, np.nan)
-        differences = unlike(contrast(image, self.region), photo.contrast)
-        mean = max(float(np.nanmean(image)), 1e-30)
-        noise = np.random.default_rng(self.seed).standard_normal(image.shape, np.float32)
-        image = np.maximum(image + NOISE * np.sqrt(np.maximum(image, 0) * mean) * noise, 1e-4 * mean)
-        texture = recogniser.encoder.cosines(recogniser.describe(image, self.region)[-1], photo.vector)["sift"]
-        return {"texture": texture} | {name: -value for name, value in differences.items()}
+        image[self.region] = pixels
+        return image
+
+    @cached_property
+    def _noise(self) -> np.ndarray:
+        """(p, 3), as all renderings have it."""
+        return np.random.default_rng(self.seed).standard_normal((len(self.points), 3), np.float32)
 
 
 def unusual(colour) -> float:

@@ -12,10 +12,12 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg.blas import ssyrk
 from scipy.optimize import minimize_scalar
 
 C_GRID = (1.0, 10.0, 100.0)
 GAMMA_GRID = (0.25, 0.5, 1.0, 2.0, 4.0)  # in units of 1 / median squared distance
+GRID = tuple((c, gamma) for gamma in GAMMA_GRID for c in C_GRID)
 FOLDS = 3
 KNOWN_SHARE = 0.99  # of known materials under new lights that are to be judged known
 SVM_CACHE_MB = 500
@@ -25,6 +27,17 @@ def squared_distances(a, b) -> np.ndarray:
     """(n, m) float32, squared L2 distances between the rows of a : (n, d) and b : (m, d), never below 0."""
     a, b = np.asarray(a, np.float32), np.asarray(b, np.float32)
     return np.maximum((a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * (a @ b.T), 0)
+
+
+def mutual_distances(vectors) -> np.ndarray:
+    """(n, n) float32, squared L2 distances between the rows of (n, d): half the products of `squared_distances`."""
+    products = ssyrk(1.0, np.asarray(vectors, np.float32).T, trans=1, lower=1)  # the lower triangle; 0 above
+    products += np.tril(products, -1).T
+    size = products.diagonal().copy()
+    products *= -2
+    products += size
+    products += size[:, None]
+    return np.maximum(products, 0, out=products)
 
 
 def grouped_folds(groups, folds=FOLDS, *, seed=0) -> np.ndarray:
@@ -50,7 +63,7 @@ class Svm:
     Attributes
     ----------
     classes : names, in order
-    vectors : (m, d) float16, support vectors
+    vectors : (m, d) float16, all training vectors, or the support vectors alone
     weights : (m, pairs) float32; decision of pair (i, j), i < j: positive says i
     bias : (pairs,) float32; 0 where cross-validation did better without
     gamma, c : kernel and regularisation parameters
@@ -72,14 +85,18 @@ class Svm:
     kind = "svm"
 
     @cached_property
-    def _single(self) -> np.ndarray:
-        """The support vectors as they are multiplied: half floats are widened once."""
-        return self.vectors.astype(np.float32)
+    def _support(self) -> tuple:
+        """The support vectors as they are multiplied, half floats widened once, their squared lengths and weights."""
+        used = np.abs(self.weights).sum(1) > 0
+        vectors = self.vectors[used].astype(np.float32)
+        return vectors, np.square(vectors).sum(1), self.weights[used]
 
     def votes(self, vectors) -> np.ndarray:
         """(n, classes) in [-1, 1] for ``vectors : (n, d)``."""
-        kernel = np.exp(-self.gamma * squared_distances(vectors, self._single))
-        return pair_votes(kernel @ self.weights + self.bias, len(self.classes))
+        support, squares, weights = self._support
+        vectors = np.asarray(vectors, np.float32)
+        squared = np.square(vectors).sum(1)[:, None] + squares - 2 * (vectors @ support.T)
+        return pair_votes(np.exp(-self.gamma * np.maximum(squared, 0)) @ weights + self.bias, len(self.classes))
 
     def without(self, name: str) -> "Svm":
         """The same with a class left out: its pairs' decisions are not asked for."""
@@ -203,9 +220,20 @@ def pool_objects(votes, labels, objects):
 
 
 def train_svm(
-    vectors, labels, lights, objects, classes, *, seed=0, offsets=(True, False), step=lambda fraction: None
+    vectors,
+    labels,
+    lights,
+    objects,
+    classes,
+    *,
+    seed=0,
+    offsets=(True, False),
+    grid=GRID,
+    step=lambda fraction: None,
 ) -> Svm:
     """An RBF-SVM; C, gamma and whether decisions have an offset by grid search, cross-validated over lights.
+
+    Of one C and gamma, and offsets or none, there is no search: held-out lights fit the scores alone.
 
     New light, and a photo's noise and detail that no rendering has, lie partly at right angles to all training
     vectors and shrink all kernel values alike. What is left of a decision is then its offset, and a few classes would
@@ -219,16 +247,19 @@ def train_svm(
     lights : (n,), the light of each; a light is never in both halves of a split
     objects : (n,) int, the image each vector is a window of
     offsets : which are tried: decisions with an offset (True), without (False)
+    grid : the pairs of C and gamma that are tried, gamma in units of 1 / median squared distance; those of a gamma
+        stand together
     step : called with the fraction done
     """
-    squared = squared_distances(vectors, vectors)
+    squared = mutual_distances(vectors)
     unit = 1 / max(float(np.median(squared[~np.eye(len(squared), dtype=bool)])), 1e-9) if len(squared) > 1 else 1.0
     fold = grouped_folds(lights, seed=seed)
-    best, best_votes, best_parameters = (-1.0, 0.0), None, (10.0, unit, offsets[0])
-    grid = [(c, g * unit) for g in GAMMA_GRID for c in C_GRID] if fold.max() > 0 and len(classes) > 1 else []
+    best, best_votes, best_parameters = (-1.0, 0.0), None, (grid[0][0], grid[0][1] * unit, offsets[0])
+    grid = [(c, gamma * unit) for c, gamma in grid] if fold.max() > 0 and len(classes) > 1 else []
+    kernel, of = None, None
     for done, (c, gamma) in enumerate(grid):
-        if done % len(C_GRID) == 0:
-            kernel = np.exp(-gamma * squared)
+        if gamma != of:
+            kernel, of = np.exp(-gamma * squared), gamma
         decisions = np.zeros((len(labels), len(classes) * (len(classes) - 1) // 2))
         offset = np.zeros_like(decisions)
         for f in range(fold.max() + 1):
@@ -247,12 +278,11 @@ def train_svm(
     weights, bias = _fit_pairs(np.exp(-gamma * squared), labels, c, len(classes))
     if not with_offset:
         bias = np.zeros_like(bias)
-    used = np.abs(weights).sum(1) > 0
     step(1.0)
     return Svm(
         tuple(classes),
-        vectors[used].astype(np.float16),
-        weights[used],
+        np.asarray(vectors, np.float16),
+        weights,
         bias,
         gamma,
         c,
@@ -263,13 +293,13 @@ def train_svm(
 
 
 def train_nearest(
-    vectors, labels, lights, objects, classes, *, seed=0, offsets=(), step=lambda fraction: None
+    vectors, labels, lights, objects, classes, *, seed=0, offsets=(), grid=(), step=lambda fraction: None
 ) -> Nearest:
-    """Nearest neighbour; parameters as of :func:`train_svm`, but that there are no ``offsets``.
+    """Nearest neighbour; parameters as of :func:`train_svm`, but that there are no ``offsets`` and no ``grid``.
 
     Held-out lights fit only the sharpness of the scores.
     """
-    squared = squared_distances(vectors, vectors)
+    squared = mutual_distances(vectors)
     fold = grouped_folds(lights, seed=seed)
     sharpness, accuracy, known = 10.0, float("nan"), -1.0
     if fold.max() > 0 and len(classes) > 1:
@@ -280,4 +310,4 @@ def train_nearest(
         sharpness, accuracy = _best_sharpness(votes, labels, objects), float((votes.argmax(1) == labels).mean())
         known = _known_vote(votes, labels, objects)
     step(1.0)
-    return Nearest(tuple(classes), vectors.astype(np.float16), labels.astype(np.int32), sharpness, accuracy, known)
+    return Nearest(tuple(classes), np.asarray(vectors, np.float16), labels.astype(np.int32), sharpness, accuracy, known)

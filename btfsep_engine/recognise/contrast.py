@@ -13,7 +13,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from btfsep_engine.recognise.descriptors import Settings, normalise
+from btfsep_engine.recognise.descriptors import Settings, normalise, smoothed
 
 SIGMAS = (0.8, 1.6, 3.2, 6.4, 12.8)  # pixels; an octave lies between two
 BORDER = 7  # pixels of the outline: a silhouette is no texture
@@ -46,16 +46,20 @@ def contrast(radiance, mask) -> Contrast:
     """The contrast of ``radiance`` (h, w, 3), linear, NaN where unusable, within ``mask`` (h, w) bool."""
     valid = mask & np.isfinite(radiance).all(-1)
     image, weight = normalise(radiance, valid, settings=GREY_WORLD), valid.astype(np.float32)
-    smooth = [
-        cv2.GaussianBlur(image, (0, 0), sigma) / np.maximum(cv2.GaussianBlur(weight, (0, 0), sigma), 1e-3)[..., None]
-        for sigma in SIGMAS
-    ]
+    both = np.dstack([image, weight])
+    smooth = [s[..., :3] / np.maximum(s[..., 3:], 1e-3) for s in (smoothed(both, sigma) for sigma in SIGMAS)]
     inside = cv2.erode(weight, np.ones((BORDER, BORDER)), borderValue=0) > 0
     inside = inside if inside.sum() >= FEWEST else valid
-    octaves = np.stack([(fine - coarse)[inside] for fine, coarse in pairwise(smooth)]).astype(np.float64)
-    deviation = octaves.std(1)
-    unit = (octaves - octaves.mean(1, keepdims=True)) / np.maximum(deviation, 1e-6)[:, None]
-    return Contrast(deviation, (unit[..., 0] ** 3).mean(1), (unit[..., :1] * unit[..., 1:]).mean(1))
+    seen = [
+        np.ascontiguousarray(image[inside].T) for image in smooth
+    ]  # a channel's pixels side by side: they are summed
+    octaves = np.stack([fine - coarse for fine, coarse in pairwise(seen)])
+    octaves -= octaves.mean(2, keepdims=True)
+    deviation = np.sqrt(np.square(octaves).mean(2))
+    octaves /= np.maximum(deviation, 1e-6)[..., None]
+    lightness = octaves[:, :1]
+    skewness = (lightness[:, 0] ** 2 * lightness[:, 0]).mean(1)
+    return Contrast(deviation, skewness, (lightness * octaves[:, 1:]).mean(2))
 
 
 def unlike(a: Contrast, b: Contrast) -> dict[str, float]:

@@ -16,7 +16,10 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.images import linear_to_srgb
 
 TAPS = 3  # a colour patch has TAPS x TAPS samples
-SIFT_LENGTH = 128
+CELLS, DIRECTIONS = 4, 8  # of SIFT: cells along an edge of its patch, and directions of gradients
+SIFT_LENGTH = CELLS * CELLS * DIRECTIONS
+LARGEST = 0.2  # of a SIFT vector's numbers, before its length is made 1 again
+DIFFERENCE = np.float32([[-0.5, 0, 0.5]])
 GREY = 0.18  # what the mean luminance becomes where colours are those of a display
 FALLBACK_BINS = (3, 2)  # pixels; tried one after the other where the object is too small for the usual ones
 
@@ -109,23 +112,33 @@ def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
     ``settings.colours`` asks, display values 0 to 1: red, green, blue
     """
     out = np.zeros(radiance.shape, np.float32)
-    colours = np.maximum(radiance[valid], 0).astype(np.float64)
+    colours = np.maximum(radiance[valid], 0)
+    largest = float(colours.max(initial=0))
+    if not largest > 0:
+        raise InputError("the region to recognise", "is black in the photo", "use a photo in which it is lit")
+    colours = (colours / largest).astype(np.float32)  # of any unit
     # a few highlights must not darken all the rest: the mean is taken below the 98th percentile
-    luminance = colours @ REC709_LUMINANCE
+    luminance = colours @ np.float32(REC709_LUMINANCE)
     ordinary = luminance <= np.percentile(luminance, 98)
     mean_luminance = luminance[ordinary].mean()
     if not mean_luminance > 0:
-        raise InputError("the region to recognise", "is black in the photo", "use a photo in which it is lit")
+        raise InputError("the region to recognise", "is black but for a few pixels", "use a photo in which it is lit")
     mean = np.maximum(colours[ordinary].mean(0), 1e-3 * mean_luminance)
     cast = (mean / mean_luminance) ** settings.white_balance
+    colours /= (mean_luminance * cast).astype(np.float32)
     if settings.colours == "display":
-        out[valid] = linear_to_srgb(np.clip(GREY * colours / (mean_luminance * cast), 0, 1))
+        out[valid] = linear_to_srgb(np.clip(GREY * colours, 0, 1))
         return out
-    logs = np.log2(colours / (mean_luminance * cast) + settings.floor)
+    logs = np.log2(colours + np.float32(settings.floor))
     red, green, blue = logs.T
-    out[valid, 0] = logs @ REC709_LUMINANCE
-    out[valid, 1] = settings.chroma * (red - green)
-    out[valid, 2] = settings.chroma * ((red + green) / 2 - blue)
+    out[valid] = np.stack(
+        [
+            logs @ np.float32(REC709_LUMINANCE),
+            settings.chroma * (red - green),
+            settings.chroma * ((red + green) / 2 - blue),
+        ],
+        1,
+    )
     return out
 
 
@@ -161,11 +174,13 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise")
     image = _fill(normalise(radiance, valid, settings=settings), valid)
     if settings.shading:
         image[..., 0] -= _local_mean(image[..., 0], valid, settings.shading)
-    parts = [_at_scale(image, mask, valid, edge, settings) for edge in settings.bins]
+    lightness = image[..., 0] if settings.colours == "opponent" else image @ np.float32(REC709_LUMINANCE)
+    seen = image, lightness, orientation_maps(lightness, settings.sift_sigma), mask, valid
+    parts = [_at_scale(*seen, edge, settings) for edge in settings.bins]
     for edge in FALLBACK_BINS:
         if sum(map(len, parts)) >= settings.minimum:
             break
-        parts.append(_at_scale(image, mask, valid, edge, settings))
+        parts.append(_at_scale(*seen, edge, settings))
     if (count := sum(map(len, parts))) < settings.minimum:
         raise InputError(
             what,
@@ -176,30 +191,36 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise")
     return replace(every, xy=every.xy + np.array([left, top], np.float32))
 
 
+def smoothed(values, sigma: float) -> np.ndarray:
+    """Values (h, w) or (h, w, c) float32, blurred by a Gaussian of ``sigma`` pixels; a wide one on fewer pixels."""
+    h, w = values.shape[:2]
+    coarser = max(1, min(int(sigma / 1.6), h // 4, w // 4))
+    if coarser == 1:
+        return cv2.GaussianBlur(values, (0, 0), sigma)
+    small = cv2.resize(values, (w // coarser, h // coarser), interpolation=cv2.INTER_AREA)
+    return cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / coarser), (w, h), interpolation=cv2.INTER_LINEAR)
+
+
 def _fill(image, valid):
     """Pixels that are not ``valid`` take the smooth mean of those around them, so that no edge arises there."""
     if valid.all():
         return image
     weights = valid.astype(np.float32)
+    both = np.dstack([image * weights[..., None], weights])
     out, open_ = image.copy(), ~valid
     for sigma in (1.5, 6.0, 24.0):
-        blurred = cv2.GaussianBlur(weights, (0, 0), sigma)
-        smooth = cv2.GaussianBlur(image * weights[..., None], (0, 0), sigma)
-        reached = open_ & (blurred > 0.02)
-        out[reached] = smooth[reached] / blurred[reached][:, None]
+        smooth = smoothed(both, sigma)
+        reached = open_ & (smooth[..., 3] > 0.02)
+        out[reached] = smooth[reached, :3] / smooth[reached, 3:]
         open_ &= ~reached
     out[open_] = image[valid].mean(0)
     return out
 
 
 def _local_mean(values, valid, radius: float):
-    """Mean of the ``valid`` of ``values : (h, w)`` within about ``radius`` pixels (a Gaussian; at quarter size)."""
+    """Mean of the ``valid`` of ``values : (h, w)`` within about ``radius`` pixels (a Gaussian)."""
     weights = valid.astype(np.float32)
-    both = np.dstack([values * weights, weights])
-    h, w = values.shape
-    small = cv2.resize(both, (max(1, w // 4), max(1, h // 4)), interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), max(radius / 4, 0.3))
-    both = cv2.resize(small, (w, h), interpolation=cv2.INTER_LINEAR)
+    both = smoothed(np.dstack([values * weights, weights]), radius)
     return both[..., 0] / np.maximum(both[..., 1], 1e-3)
 
 
@@ -217,7 +238,42 @@ def _places(mask, valid, half, settings):
     return x, y
 
 
-def _at_scale(image, mask, valid, edge, settings) -> Descriptors:
+def orientation_maps(lightness, sigma: float) -> np.ndarray:
+    """(h, w, 8) float32, the length of the gradient of ``lightness`` (h, w), shared by the two nearest of 8 directions.
+
+    ``sigma`` : pixels, of the blur before
+    """
+    smooth = cv2.GaussianBlur(lightness, (0, 0), sigma)
+    right, up = cv2.filter2D(smooth, -1, DIFFERENCE), cv2.filter2D(smooth, -1, -DIFFERENCE.T)
+    size, angle = cv2.cartToPolar(right, up, angleInDegrees=True)
+    apart = np.abs(angle[..., None] * (DIRECTIONS / 360) - np.arange(DIRECTIONS, dtype=np.float32))
+    share = np.maximum(1 - np.minimum(apart, DIRECTIONS - apart), 0)
+    return share * size[..., None]
+
+
+def dense_sift(maps, x, y, edge: int) -> np.ndarray:
+    """Upright SIFT (n, 128) uint8, in OpenCV's unit, of patches of 4 x 4 cells of ``edge`` pixels about (x, y).
+
+    Of gradients that `orientation_maps` has sorted: a cell is their sum under a triangle (bilinear shares), and the
+    window about the patch has one weight for each cell, not for each pixel (Vedaldi and Fulkerson 2010: on a dense
+    grid a filter and a look-up). Vectors have length 1, none of their numbers above `LARGEST`.
+    """
+    triangle = 1 - np.abs(np.arange(1 - edge, edge, dtype=np.float32)) / edge
+    cells = cv2.sepFilter2D(maps, -1, triangle, triangle, borderType=cv2.BORDER_REPLICATE)
+    place = np.arange(CELLS) - (CELLS - 1) / 2  # of a cell's middle, in cells
+    offset = np.floor(place * edge).astype(int)
+    window = np.exp(-(place**2) / (2 * (CELLS / 2) ** 2)).astype(np.float32)
+    h, w = maps.shape[:2]
+    rows = np.clip(y[:, None] + offset, 0, h - 1)[:, :, None]
+    columns = np.clip(x[:, None] + offset, 0, w - 1)[:, None, :]
+    out = (cells[rows, columns] * np.outer(window, window)[..., None]).reshape(len(x), -1)
+    for _ in range(2):
+        out = np.minimum(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12), LARGEST)
+    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
+    return np.minimum(512 * out, 255).round().astype(np.uint8)
+
+
+def _at_scale(image, lightness, maps, mask, valid, edge, settings) -> Descriptors:
     """The descriptors of one scale; ``edge`` is the edge of a SIFT cell in pixels."""
     half = 2 * edge
     x, y = _places(mask, valid, half, settings)
@@ -237,21 +293,13 @@ def _at_scale(image, mask, valid, edge, settings) -> Descriptors:
     offsets = spread * (np.arange(TAPS) - TAPS // 2)
     taps = [smooth[np.clip(y + dy, 0, h - 1), np.clip(x + dx, 0, w - 1)] for dy in offsets for dx in offsets]
     # SIFT is normalised for contrast, so a flat patch would be described by its noise: the contrast is kept beside
-    lightness = image[..., 0] if settings.colours == "opponent" else image @ np.float32(REC709_LUMINANCE)
     box = (2 * half + 1,) * 2
     local_mean = cv2.blur(lightness, box)
     # its running sums leave less than nothing where all is black but for a lamp's spot beside
     variance = np.maximum(cv2.blur((lightness - local_mean) ** 2, box)[y, x], 0)
-    low, high = np.percentile(lightness[valid], (0.5, 99.5))
-    coded = np.clip((lightness - low) * (255 / max(high - low, 1e-3)), 0, 255).round().astype(np.uint8)
-    size = edge / 1.5  # OpenCV's cells are 1.5 keypoint sizes wide
-    points = [cv2.KeyPoint(float(u), float(v), size, 0.0) for u, v in zip(x, y, strict=True)]
-    kept, sift = cv2.SIFT_create(nOctaveLayers=1, sigma=settings.sift_sigma).compute(coded, points)
-    if len(kept) != n:
-        raise RuntimeError(f"OpenCV described {len(kept)} of {n} given places")
     return Descriptors(
         np.concatenate(taps, 1).astype(np.float32),
-        sift.astype(np.uint8),
+        dense_sift(maps, x, y, edge),
         np.sqrt(variance).astype(np.float32),
         np.stack([x, y], 1).astype(np.float32) + 0.5,
     )

@@ -21,6 +21,8 @@ from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.recognise.vlad import Dictionary, Encoder, Encoding
 
 log = logging.getLogger("btfsep")
+HALF = 16  # digits of an entry's name for the view, and as many for all
+LOOKED_AT = 3  # trainings of the same view in which materials are looked for: each is read whole
 PATIENCE = 900.0  # seconds for which a training by another process is waited for
 ENGINE = Path(__file__).resolve().parents[1]
 # what a training runs through, from the geometry to the classifier
@@ -42,6 +44,7 @@ def _arrays(recogniser: Recogniser) -> dict:
         "half_contrast": encoder.half_contrast,
         "kind": model.kind,
         "classes": list(model.classes),
+        "contents": list(recogniser.contents),
         "numbers": {name: value for name, value in of_model.items() if isinstance(value, float)},
     }
     arrays |= {f"model.{name}": value for name, value in of_model.items() if isinstance(value, np.ndarray)}
@@ -57,7 +60,8 @@ def _assembled(arrays: dict) -> Recogniser:
     encoder = Encoder(learnt, header["half_contrast"], encoding)
     kind = {"svm": Svm, "nearest": Nearest}[header["kind"]]
     of_kind = {name.removeprefix("model."): value for name, value in arrays.items() if name.startswith("model.")}
-    return Recogniser(settings, encoder, kind(classes=tuple(header["classes"]), **header["numbers"], **of_kind))
+    model = kind(classes=tuple(header["classes"]), **header["numbers"], **of_kind)
+    return Recogniser(settings, encoder, model, tuple(header["contents"]))
 
 
 @functools.cache
@@ -68,7 +72,7 @@ def source_digest(engine: Path = ENGINE) -> str:
     return digest(__version__, [(f.relative_to(engine).as_posix(), f.read_bytes()) for f in files])
 
 
-def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recogniser:
+def cached(key: str, make: Callable[[], Recogniser], *, view: str = "", folder=None) -> Recogniser:
     """The recogniser of ``key``: from the cache, or made now and put there.
 
     This process keeps it. A damaged or older file is replaced silently. Of several processes one trains, and the others
@@ -79,11 +83,39 @@ def cached(key: str, make: Callable[[], Recogniser], *, folder=None) -> Recognis
     ----------
     key : says all that the recogniser depends on beside the engine itself (`source_digest`); see :func:`cache.digest`
     make : trains it
+    view : says all of that but the materials: by it others are found that know some of them (`known_materials`)
     folder : instead of :func:`cache_folder`
     """
-    name, folder = digest(source_digest(), key)[:32], Path(folder or cache.cache_folder())
-    path = folder / "recognisers" / f"{name}.entry"
+    name, folder = digest(source_digest(), key)[:HALF], Path(folder or cache.cache_folder())
+    path = folder / "recognisers" / f"{_of_view(view)}{name}.entry"
     return kept.recalled("recogniser", [str(path)], lambda: _read_or_made(path, make, folder / "locks" / name[:2]))
+
+
+def known_materials(view: str, contents: dict, *, folder=None) -> dict:
+    """Material -> its training vectors, of the latest recognisers of a ``view``, as of :func:`cached`.
+
+    ``contents`` : material -> text; what is known of it is of use where it was the same
+    """
+    known: dict = {}
+    for entry in _latest(Path(folder or cache.cache_folder()) / "recognisers", _of_view(view)):
+        missing = {name: content for name, content in contents.items() if name not in known}
+        if missing and (found := _found(entry)) is not None:
+            with suppress(ValueError):  # whole, but of other sizes
+                known |= found.known(missing)
+    return known
+
+
+def _of_view(view: str) -> str:
+    return digest(source_digest(), view)[:HALF]
+
+
+def _latest(folder: Path, name: str) -> list[Path]:
+    """The entries that begin with ``name`` and were used last, at most `LOOKED_AT`."""
+    found = []
+    for entry in folder.glob(f"{name}*.entry"):
+        with suppress(OSError):  # another process may have removed it
+            found.append((-entry.stat().st_mtime_ns, entry))
+    return [entry for _, entry in sorted(found)[:LOOKED_AT]]
 
 
 def _read_or_made(path: Path, make, lock: Path) -> Recogniser:

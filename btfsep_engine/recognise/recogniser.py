@@ -44,16 +44,29 @@ class Recogniser:
     settings : how images are described
     encoder : dictionaries
     model : the classifier
+    contents : what each of the materials is made of, a text; empty where nothing of it can be used again
     """
 
     settings: dense.Settings
     encoder: Encoder
     model: Svm | Nearest
+    contents: tuple[str, ...] = ()
 
     @property
     def materials(self) -> tuple[str, ...]:
         """The names it can answer with."""
         return self.model.classes
+
+    def known(self, contents: dict) -> dict:
+        """Material -> its training vectors (M, windows + 1, length) float16, of those whose content is the same.
+
+        ``contents`` : material -> text
+        """
+        # a training whose materials have contents has the rows of one after the other
+        count, windows = len(self.materials), self.encoder.encoding.windows + 1
+        vectors = self.model.vectors.reshape(count, -1, windows, self.model.vectors.shape[1]) if self.contents else ()
+        each = zip(self.materials, self.contents, vectors, strict=True) if self.contents else ()
+        return {name: own for name, content, own in each if contents.get(name) == content}
 
     def describe(self, radiance, mask, *, what: str = "the region to recognise"):
         """The VLAD vectors of the masked region of a photo, see `vlad.Encoder.encode`.

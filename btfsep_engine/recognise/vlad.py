@@ -8,10 +8,13 @@ normalised on its own so that neither outweighs the other.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
+WORDS = Path(__file__).resolve().parents[1] / "data" / "words.npz"
 COLOUR_WORDS = 150
 SIFT_WORDS = 250
 
@@ -179,13 +182,22 @@ class Encoder:
         points = points_of(descriptors, self.half_contrast, root=self.encoding.root_sift)
         return {kind: dictionary.projected(points[kind]) for kind, dictionary in self.dictionaries.items()}
 
-    def cosines(self, a, b) -> dict:
-        """Kind -> cosine of the parts of two vectors : (length,) of `encode`."""
-        own, out = np.asarray(a, np.float64) * b, {}
-        for kind, (_, _, weight) in self.encoding.kinds.items():
-            part, own = np.split(own, [self.dictionaries[kind].words.size])
-            out[kind] = float(part.sum() / weight)
-        return out
+    def part(self, vector, kind: str) -> np.ndarray:
+        """The part of a kind of a vector (length,) of `encode`, of unit length, where it is not all zero."""
+        start = 0
+        for name, (_, _, weight) in self.encoding.kinds.items():
+            end = start + self.dictionaries[name].words.size
+            if name == kind:
+                return vector[start:end] / np.sqrt(weight)
+            start = end
+        raise KeyError(kind)
+
+    def whole(self, descriptors, kind: str) -> np.ndarray:
+        """The part of a kind of the whole object's vector, of unit length: (length of the part,) float32."""
+        points = points_of(descriptors, self.half_contrast, root=self.encoding.root_sift)[kind]
+        dictionary, everywhere = self.dictionaries[kind], np.zeros(len(points), int)
+        sums = aggregate(dictionary.projected(points), dictionary.words, everywhere, 1)
+        return normalise(sums, self.encoding.power)[0]
 
     def encode(self, descriptors):
         """The VLAD vectors of an object: one per window, then that of the whole object.
@@ -244,6 +256,20 @@ def learn_dictionary(points, count: int, components: int | None, *, seed=0) -> D
         _, vectors = np.linalg.eigh(centred.T.astype(np.float64) @ centred)
         axes = np.ascontiguousarray(vectors[:, ::-1][:, :components], np.float32)
     return Dictionary(learn_words((points - mean) @ axes, count, seed=seed), mean.astype(np.float32), axes)
+
+
+@lru_cache(maxsize=1)
+def ready_encoder() -> Encoder:
+    """The shipped dictionaries, of `DEFAULT` and half a contrast of 0.05.
+
+    They are learned from three objects in all shipped materials under the training lights
+    (``scripts/study learn-words``): words of patches, of which no object and no material has its own.
+    """
+    with np.load(WORDS, allow_pickle=False) as found:
+        learnt = {
+            kind: Dictionary(*(found[f"{kind}.{n}"] for n in ("words", "mean", "axes"))) for kind in DEFAULT.kinds
+        }
+        return Encoder(learnt, float(found["half_contrast"]), DEFAULT)
 
 
 def learn_encoder(sample, *, half_contrast, encoding=DEFAULT, seed=0) -> Encoder:

@@ -74,7 +74,8 @@ class Way:
 
 
 def encoded(method: Method, **settings) -> Method:
-    return replace(method, encoding=replace(method.encoding, **settings))
+    """Another encoding, whose dictionaries are learned from the training images."""
+    return replace(method, ready=False, encoding=replace(method.encoding, **settings))
 
 
 # a Gaussian has two vectors, a word one: with half as many the joined vectors are as long as those of VLAD
@@ -84,10 +85,11 @@ WAYS = (
     Way("colour patches alone", encoded(TUNED, colour_weight=1.0)),
     Way("SIFT alone", encoded(TUNED, colour_weight=0.0)),
     Way("nearest neighbour", classifier="nearest"),
+    Way("words of its own", encoded(TUNED)),
     Way("50 + 50 words", encoded(TUNED, colour_words=50, sift_words=50)),
     Way("500 + 500 words", encoded(TUNED, colour_words=500, sift_words=500)),
     Way("Fisher vectors, 75 + 125 Gaussians", encoded(TUNED, **HALF), learn=fisher.learn_encoder),
-    Way("Fisher vectors, 150 + 250 Gaussians", TUNED, learn=fisher.learn_encoder),
+    Way("Fisher vectors, 150 + 250 Gaussians", encoded(TUNED), learn=fisher.learn_encoder),
     Way("trained under single lamps", light="single"),
     Way("trained on flat textures", shown="flat"),
     Way("trained on flat textures with gloss", shown="flat with gloss"),

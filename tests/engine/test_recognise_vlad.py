@@ -100,17 +100,27 @@ def test_the_last_vector_is_that_of_the_whole_object(rng):
 
 
 @pytest.mark.parametrize("weight", [0.5, 0.2])
-def test_cosines_are_those_of_the_two_parts(rng, weight):
-    """Of the same vector 1 and 1; where one part is turned round, that one alone is -1; both add up to the whole's."""
+def test_a_part_of_the_whole_objects_vector_is_that_kind_alone(rng, weight):
     encoding = replace(vlad.DEFAULT, colour_weight=weight)
     encoder = vlad.learn_encoder(described(rng, 900), half_contrast=0.05, encoding=encoding)
-    a, b = encoder.encode(described(rng))[-1], encoder.encode(described(rng))[-1]
-    assert encoder.cosines(a, a) == pytest.approx({"colour": 1, "sift": 1}, abs=1e-4)
-    turned = a.copy()
-    turned[: encoder.dictionaries["colour"].words.size] *= -1
-    assert encoder.cosines(a, turned) == pytest.approx({"colour": -1, "sift": 1}, abs=1e-4)
-    colour, sift = encoder.cosines(a, b).values()
-    assert weight * colour + (1 - weight) * sift == pytest.approx(float(a @ b), abs=1e-4)
+    places = described(rng)
+    whole = encoder.encode(places)[-1]
+    for kind in ("colour", "sift"):
+        part = encoder.part(whole, kind)
+        np.testing.assert_allclose(encoder.whole(places, kind), part, atol=1e-5)
+        assert np.linalg.norm(part) == pytest.approx(1, abs=1e-4)
+    assert len(encoder.part(whole, "colour")) == 150 * 27 and len(encoder.part(whole, "sift")) == 250 * 40
+    with pytest.raises(KeyError):
+        encoder.part(whole, "shape")
+
+
+def test_the_shipped_words_are_of_the_default_encoding(rng):
+    encoder = vlad.ready_encoder()
+    assert encoder.half_contrast == 0.05 and encoder.encoding == vlad.DEFAULT
+    shapes = {kind: (d.words.shape, d.axes.shape) for kind, d in encoder.dictionaries.items()}
+    assert shapes == {"colour": ((150, 27), (27, 27)), "sift": ((250, 40), (128, 40))}
+    assert all(np.isfinite(a).all() for d in encoder.dictionaries.values() for a in vars(d).values())
+    assert encoder.encode(described(rng)).shape == (5, 14050)
 
 
 def test_the_papers_vectors_are_equation_2_on_raw_sift_and_nothing_else(rng):

@@ -10,6 +10,7 @@ import trimesh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.job.model import Photo
+from btfsep_engine.kept import STORE
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.materials import object_materials
@@ -19,6 +20,7 @@ from btfsep_engine.pipeline.settings import RecognitionSettings, choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
+from btfsep_engine.render.transport import Transport
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
 
 FEW = ("leather/brown-grain", "wood/oak-boards", "felt/green-coarse")
@@ -39,7 +41,7 @@ def scene():
 
 
 def key_of(monkeypatch, scene, library, settings):
-    monkeypatch.setattr(recognition, "cached", lambda key, make: key)
+    monkeypatch.setattr(recognition, "cached", lambda key, make, **_: key)
     return trained_recogniser(scene, 0, library, settings)
 
 
@@ -81,7 +83,7 @@ def test_every_training_map_is_used_at_the_presets_turns(monkeypatch, scene, lib
             seen.setdefault(sample.material, []).append(sample)
         seen["method"] = options["method"]
 
-    monkeypatch.setattr(recognition, "cached", lambda key, make: make())
+    monkeypatch.setattr(recognition, "cached", lambda key, make, **_: make())
     monkeypatch.setattr(recognition, "train", train)
     trained_recogniser(scene, 0, library, choose(preset, training_directions=32, training_pixels=2000))
     assert seen.pop("method").as_photos is (preset != "paper")
@@ -92,6 +94,40 @@ def test_every_training_map_is_used_at_the_presets_turns(monkeypatch, scene, lib
         assert {names.count(n) for n in names} == {1} and len({n.partition("@")[0] for n in names}) == 7
         pictures = np.stack([np.nan_to_num(image.radiance[image.mask]) for image in images])
         assert min(np.abs(a - b).max() for i, a in enumerate(pictures) for b in pictures[:i]) > 0
+
+
+def test_one_more_material_is_all_that_is_made(monkeypatch, scene, library, tmp_path):
+    """And the training is, bit for bit, that from the start."""
+    settings = RecognitionSettings(training_pixels=3000, training_directions=32, training_turns=1)
+    fewer = replace(library, entries={name: library.entries[name] for name in FEW[:2]})
+    rendered, radiance = [], Transport.radiance
+
+    def seen(self, material, lightings):
+        rendered.append(material.name)
+        return radiance(self, material, lightings)
+
+    monkeypatch.setattr(Transport, "radiance", seen)
+
+    def made(library, folder):
+        monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / folder))
+        STORE.forget()
+        rendered.clear()
+        return trained_recogniser(scene, 0, library, settings), sorted(set(rendered))
+
+    _, first = made(fewer, "one")
+    more, second = made(library, "one")
+    anew, every = made(library, "other")
+    assert first == sorted([*FEW[:2], "reference/white-diffuse", "reference/chrome"])
+    assert second == [FEW[2]] and every == sorted([*first, FEW[2]])
+    assert more.materials == anew.materials and more.contents == anew.contents
+    for name, array in vars(anew.model).items():
+        np.testing.assert_array_equal(getattr(more.model, name), array)
+    changed = library.entries[FEW[0]].model_copy(update={"name": FEW[1]})  # a name that means something else now
+    renamed = replace(library, entries=fewer.entries | {FEW[1]: changed})
+    assert made(renamed, "one")[1] == [FEW[1]]  # by what its file holds, not by its name
+    for entry in (tmp_path / "one" / "recognisers").iterdir():
+        entry.write_bytes(entry.read_bytes()[:-100] + bytes(100))
+    assert made(library, "one")[1] == every  # what is damaged is not believed
 
 
 def photographed(scene, library, name, *, seed=5) -> Photo:
