@@ -17,6 +17,7 @@ from btfsep_engine.recognise.model_file import cached, known_materials
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import METHODS, render_samples, train
 from btfsep_engine.recognise.vlad import WORDS
+from btfsep_engine.threads import one_thread
 
 WINDOW = 64  # edge in pixels of the windows that a large object is cut down to
 # One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials. Surfaces by
@@ -137,7 +138,7 @@ def recognise_object(scene: PreparedScene, index: int, library, settings: Recogn
     name = scene.job.objects[index].name
     region = training_region(scene.regions[index], settings.training_pixels)
     window = bounding_window(region)
-    with scene.reporter.stage("recognition"):
+    with scene.reporter.stage("recognition"), one_thread():  # many small products
         verification = Verification(scene, index, region, window, settings) if settings.verify else None
         answer = recognised(scene.job.photo, region, window, recogniser, library, verification, name=name)
     if answer.unknown and answer.stand_in:

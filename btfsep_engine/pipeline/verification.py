@@ -20,6 +20,7 @@ from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.election import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
+from btfsep_engine.fit.search import Solution, solve
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.log_field import coarse_field, even_field
 from btfsep_engine.recognise.contrast import Contrast, contrast, unlike
@@ -30,9 +31,11 @@ from btfsep_engine.render.sampling import choose_pixels
 from btfsep_engine.threads import one_thread
 
 EXPLAINED = 24  # the first of the classifier's; others keep what the worst of these has
-RENDERED = 8  # of these, the likeliest
+RENDERED = 8  # of these, the likeliest ...
+HOPELESS = 5.0  # ... but none that is so far behind the first, in the logarithm of its odds
 PIXELS = 1000  # of the fit of the light
 ORDER = 6  # of its coefficients
+NEARBY = 2  # steps from another material's light to a rough one
 FIELD = 8, 4, sh.term_count(ORDER), 256  # of its logarithm: orders of lightness and of colours; directions
 EXPLANATIONS = ("evidence", "tint")
 SIMILARITIES = ("texture", "contrast", "chroma", "skewness", "correlation")
@@ -52,11 +55,13 @@ class Explained:
         a lamp and go negative
     colour : (3,), the light's mean radiance
     evidence : logarithm of how probable the photo is
+    solution : of the fit
     """
 
     light: np.ndarray
     colour: np.ndarray
     evidence: float
+    solution: Solution
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,7 @@ class Verification:
         self.few = choose_pixels(self.points, PIXELS, seed=settings.seed)
         self.few_transport = scene.transport(self.points.take(self.few), directions=settings.training_directions)
         self.region, self.window, self.seed = region[window], window, settings.seed
-        self.rendered = RENDERED
+        self.every = False  # whether candidates are rendered, not the likeliest alone
         self._bases: dict = {}  # of the materials that were asked for: they are the same for every photo
 
     def cues(self, names, votes, recogniser: Recogniser, radiance, vectors, load) -> dict:
@@ -156,13 +161,17 @@ class Verification:
         """
         count = len(names)
         materials = [load(name) for name in names[:EXPLAINED]]
-        explained = [self.explained(material, radiance) for material in materials]
+        first = self.explained(materials[0], radiance)  # the others' lights are looked for from there on
+        explained = [first, *(self.explained(material, radiance, first.solution) for material in materials[1:])]
         evidence = np.array([e.evidence for e in explained])
         below = np.sqrt(np.maximum(evidence.max() - evidence, 0))  # half of a chi^2's size, of which a root is normal
         found = {"evidence": -below, "tint": np.array([-unusual(e.colour) for e in explained])}
         cues = {cue: _of_all(values, range(len(materials)), count) for cue, values in found.items()}
-        likely = np.argsort(-utilities(judgements()["explained"].weights, votes | cues), kind="stable")
-        likely = [i for i in likely if i < len(materials)][: self.rendered]
+        odds = utilities(judgements()["explained"].weights, votes | cues)
+        likely = [i for i in np.argsort(-odds, kind="stable") if i < len(materials)]
+        if not self.every:
+            enough = odds[likely[0]] - HOPELESS
+            likely = [i for i in likely[:RENDERED] if odds[i] > enough or materials[i].mirror_reflectance is not None]
         texture = recogniser.encoder.part(vectors[-1], "sift")
         usable = np.isfinite(radiance[self.region]).all(-1)
         photo = Photographed(usable, texture, contrast(radiance, self.region))
@@ -175,8 +184,11 @@ class Verification:
         ]
         return cues | {cue: _of_all(np.array([s[cue] for s in similar]), likely, count) for cue in SIMILARITIES}
 
-    def explained(self, material, radiance) -> Explained:
-        """What a material explains by its mean ABRDF of ``radiance`` (h, w, 3), the window of the photograph."""
+    def explained(self, material, radiance, start=None) -> Explained:
+        """What a material explains by its mean ABRDF of ``radiance`` (h, w, 3), the window of the photograph.
+
+        ``start`` : fit.search.Solution, another material's
+        """
         if material.name not in self._bases:
             self._bases[material.name] = self.few_transport.radiance(material.mean_material(), SHBasis(ORDER))
         rows, columns = (self.points.pixels[self.few] - [s.start for s in self.window]).T
@@ -185,9 +197,11 @@ class Verification:
         with one_thread():
             basis = Basis(self._bases[material.name][good], self.points.normal[self.few][good])
             photo = CoarselyLit(basis, b[good])
-            best = natural_light(photo, rounds=2)
+            if start is not None:  # another material's: from there, a light of its own is soon found roughly
+                start = solve(photo, start.model, white=start.white, v=start.v, rounds=1, steps=NEARBY)
+            best = natural_light(photo, rounds=2, start=start)
         light = CELLS.means(best.radiance, best.model.field.directions) * photo.level
-        return Explained(light, best.x[:, 0] * photo.level, best.evidence)
+        return Explained(light, best.x[:, 0] * photo.level, best.evidence, best)
 
     def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> dict[str, float]:
         """`SIMILARITIES` of the photograph and a material under a light: a cosine, -1 to 1, and differences, <= 0."""

@@ -37,10 +37,10 @@ class Remembering(Verification):
         super().__init__(*scene_and_more)
         self.known: dict = {}
 
-    def explained(self, material, radiance):
+    def explained(self, material, radiance, start=None):
         key = "explained", material.name
         if key not in self.known:
-            self.known[key] = super().explained(material, radiance)
+            self.known[key] = super().explained(material, radiance, start)
         return self.known[key]
 
     def similarity(self, material, *about):
@@ -121,7 +121,7 @@ def cues_of(
         if kept.get("key") != key:
             if of != photograph.object:
                 view, of = View(photograph, library, settings), photograph.object
-                view.verification.rendered = None if every else view.verification.rendered
+                view.verification.every = every
             photo = load_job(photograph.folder).photo
             radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)
             if flaw != "clean":

@@ -7,6 +7,7 @@ themselves.
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -117,3 +118,27 @@ def test_the_paper_trains_an_svm_with_offsets_on_plain_vectors(rng):
     assert [d.words.shape for d in recogniser.encoder.dictionaries.values()] == [(150, 27), (250, 128)]
     for name in textures:
         assert recogniser.judged(recogniser.describe(photo(name), MASK)).material == name
+
+
+@pytest.mark.parametrize("edge", [3, 4, 7])
+def test_sift_is_opencvs(rng, edge):
+    """On blurred noise, at places off the border: the same numbers, but for the window within a cell."""
+    image = cv2.GaussianBlur(rng.normal(size=(160, 160)).astype(np.float32), (0, 0), 2.0)
+    y, x = (a.ravel() for a in np.mgrid[40:120:9, 40:120:9])
+    found = dense.dense_sift(dense.orientation_maps(image, 1.0), x, y, edge).astype(float)
+    coded = np.clip(128 + 60 * image / image.std() / 2, 0, 255).round().astype(np.uint8)
+    points = [cv2.KeyPoint(float(u), float(v), edge / 1.5, 0.0) for u, v in zip(x, y, strict=True)]
+    _, expected = cv2.SIFT_create(nOctaveLayers=1, sigma=1.0).compute(coded, points)
+    assert found.shape == expected.shape == (len(x), 128)
+    cosine = (found * expected).sum(1) / (np.linalg.norm(found, axis=1) * np.linalg.norm(expected, axis=1))
+    assert np.median(cosine) > 0.95 and cosine.min() > 0.9
+    assert np.linalg.norm(found, axis=1) == pytest.approx(512, rel=0.02)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 6.0, 20.0])
+def test_a_wide_blur_on_fewer_pixels_is_that_of_a_gaussian(rng, sigma):
+    image = cv2.GaussianBlur(rng.normal(size=(130, 170, 4)).astype(np.float32), (0, 0), 2.0)
+    expected = cv2.GaussianBlur(image, (0, 0), sigma)
+    inner = np.s_[30:-30, 30:-30]
+    difference = dense.smoothed(image, sigma)[inner] - expected[inner]
+    assert np.sqrt(np.square(difference).mean()) < 0.2 * expected[inner].std()

@@ -9,6 +9,7 @@ import trimesh
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import SURFACES
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import Photo
 from btfsep_engine.kept import STORE
 from btfsep_engine.light.lightings import SHLighting
@@ -17,6 +18,7 @@ from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.recognition import recognise_object, trained_recogniser
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings, choose
+from btfsep_engine.pipeline.verification import CELLS, Verification
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
@@ -213,3 +215,33 @@ def test_another_classifier_has_the_order_of_the_cues_and_its_own_limit(monkeypa
     scene.job = replace(scene.job, photo=photographed(scene, library, FEW[0]))
     answer = recognise_object(scene, 0, library, replace(settings, classifier="nearest"))
     assert answer.material == FEW[0] and answer.likely is None
+
+
+@pytest.mark.parametrize("name", FEW)
+def test_cells_of_light_make_the_picture_that_the_light_makes(scene, library, name):
+    transport = scene.transport(scene.points(0, textured=True), directions=256)
+    light, directions = SHLighting(positive_light(4, seed=3) * [1.0, 0.9, 0.7]), fibonacci_sphere(400)
+    cells = CELLS.means(light.radiance(directions)[:, 0].T, directions)
+    assert cells.shape == (CELLS.count, 3)
+    found = np.einsum("pmc,mc->pc", transport.radiance(library.load(name), CELLS), cells)
+    expected = transport.radiance(library.load(name), light)[:, 0]
+    assert np.sqrt(np.square(found - expected).mean()) < 0.05 * np.sqrt(np.square(expected).mean())
+
+
+def test_what_is_far_behind_is_not_rendered(monkeypatch, scene, library, settings):
+    """One that the classifier is sure of, and whose light explains as much as any."""
+    scene.job = replace(scene.job, photo=photographed(scene, library, FEW[0]))
+    rendered, similarity = [], Verification.similarity
+
+    def seen(self, material, *about):
+        rendered.append(material.name)
+        return similarity(self, material, *about)
+
+    monkeypatch.setattr(Verification, "similarity", seen)
+    others = [(name, 1e-12) for name in (FEW[1], FEW[2], "reference/white-diffuse")]
+    for score, count in ((1 - 3e-12, 1), (1e-12, 4)):  # -log of 1e-12 is 28, of which the root counts
+        rendered.clear()
+        sure = Recognition(FEW[0], ((FEW[0], score), *others), False, 0.5)
+        monkeypatch.setattr(Recogniser, "judged", lambda self, vectors, sure=sure: sure)
+        recognise_object(scene, 0, library, settings)
+        assert FEW[0] in rendered and (len(rendered) == 1) is (count == 1)
