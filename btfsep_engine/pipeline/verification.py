@@ -32,7 +32,7 @@ from btfsep_engine.threads import one_thread
 
 EXPLAINED = 24  # the first of the classifier's; others keep what the worst of these has
 RENDERED = 8  # of these, the likeliest ...
-HOPELESS = 5.0  # ... but none that is so far behind the first, in the logarithm of its odds
+HOPELESS = 6.0  # ... but none that is so far behind the first, in the logarithm of its odds
 PIXELS = 1000  # of the fit of the light
 ORDER = 6  # of its coefficients
 NEARBY = 2  # steps from another material's light to a rough one
