@@ -96,6 +96,8 @@ def export_job(
         parts = {name: _mapped(gathered.get(thing.name_full), mapping, name) for name, thing in called}
     for name, part in parts.items():
         file, mask = names.of(name), (masks or {}).get(name)
+        surface, uv = own_surface.of(name, part, surfaces, folder, mapping=mapping, warn=warn)
+        part = part if uv is None else {**part, "uv": uv}
         fitted.append(
             {
                 "name": name,
@@ -103,7 +105,7 @@ def export_job(
                 "to_world": None,
                 "mask": None if mask is None else photo.put_mask(mask, folder, f"mask_{Path(file).stem}.png", size),
                 "material": (materials or {}).get(name) or None,
-                "surface": own_surface.of(name, part, surfaces, folder, mapping=mapping, warn=warn),
+                "surface": surface,
                 "uv": "xatlas" if mapping == "CHARTS" or part is None else "mesh",
             }
         )

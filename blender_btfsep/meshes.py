@@ -83,7 +83,7 @@ def joined(parts: list[dict]) -> dict:
     for part in parts:
         vertex.append(part["vertex"] + offset)
         offset += int(part["vertex"].max()) + 1
-    whole = {key: np.concatenate([part[key] for part in parts]) for key in ("positions", "normals")}
+    whole = {key: np.concatenate([part[key] for part in parts]) for key in ("positions", "normals", "materials")}
     whole["vertex"] = np.concatenate(vertex)
     whole["areas"] = {}
     for part in parts:
@@ -94,19 +94,18 @@ def joined(parts: list[dict]) -> dict:
     return whole
 
 
-def _areas(positions, mesh, slots) -> dict:
-    """Material (the original one, or None) -> the area of the triangles ``positions`` that it has."""
+def _materials(positions, mesh, slots) -> dict:
+    """ "materials", (f,) of each triangle (the original one, or None), and "areas", {of each: its area}."""
     slot = np.empty(len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("material_index", slot)
     area = np.linalg.norm(np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0]), axis=1) / 2
-    out = {}
-    for number, total in enumerate(np.bincount(slot, area)):
-        # a number beyond the last slot stands for the last one
-        material = slots[min(number, len(slots) - 1)].material if len(slots) else None
-        material = material and material.original
+    own = np.array([each.material and each.material.original for each in slots] or [None], object)
+    slot = np.minimum(slot, len(own) - 1)  # a number beyond the last slot stands for the last one
+    areas = {}
+    for material, total in zip(own, np.bincount(slot, area, len(own)), strict=True):
         if total > 0:
-            out[material] = out.get(material, 0.0) + float(total)
-    return out
+            areas[material] = areas.get(material, 0.0) + float(total)
+    return {"materials": own[slot], "areas": areas}
 
 
 def gather(depsgraph, owners) -> dict:
@@ -114,8 +113,8 @@ def gather(depsgraph, owners) -> dict:
 
     Returns
     -------
-    dict, object name -> dict as triangles_of_mesh gives, and "areas", {Material or None: area}; objects without faces
-    are absent
+    dict, object name -> dict as triangles_of_mesh gives, "materials", (f,) Material or None, and "areas", {of each: its
+    area}; objects without faces are absent
     """
     wanted = {owner.name_full for owner in owners}
     parts: dict[str, list] = {}
@@ -131,7 +130,7 @@ def gather(depsgraph, owners) -> dict:
             continue
         part = triangles_of_mesh(mesh, instance.matrix_world)
         if part is not None:
-            part["areas"] = _areas(part["positions"], mesh, evaluated.material_slots)
+            part |= _materials(part["positions"], mesh, evaluated.material_slots)
         evaluated.to_mesh_clear()
         if part is not None:
             parts.setdefault(owner.name_full, []).append(part)

@@ -3,12 +3,15 @@
 
 import re
 
-from . import library_assets, photo, surroundings
+import numpy as np
+
+from . import library_assets, palette, photo, surroundings
 from .bake import source_of
 from .colour import to_rec709
 from .errors import InputError
 
 BLENDER = "BLENDER"
+ALIKE = 0.05  # numbers of materials that differ by less are one
 
 
 def material_of(entry) -> str | None:
@@ -34,12 +37,12 @@ def words(thing) -> str:
     if thing.instance_type == "COLLECTION":
         return "As what it instances"
     names = dict.fromkeys(f"'{slot.material.name}'" for slot in thing.material_slots if slot.material)
-    own = ", ".join(names) + (": their mean, unless you separate it" if len(names) > 1 else "")
+    own = ", ".join(names) + (": each its colour, their mean roughness" if len(names) > 1 else "")
     return library_assets.material_named_by(thing) or own or "It has no material: white"
 
 
-def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn) -> dict | None:
-    """The "surface" of an object in the job.
+def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn) -> tuple:
+    """The "surface" of an object in the job, or None, and the texture coordinates that it needs instead of the part's.
 
     Parameters
     ----------
@@ -54,7 +57,7 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
     """
     wanted = (surfaces or {}).get(name)
     if wanted != BLENDER:
-        return wanted
+        return wanted, None
     if part is None:
         raise InputError("the surface of the depth", "it has no material of its own", "give its colour, or a material")
     told = []
@@ -65,16 +68,35 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
     if surface is None:
         why = told[0] if told else "what it reflects is not known"
         raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")
-    if len(part["areas"]) > 1:
-        count = len(part["areas"])  # in one piece, which the card does not cut: what to do is the point of it
-        warn(f"object '{name}' counts as the mean of its {count} materials until it is separated by material")
     for sentence in told:
         warn(f"object '{name}': {sentence}")
+    if len(part["areas"]) > 1:
+        return _of_several(name, part, surface, folder, warn)
     image = texture_of(part["areas"])
     if image is not None and part["uv"] is not None and mapping != "UNWRAP":
-        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", f"colour_{name}")[:60]
-        surface["base_color"] = photo.put_texture(image, folder, stem)
-    return surface
+        surface["base_color"] = photo.put_texture(image, folder, _stem(name))
+    return surface, None
+
+
+def _stem(name: str) -> str:
+    """Of the file of an object's colours."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", f"colour_{name}")[:60]
+
+
+def _of_several(name: str, part: dict, mean: dict, folder, warn) -> tuple:
+    """`of` for several materials: their colours in an image, all else as the ``mean`` has it."""
+    each = [surroundings.read_alone(material) or mean for material in part["areas"]]
+    if np.ptp([numbers["base_color"] for numbers in each], axis=0).max() < ALIKE:
+        uv = None
+    else:
+        number = {material: i for i, material in enumerate(part["areas"])}
+        numbers = np.array([number.get(material, 0) for material in part["materials"]])  # those without area: any
+        image, uv = palette.laid([numbers["base_color"] for numbers in each], numbers)
+        mean["base_color"] = photo.put_colours(image, folder, _stem(name))
+    if max(abs(numbers[key] - mean[key]) for numbers in each for key in ("roughness", "metallic", "specular")) > ALIKE:
+        # in one piece, which the card does not cut: what to do is the point of it
+        warn(f"object '{name}' has the mean gloss of its {len(each)} materials until it is separated by material")
+    return mean, uv
 
 
 def texture_of(areas: dict):

@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from . import pixels
 from .atomic import replacing, write_bytes
 from .errors import InputError
 from .frames import SUFFIXES, split
@@ -134,6 +135,14 @@ def put_texture(image, folder, stem: str) -> str:
     return _put_image(image, Path(folder), stem)[0]
 
 
+def put_colours(values, folder, stem: str) -> str:
+    """Writes colours (h, w, 3), linear, the lowest row first, as an EXR into ``folder``; gives its name."""
+    name = f"{stem}.exr"
+    with scratch() as own, replacing(Path(folder) / name) as file:
+        save_exr(own(pixels.new(stem, values)), file, raw=True)
+    return name
+
+
 def _put_one_of(sequence, folder: Path, path: Path | None):
     """One photo, by its file: a sequence has pixels only at the frames where the scene has them."""
     if path is None or not path.is_file():
@@ -217,10 +226,10 @@ def _save(image, folder: Path, stem: str = "photo") -> str:
     with scratch() as own:
         if image.colorspace_settings.name in LINEAR and not image.is_float:
             # save_render would take the codes for sRGB
-            pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
-            image.pixels.foreach_get(pixels)
+            stored = np.empty(4 * image.size[0] * image.size[1], np.float32)
+            image.pixels.foreach_get(stored)
             image = own(bpy.data.images.new("BTFsep photo", *image.size, float_buffer=True, is_data=True))
-            image.pixels.foreach_set(pixels)
+            image.pixels.foreach_set(stored)
         with replacing(folder / f"{stem}.exr") as file:
             save_exr(image, file)
     return f"{stem}.exr"

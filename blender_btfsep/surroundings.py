@@ -55,6 +55,14 @@ def surface_of(areas: dict, warn) -> dict | None:
     return {key: np.average([n[key] for n, _ in read], axis=0, weights=weights).round(6).tolist() for key in DEFAULT}
 
 
+def read_alone(material) -> dict | None:
+    """The ``surface`` of one material (or None: of no material); None where it cannot be read or light goes through."""
+    try:
+        return _numbers(material, lambda sentence: None)
+    except Clear:
+        return None
+
+
 def _numbers(material, warn) -> dict | None:
     """The numbers of one material, None where they cannot be read."""
     if material is None:

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import answer, command, icons, library, request, runs
+from blender_btfsep import answer, command, icons, library, own_surface, request, runs
 from blender_btfsep.advice import advice
 from btfsep_engine.job.load import load_job
 
@@ -80,9 +80,7 @@ def test_as_in_blender_is_what_its_material_says(photographed, cube, tmp_path):
     assert surface["specular"] == pytest.approx(0.5, abs=0.01) and surface["metallic"] == 0
 
 
-def test_of_several_materials_the_mean_is_taken_and_that_is_said(photographed, cube, tmp_path):
-    from blender_btfsep import own_surface
-
+def test_each_of_several_materials_has_its_colour_and_all_the_mean_gloss(photographed, cube, tmp_path):
     cube.source, thing = "BLENDER", cube.object
     assert own_surface.words(thing) == "It has no material: white"
     thing.data.materials.append(material())
@@ -90,20 +88,43 @@ def test_of_several_materials_the_mean_is_taken_and_that_is_said(photographed, c
     job_of(photographed, tmp_path)
     warnings = bpy.context.window_manager.btfsep.warnings
     assert not warnings
-    thing.data.materials.append(material(colour=(0.6, 0.4, 0.5, 1)))
-    for face in thing.data.polygons[:3]:
-        face.material_index = 1
+    other = material(colour=(0.6, 0.4, 0.5, 1))
+    thing.data.materials.append(other)
+    for face in thing.data.polygons:
+        face.material_index = int(face.normal.z > 0.5)  # its top
     thing.data.update()
-    surface = job_of(photographed, tmp_path)["surface"]
-    assert np.allclose(surface["base_color"], (0.4, 0.4, 0.3))
+    assert job_of(photographed, tmp_path)["surface"]["base_color"] == "colour_Cube.exr"
+    assert not warnings  # their gloss is one
+    job = load_job(tmp_path / "job")
+    surface, mesh = job.objects[0].surface, job.objects[0].mesh
+    corners = mesh.vertices[mesh.faces]
+    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    top = up[:, 2] > 0.9 * np.linalg.norm(up, axis=1)
+    side = len(surface.image)
+    for uv in (mesh.corner_uv.mean(1), *mesh.corner_uv.transpose(1, 0, 2)):  # of row 0 at the top
+        row, column = ((1 - uv[:, 1]) * side).astype(int), (uv[:, 0] * side).astype(int)
+        colours = surface.image[row, column]
+        assert np.allclose(colours[top], (0.6, 0.4, 0.5), atol=1e-5) and top.sum() == 2
+        assert np.allclose(colours[~top], (0.2, 0.4, 0.1), atol=1e-5)
+    other.node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.9
+    job_of(photographed, tmp_path)
     assert [w.name for w in warnings] == [
-        "object 'Cube' counts as the mean of its 2 materials until it is separated by material"
+        "object 'Cube' has the mean gloss of its 2 materials until it is separated by material"
     ]
     assert advice(warnings[0].name).short.endswith("until it is separated by material")  # none of it is cut off
-    assert own_surface.words(thing) == "'Own', 'Own.001': their mean, unless you separate it"
+    assert own_surface.words(thing) == "'Own', 'Own.001': each its colour, their mean roughness"
     holder = bpy.data.objects.new("Holder", None)
     holder.instance_type, holder.instance_collection = "COLLECTION", photographed.collection
     assert own_surface.words(holder) == "As what it instances" and own_surface.words(None).startswith("It has no")
+
+
+def test_materials_of_one_colour_need_no_picture(photographed, cube, tmp_path):
+    cube.source = "BLENDER"
+    for _ in range(2):
+        cube.object.data.materials.append(material())
+    cube.object.data.polygons[0].material_index = 1
+    cube.object.data.update()
+    assert np.allclose(job_of(photographed, tmp_path)["surface"]["base_color"], (0.2, 0.4, 0.1))
 
 
 def test_as_in_blender_takes_the_texture_by_its_uv(photographed, cube, tmp_path):
