@@ -11,7 +11,9 @@ from .colour import to_rec709
 from .errors import InputError
 
 BLENDER = "BLENDER"
-ALIKE = 0.05  # numbers of materials that differ by less are one
+FINISH = ("roughness", "metallic", "specular")  # in an image of finishes: red, green, blue
+MOST_FINISHES = 16  # that a job may have of one object
+ALIKE = 0.01  # numbers of materials that differ by less are one
 
 
 def material_of(entry) -> str | None:
@@ -37,7 +39,7 @@ def words(thing) -> str:
     if thing.instance_type == "COLLECTION":
         return "As what it instances"
     names = dict.fromkeys(f"'{slot.material.name}'" for slot in thing.material_slots if slot.material)
-    own = ", ".join(names) + (": each its colour, their mean roughness" if len(names) > 1 else "")
+    own = ", ".join(names) + (", each where it is" if len(names) > 1 else "")
     return library_assets.material_named_by(thing) or own or "It has no material: white"
 
 
@@ -74,29 +76,32 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
         return _of_several(name, part, surface, folder, warn)
     image = texture_of(part["areas"])
     if image is not None and part["uv"] is not None and mapping != "UNWRAP":
-        surface["base_color"] = photo.put_texture(image, folder, _stem(name))
+        surface["base_color"] = photo.put_texture(image, folder, _stem("colour", name))
     return surface, None
 
 
-def _stem(name: str) -> str:
-    """Of the file of an object's colours."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", f"colour_{name}")[:60]
+def _stem(what: str, name: str) -> str:
+    """Of the file of an object's colours or finishes."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", f"{what}_{name}")[:60]
 
 
 def _of_several(name: str, part: dict, mean: dict, folder, warn) -> tuple:
-    """`of` for several materials: their colours in an image, all else as the ``mean`` has it."""
+    """`of` for several materials: what each reflects, in images; the ``mean`` for what cannot be read."""
     each = [surroundings.read_alone(material) or mean for material in part["areas"]]
-    if np.ptp([numbers["base_color"] for numbers in each], axis=0).max() < ALIKE:
-        uv = None
-    else:
-        number = {material: i for i, material in enumerate(part["areas"])}
-        numbers = np.array([number.get(material, 0) for material in part["materials"]])  # those without area: any
-        image, uv = palette.laid([numbers["base_color"] for numbers in each], numbers)
-        mean["base_color"] = photo.put_colours(image, folder, _stem(name))
-    if max(abs(numbers[key] - mean[key]) for numbers in each for key in ("roughness", "metallic", "specular")) > ALIKE:
-        # in one piece, which the card does not cut: what to do is the point of it
-        warn(f"object '{name}' has the mean gloss of its {len(each)} materials until it is separated by material")
-    return mean, uv
+    values = np.array([[*numbers["base_color"], *(numbers[key] for key in FINISH)] for numbers in each])
+    if np.ptp(values, axis=0).max() < ALIKE:
+        return mean, None
+    if len(np.unique(values[:, 3:].round(3), axis=0)) > MOST_FINISHES:
+        values[:, 3:] = [mean[key] for key in FINISH]
+        warn(f"object '{name}': it has more than {MOST_FINISHES} kinds of gloss: their mean counts")
+    number = {material: i for i, material in enumerate(part["areas"])}
+    numbers = np.array([number.get(material, 0) for material in part["materials"]])  # those without area: any
+    image, uv = palette.laid(values, numbers)
+    files = [
+        photo.put_numbers(image[..., c : c + 3], folder, _stem(what, name))
+        for what, c in (("colour", 0), ("finish", 3))
+    ]
+    return {**mean, "base_color": files[0], "finish": files[1]}, uv
 
 
 def texture_of(areas: dict):

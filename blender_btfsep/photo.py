@@ -135,8 +135,8 @@ def put_texture(image, folder, stem: str) -> str:
     return _put_image(image, Path(folder), stem)[0]
 
 
-def put_colours(values, folder, stem: str) -> str:
-    """Writes colours (h, w, 3), linear, the lowest row first, as an EXR into ``folder``; gives its name."""
+def put_numbers(values, folder, stem: str) -> str:
+    """Writes numbers (h, w, 3) as they are, the lowest row first, as an EXR into ``folder``; gives its name."""
     name = f"{stem}.exr"
     with scratch() as own, replacing(Path(folder) / name) as file:
         save_exr(own(pixels.new(stem, values)), file, raw=True)

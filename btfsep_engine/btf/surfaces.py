@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces of one kind all over, given by numbers, those of Blender's Principled BSDF: a family beside the library."""
+"""Surfaces by the numbers of Blender's Principled BSDF, alike all over or by images: a family beside the library."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class Surface:
     emission : (3,) radiance, linear Rec.709, >= 0
     image : (n, n, 3) float32, linear, in [0, 1], row 0 at the top, or None: base colours by the mesh's UVs, a period
         of 1; ``base_color`` then says nothing
+    finish : (n, n, 3) float32 like ``image``: roughness, metallic and specular of each place, of few kinds; or None
     """
 
     base_color: tuple = (0.8, 0.8, 0.8)
@@ -30,14 +31,33 @@ class Surface:
     specular: float = 0.5
     emission: tuple = (0.0, 0.0, 0.0)
     image: np.ndarray | None = None
+    finish: np.ndarray | None = None
 
     @property
     def f0(self) -> float:
         """Reflectance of the dielectric straight on, as Principled makes it: 0.08 times ``specular``."""
         return 0.08 * self.specular
 
+    def kinds(self) -> list:
+        """Pairs (share, surface): of each kind of finish where it is, (n, n) float32, and a surface without images.
+
+        Without ``finish`` one pair, whose share is 1.
+        """
+        plain = replace(self, image=None, finish=None)
+        if self.finish is None:
+            return [(1.0, plain)]
+        distinct, number = np.unique(self.finish.reshape(-1, 3).round(3), axis=0, return_inverse=True)
+        number = number.reshape(self.finish.shape[:2])
+        names = ("roughness", "metallic", "specular")
+        return [
+            ((number == i).astype(np.float32), replace(plain, **dict(zip(names, map(float, values), strict=True))))
+            for i, values in enumerate(distinct)
+        ]
+
     def numbers(self) -> dict:
-        """The numbers, for JSON."""
+        """The numbers, for JSON; those of each finish, where there are several."""
+        if self.finish is not None:
+            return {"finishes": [{k: v for k, v in s.numbers().items() if k != "base_color"} for _, s in self.kinds()]}
         colour = {"base_color": list(self.base_color)} if self.image is None else {}
         return colour | {"roughness": self.roughness, "metallic": self.metallic, "specular": self.specular}
 

@@ -19,6 +19,7 @@ from btfsep_engine.job.schema import KNOWN_TO, MAX_KNOWN_LAMPS, CameraSchema, Jo
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
 SAME_LAMP = 1.0  # degrees between two known lamps: nearer, they are one that is named twice
 BASE_COLOUR_SIDE = 2048  # of an image of base colours: larger ones are averaged down
+MOST_FINISHES = 16  # of a surface: each has a table of its own
 BASE_COLOUR_PIXELS = 2**26  # and these are too many: no camera says how many there are to be
 
 
@@ -132,7 +133,8 @@ def job_digest(folder) -> str:
     schema = _schema(reader)
     named = [schema.image, schema.depth]
     for thing in (*schema.objects, *schema.occluders):
-        named += [thing.mesh, getattr(thing, "mask", None), getattr(thing.surface, "base_color", None)]
+        images_of = [getattr(thing.surface, key, None) for key in ("base_color", "finish")]
+        named += [thing.mesh, getattr(thing, "mask", None), *images_of]
     for name in named:
         if isinstance(name, str):
             reader.path(name, "job.json")
@@ -335,13 +337,32 @@ def _surface(reader: _Folder, schema: SurfaceSchema | None, mesh: TriangleMesh, 
     numbers = {k: getattr(schema, k) for k in ("roughness", "metallic", "specular")}
     emission = tuple(schema.emission)
     if not isinstance(schema.base_color, str):
+        if schema.finish is not None:
+            got = "it has a finish, and its base_color is no image"
+            raise InputError(f"{what}: surface", got, "give an image of base colours of the same size")
         return Surface(tuple(schema.base_color), emission=emission, **numbers)
     image = _base_colours(reader.path(schema.base_color, f"{what}: surface"), schema.base_color)
     if mesh.corner_uv is None:
         raise InputError(
             f"{what}: surface", "its base_color is an image, and the mesh has no UV map", "export one, or give a colour"
         )
-    return Surface(image=image, emission=emission, **numbers)
+    finish = None if schema.finish is None else _finish(reader.path(schema.finish, f"{what}: surface"), schema, image)
+    surface = Surface(image=image, emission=emission, finish=finish, **numbers)
+    if len(surface.kinds()) > MOST_FINISHES:
+        got = f"it has {len(surface.kinds())} kinds of roughness, metallic and specular, and {MOST_FINISHES} may be"
+        raise InputError(schema.finish, got, "group those that are alike")
+    return surface
+
+
+def _finish(path: Path, schema: SurfaceSchema, image) -> np.ndarray:
+    """(n, n, 3) float32, numbers as they are, in [0, 1], of the size of an ``image`` of base colours."""
+    values = images.read_linear(path, colorspace="linear", max_pixels=BASE_COLOUR_PIXELS).pixels
+    if values.shape != image.shape:
+        got = f"it has {values.shape[1]} x {values.shape[0]} pixels and {schema.base_color} {len(image)} x {len(image)}"
+        raise InputError(schema.finish, got, "write both square and of one size")
+    if not ((values >= 0) & (values <= 1)).all():
+        raise InputError(schema.finish, "some of its numbers are not within 0 and 1", "write shares")
+    return values
 
 
 def _base_colours(path: Path, name: str) -> np.ndarray:

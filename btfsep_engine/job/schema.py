@@ -60,9 +60,13 @@ class CameraSchema(Strict):
 
 
 class SurfaceSchema(Strict):
-    """Values of Blender's Principled BSDF, colours linear Rec.709."""
+    """Values of Blender's Principled BSDF, colours linear Rec.709.
+
+    ``finish`` : an image of roughness, metallic and specular, in their place, beside one of base colours.
+    """
 
     base_color: ColourOrImage = [0.8, 0.8, 0.8]
+    finish: RelativePath | None = None
     roughness: Share = 0.5
     metallic: Share = 0.0
     specular: Share = 0.5

@@ -25,7 +25,8 @@ def named_files(tree: dict) -> list[str]:
     """Every file that the content of a job.json names."""
     geometry = [*tree.get("objects", ()), *tree.get("occluders", ())]
     names = [tree["image"], tree.get("depth"), *(g.get(key) for g in geometry for key in ("mesh", "mask"))]
-    names += [colour for g in geometry if isinstance(colour := (g.get("surface") or {}).get("base_color"), str)]
+    for surface in (g.get("surface") or {} for g in geometry):
+        names += [surface[key] for key in ("base_color", "finish") if isinstance(surface.get(key), str)]
     return list(dict.fromkeys(name.replace("\\", "/") for name in names if name))
 
 

@@ -46,11 +46,16 @@ def homogeneous(surface: Surface, name: str) -> Tabulated:
 
 
 def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per_unit: float) -> Tabulated:
-    """The material of a surface with an image of base colours, laid by the mesh's own UVs.
+    """The material of a surface with an image of base colours, maybe of finishes, laid by the mesh's own UVs.
 
     Raises InputError when the UVs have no area.
     """
-    texels, angular = _factors(surface, surface.image[::-1])  # row 0 is the smallest v
+    parts = []
+    for share, of_kind in surface.kinds():
+        texels, angular = _factors(of_kind, surface.image)
+        parts.append((texels * np.broadcast_to(share, texels.shape[:2])[..., None], angular))
+    texels, angular = (np.concatenate(each, -1) for each in zip(*parts, strict=True))
+    texels = np.ascontiguousarray(texels[::-1])  # row 0 is the smallest v
     directions = ubo2014_directions()
     edge = mean_scale(mesh, mesh.corner_uv) * millimetres_per_unit  # of the image, which is one unit of UV wide
     material = Tabulated(name, CLASS, texels, angular, directions, directions, edge / len(texels))
@@ -64,10 +69,12 @@ def reflected_share(surface: Surface) -> np.ndarray:
     """
     if surface.image is None:
         return homogeneous(surface, CLASS).diffuse_albedo()
-    black, white = (
-        homogeneous(replace(surface, image=None, base_color=(c, c, c)), CLASS).diffuse_albedo() for c in (0.0, 1.0)
-    )
-    return black + resized(surface.image, min(IMAGE_SIDE, len(surface.image))) * (white - black)
+    side, total = min(IMAGE_SIDE, len(surface.image)), 0.0
+    for share, of_kind in surface.kinds():
+        black, white = (homogeneous(replace(of_kind, base_color=(c, c, c)), CLASS).diffuse_albedo() for c in (0.0, 1.0))
+        reflected = black + surface.image * (white - black)
+        total = total + resized((reflected * np.reshape(share, (*np.shape(share), 1))).astype(np.float32), side)
+    return total
 
 
 def _factors(surface: Surface, colours) -> tuple[np.ndarray, np.ndarray]:

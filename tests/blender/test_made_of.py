@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from blender_btfsep import answer, command, icons, library, own_surface, request, runs
-from blender_btfsep.advice import advice
 from btfsep_engine.job.load import load_job
 
 MATERIALS = [
@@ -80,7 +79,7 @@ def test_as_in_blender_is_what_its_material_says(photographed, cube, tmp_path):
     assert surface["specular"] == pytest.approx(0.5, abs=0.01) and surface["metallic"] == 0
 
 
-def test_each_of_several_materials_has_its_colour_and_all_the_mean_gloss(photographed, cube, tmp_path):
+def test_each_of_several_materials_is_where_it_is(photographed, cube, tmp_path):
     cube.source, thing = "BLENDER", cube.object
     assert own_surface.words(thing) == "It has no material: white"
     thing.data.materials.append(material())
@@ -88,13 +87,12 @@ def test_each_of_several_materials_has_its_colour_and_all_the_mean_gloss(photogr
     job_of(photographed, tmp_path)
     warnings = bpy.context.window_manager.btfsep.warnings
     assert not warnings
-    other = material(colour=(0.6, 0.4, 0.5, 1))
+    other = material(colour=(0.6, 0.4, 0.5, 1), Roughness=0.9)
     thing.data.materials.append(other)
     for face in thing.data.polygons:
         face.material_index = int(face.normal.z > 0.5)  # its top
     thing.data.update()
     assert job_of(photographed, tmp_path)["surface"]["base_color"] == "colour_Cube.exr"
-    assert not warnings  # their gloss is one
     job = load_job(tmp_path / "job")
     surface, mesh = job.objects[0].surface, job.objects[0].mesh
     corners = mesh.vertices[mesh.faces]
@@ -106,13 +104,9 @@ def test_each_of_several_materials_has_its_colour_and_all_the_mean_gloss(photogr
         colours = surface.image[row, column]
         assert np.allclose(colours[top], (0.6, 0.4, 0.5), atol=1e-5) and top.sum() == 2
         assert np.allclose(colours[~top], (0.2, 0.4, 0.1), atol=1e-5)
-    other.node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.9
-    job_of(photographed, tmp_path)
-    assert [w.name for w in warnings] == [
-        "object 'Cube' has the mean gloss of its 2 materials until it is separated by material"
-    ]
-    assert advice(warnings[0].name).short.endswith("until it is separated by material")  # none of it is cut off
-    assert own_surface.words(thing) == "'Own', 'Own.001': each its colour, their mean roughness"
+        assert np.allclose(surface.finish[row, column, 0], np.where(top, 0.9, 0.5))
+    assert not warnings
+    assert own_surface.words(thing) == "'Own', 'Own.001', each where it is"
     holder = bpy.data.objects.new("Holder", None)
     holder.instance_type, holder.instance_collection = "COLLECTION", photographed.collection
     assert own_surface.words(holder) == "As what it instances" and own_surface.words(None).startswith("It has no")

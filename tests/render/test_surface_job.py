@@ -11,11 +11,12 @@ from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.cli import main
+from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.relighting import earlier_materials
-from btfsep_engine.render.homogeneous import homogeneous, pictured
+from btfsep_engine.render.homogeneous import IMAGE_SIDE, homogeneous, pictured, reflected_share
 from btfsep_engine.render.reference import Reference
 from tests.render.prepared import MILLIMETRES, Prepared, sheet
 from tests.render.scenes import answer, edited, positive_light
@@ -142,6 +143,44 @@ def test_an_image_of_one_colour_is_that_colour():
         laid_one = pictured(Surface(image=picture, **numbers), "surface/given", mesh, millimetres_per_unit=1.0)
         one = homogeneous(Surface((0.9, 0.5, 0.1), **numbers), "surface/given")
         np.testing.assert_allclose(laid_one.mean_material().mean_abrdf, one.mean_abrdf, rtol=1e-5, atol=1e-7)
+
+
+def test_each_place_has_the_finish_that_the_image_says():
+    """A sheet on the left half of its image is of one finish, on the right half of another; row 0 is at the top."""
+    picture = np.broadcast_to(np.float32([0.9, 0.5, 0.1]), (32, 32, 3))
+    finish = np.zeros((32, 32, 3), np.float32)
+    ends = {"bottom": (0.2, 1.0, 0.5), "top": (0.9, 0.0, 0.3)}  # roughness, metallic, specular
+    finish[:16], finish[16:] = ends["top"], ends["bottom"]
+    surface = Surface(image=picture, finish=finish)
+    for end, low in (("bottom", 0.1), ("top", 0.6)):
+        mesh = sheet(n=5)
+        uv = mesh.corner_uv - mesh.corner_uv.min((0, 1))
+        mesh.corner_uv[:] = low + 0.2 * uv / uv.max((0, 1))
+        material = pictured(surface, "surface/given", mesh, millimetres_per_unit=1.0)
+        numbers = dict(zip(("roughness", "metallic", "specular"), ends[end], strict=True))
+        one = homogeneous(Surface((0.9, 0.5, 0.1), **numbers), "surface/given")
+        np.testing.assert_allclose(material.mean_material().mean_abrdf, one.mean_abrdf, rtol=1e-4, atol=1e-6)
+        rows = slice(0, IMAGE_SIDE // 4) if end == "top" else slice(-IMAGE_SIDE // 4, None)
+        share = reflected_share(surface)[rows].mean((0, 1))
+        np.testing.assert_allclose(share, one.diffuse_albedo(), atol=0.03 if end == "bottom" else 1e-3)
+    assert [numbers["metallic"] for numbers in surface.numbers()["finishes"]] == [1.0, 0.0]
+
+
+@pytest.mark.parametrize(("told", "size", "value", "words"), [
+    ({"base_color": [1, 1, 1]}, 12, 0.5, "its base_color is no image; give an image"),
+    ({}, 10, 0.5, "it has 10 x 10 pixels and paint.exr 12 x 12; write both"),
+    ({}, 12, 1.5, "not within 0 and 1"),
+    ({}, 12, None, "144 kinds of roughness, metallic and specular, and 16 may be; group"),
+])  # fmt: skip
+def test_a_finish_that_cannot_be(sphere_job_folder, told, size, value, words):
+    folder, _ = sphere_job_folder
+    painted_ball(folder)
+    images.write_exr(folder / "paint.exr", np.full((12, 12, 3), 0.5, np.float32))
+    values = np.linspace(0, 1, size * size) if value is None else np.full(size * size, value)
+    images.write_exr(folder / "finish.exr", np.repeat(values.reshape(size, size, 1), 3, -1).astype(np.float32))
+    edited(folder, first={"surface": {"base_color": "paint.exr", "finish": "finish.exr"} | told, "mesh": "ball.obj"})
+    with pytest.raises(InputError, match=words):
+        load_job(folder)
 
 
 def test_names_of_the_family_go_where_names_go(sphere_job_folder, capsys):
