@@ -49,13 +49,26 @@ def coded(scene, linear, folder: Path, curve: str) -> Path:
     return path
 
 
+def dress(mesh: bpy.types.Mesh) -> None:
+    """Gives each face one of the mesh's materials, by its height and its place across."""
+    positions = objects.vertex_positions(mesh)
+    low, high = positions.min(0), positions.max(0)
+    for face in mesh.polygons:
+        x, _, z = (positions[list(face.vertices)].mean(0) - low) / (high - low)
+        face.material_index = min(int(len(mesh.materials) * (0.4 * x + 0.6 * z)), len(mesh.materials) - 1)
+    mesh.update()
+
+
 def take(plate, folder: Path) -> None:
     """One plate."""
     folder.mkdir(parents=True, exist_ok=True)
     scene = studio.clear()
     scene.world = studio.make_world(plate["light"], rotation_euler=(0, 0, math.radians(plate["turn"])))
     thing = objects.build(plate["object"], seed=plate["seed"], view=studio.VIEW_FROM)
-    thing.data.materials.append(principled(plate["surface"]))
+    for surface in (plate["surface"], *plate.get("more", ())):
+        thing.data.materials.append(principled(surface))
+    if "more" in plate:
+        dress(thing.data)
     if plate["sun"]:
         studio.add_sun(plate["sun"]["direction"], plate["sun"]["irradiance"], degrees=0.53)
     positions = objects.vertex_positions(thing.data)

@@ -24,7 +24,7 @@ from scripts.studies import parser, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.ground import above
 from scripts.studies.measures import order2
-from scripts.studies.plates import SETS, drawn, truth
+from scripts.studies.plates import SETS, of_set, truth
 
 # linear light and what is displayed of it, linear, 1: white; points of the base curves that darktable publishes
 MEASURED = {
@@ -103,7 +103,7 @@ def main(arguments) -> int:
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
     given = options.parse_args(arguments)
     folder, rows = given.folder.resolve() / given.set, []
-    for plate, camera in tqdm(list(zip(drawn(SETS[given.set]), itertools.cycle(MEASURED)))):
+    for plate, camera in tqdm(list(zip(of_set(given.set), itertools.cycle(MEASURED)))):
         rows.append(study(plate, folder, FLOATS, AS_STORED))
         rows += [study(plate, folder, coded, way) for coded in (camera, SRGB) for way in READ if way != AS_STORED]
     if given.numbers:

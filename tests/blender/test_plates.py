@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The study of plates: what is photographed is what is said to be, and the light comes from where its truth has it."""
 
+import json
+
 import numpy as np
 import pytest
 
+from blender_btfsep import own_surface
+from blender_btfsep.export import export_job
+from btfsep_engine import images
+from btfsep_engine.job.load import load_job
+from scripts.cycles import objects, studio
 from scripts.cycles import plates as studio_plates
 from scripts.studies import cameras, plates
 
@@ -16,6 +23,28 @@ def test_plates_are_drawn_alike_and_of_all_kinds():
     assert all(
         np.hypot(*p["off"]) == pytest.approx(int(p["kinds"][0][0]) if p["kinds"][0][0].isdigit() else 0) for p in one
     )
+
+
+def test_plates_of_several_materials_and_their_mean(tmp_path):
+    drawn = plates.of_set("several")
+    assert [plate | {"more": None} for plate in plates.drawn(4)] == [plate | {"more": None} for plate in drawn]
+    scene = studio.clear()
+    thing = objects.build("suzanne", seed=0)
+    for surface in (drawn[0]["surface"], *drawn[0]["more"]):
+        thing.data.materials.append(studio_plates.principled(surface))
+    studio_plates.dress(thing.data)
+    counts = np.bincount([face.material_index for face in thing.data.polygons], minlength=3)
+    assert counts.min() > 0.05 * counts.sum()
+    studio.add_camera(scene, objects.vertex_positions(thing.data), resolution=24)
+    images.write_exr(tmp_path / "photo.exr", np.ones((24, 24, 3)))
+    told = {"image_path": tmp_path / "photo.exr", "objects": [thing], "occluders": []}
+    export_job(scene, tmp_path / "job", **told, surfaces={thing.name: own_surface.BLENDER})
+    job = load_job(tmp_path / "job")
+    mean, told = plates.as_mean(job).objects[0].surface, json.loads((tmp_path / "job" / "job.json").read_text())
+    numbers = told["objects"][0]["surface"]  # the add-on's own mean
+    assert mean.image is None
+    for key in ("roughness", "metallic", "specular"):
+        assert getattr(mean, key) == pytest.approx(numbers[key], abs=1e-4)
 
 
 def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
