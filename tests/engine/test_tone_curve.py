@@ -7,8 +7,10 @@ import pytest
 from btfsep_engine import images, sh
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.tone_curve import (
+    CAMERAS,
     CANDIDATES,
     LARGEST_OFFSET,
+    SRGB,
     ToneCurve,
     darkest_offset,
     importance,
@@ -77,7 +79,17 @@ def test_a_photo_finds_the_curve_that_coded_it_or_the_next(true, lamp):
     basis, normals, b = photographed(np.random.default_rng(7), lamp=lamp)
     logs = logs_of(basis, normals, coded(b, CANDIDATES[true]), CANDIDATES)
     assert abs(int(logs.argmax()) - true) <= 1
-    assert probabilities(logs)[max(true - 1, 0) : true + 2].sum() > (0.9 if lamp else 0.5)
+    near = np.abs(np.arange(len(CANDIDATES)) - true) <= 1
+    assert probabilities(logs)[near].mean() > (2 if lamp else 1.2) * probabilities(logs)[~near].mean()
+
+
+@pytest.mark.parametrize("true", [SRGB, *CAMERAS])
+def test_a_photo_by_a_camera_is_told_from_srgb_alone(true):
+    basis, normals, b = photographed(np.random.default_rng(7), lamp=True)
+    curves = [SRGB, *CAMERAS]
+    logs = logs_of(basis, normals, coded(b, true), curves)
+    assert abs(int(logs.argmax()) - curves.index(true)) <= 1
+    assert (logs[0] > logs[3]) == (true is SRGB or true.strength < 0.75)
 
 
 @pytest.mark.parametrize("steepness", [0.0, 0.5])
