@@ -52,9 +52,9 @@ def exif(maker: str, model: str, order: str = "<") -> bytes:
     return head + entries + struct.pack(order + "I", 0) + texts
 
 
-def with_exif(suffix: str, block: bytes) -> bytes:
+def with_exif(suffix: str, block: bytes, height: int = 6, width: int = 8) -> bytes:
     """A small picture of a kind with a block of EXIF."""
-    picture = np.arange(48 * 3, dtype=np.uint8).reshape(6, 8, 3)
+    picture = (np.arange(3 * height * width) % 256).astype(np.uint8).reshape(height, width, 3)
     data = cv2.imencode(suffix, picture)[1].tobytes()
     if suffix == ".jpg":
         return data[:2] + b"\xff\xe1" + struct.pack(">H", len(block) + 8) + b"Exif\0\0" + block + data[2:]

@@ -11,10 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from btfsep_engine import images
+from btfsep_engine import camera_curve, images
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.tone_curve import CAMERA, SRGB
+from btfsep_engine.images import linear_to_srgb
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
+from btfsep_engine.pipeline.tone import codes_of, curve_read_by
+from tests.engine.test_camera_curve import exif, with_exif
 
 
 def changed(tree, path, value):
@@ -77,6 +81,20 @@ def test_a_photo_of_an_unknown_curve_is_read_as_by_default_and_keeps_its_bits(jo
     assert linear.image_colorspace == "linear"
     np.testing.assert_allclose(linear.photo.radiance, 128 / 255)
     assert load_job(job.write()).photo.bits is None
+
+
+def test_a_photo_that_names_its_camera_is_read_by_the_curve_of_cameras(job):
+    (job.folder / "photo.jpg").write_bytes(with_exif(".jpg", exif("Canon", "Canon EOS 6D"), 8, 12))
+    job.write(job.copy() | {"image": "photo.jpg"})
+    photo, srgb = load_job(job.folder).photo, load_job(job.folder, colorspace="srgb").photo
+    assert photo.camera == srgb.camera == "Canon EOS 6D"
+    np.testing.assert_allclose(photo.radiance, camera_curve.to_scene(srgb.radiance), rtol=1e-5, atol=1e-6)
+    unknown = load_job(job.folder, colorspace="unknown")
+    for found, curve in ((load_job(job.folder), CAMERA), (unknown, CAMERA)):
+        assert curve_read_by(found) == curve
+    np.testing.assert_allclose(codes_of(unknown), linear_to_srgb(srgb.radiance), atol=1e-5)
+    (job.folder / "photo.jpg").write_bytes(with_exif(".jpg", exif("", ""), 8, 12))
+    assert curve_read_by(load_job(job.folder)) == SRGB
 
 
 def test_only_what_is_needed_has_to_be_there(job):
