@@ -21,10 +21,7 @@ from tqdm import tqdm
 from btfsep_engine.images import linear_to_srgb, read_linear, write_exr
 from btfsep_engine.job.load import load_job
 from scripts.studies import parser, tables
-from scripts.studies.estimates import estimated, scene_of, worth
-from scripts.studies.ground import above
-from scripts.studies.measures import order2
-from scripts.studies.plates import SETS, of_set, truth
+from scripts.studies.plates import COLUMNS, SETS, judged, of_set
 
 # linear light and what is displayed of it, linear, 1: white; points of the base curves that darktable publishes
 MEASURED = {
@@ -45,15 +42,6 @@ MEASURED = {
 AT, BRIGHT, JPEG = 0.8, 98, 92  # displayed, linear: where this percentile of the brightest channels goes; quality
 AS_STORED, BY_CAMERA, SRGB, FLOATS = "as stored", "by a camera", "by sRGB alone", "as floats"
 READ = {AS_STORED: None, "as sRGB": "srgb", "as a camera's": "camera", "unknown": "unknown"}
-COLUMNS = (
-    ("plates", len),
-    ("error", tables.spread_of("error")),
-    ("direction", tables.spread_of("direction", "{:.1f}°")),
-    ("stated", tables.median_of("stated2")),
-    ("over stated", tables.spread_of("over")),
-    ("95 % range", tables.percent_of("inside")),
-    ("curve doubted", tables.percent_of("curve doubted")),
-)
 
 
 def response(name: str):
@@ -86,14 +74,8 @@ def take(plate, folder: Path, coded: str) -> Path:
 
 def study(plate, folder: Path, coded: str, way: str) -> dict:
     """One estimate."""
-    scene, true = scene_of(load_job(take(plate, folder, coded), colorspace=READ[way])), truth(plate)
-    found = estimated(scene)
-    row = {"name": plate["name"], "coded": BY_CAMERA if coded in MEASURED else coded, "camera": coded, "read": way}
-    row |= {"curve": found.choice["curve"]} | worth(found, true, free_scale=True)
-    row["error"] = order2(above(found.fit.all_coefficients), above(true)) if plate["table"] else row["order2"]
-    row["over"] = row["error"] / row["stated2"]
-    row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)
-    return row
+    row = {"coded": BY_CAMERA if coded in MEASURED else coded, "camera": coded, "read": way}
+    return row | judged(plate, load_job(take(plate, folder, coded), colorspace=READ[way]))
 
 
 def main(arguments) -> int:

@@ -115,18 +115,22 @@ def truth(plate) -> np.ndarray:
     return x
 
 
-def study(plate, folder: Path, way: str) -> dict:
-    """One estimate."""
-    where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
-    job = load_job(where, colorspace="auto" if way == AS_SRGB else None)
-    scene = scene_of(as_mean(job) if way == AS_MEAN else job)
-    found, true = estimated(scene), truth(plate)
-    row = {"name": plate["name"], "way": way, "kinds": plate["kinds"], "choice": found.choice}
-    row |= worth(found, true, free_scale=True)
+def judged(plate, job) -> dict:
+    """What the estimate of a plate's job is worth."""
+    scene, true = scene_of(job), truth(plate)
+    found = estimated(scene)
+    row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth(found, true, free_scale=True)
     row["error"] = order2(above(found.fit.all_coefficients), above(true)) if plate["table"] else row["order2"]
     row["over"] = row["error"] / row["stated2"]
     row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)
     return row
+
+
+def study(plate, folder: Path, way: str) -> dict:
+    """One estimate."""
+    where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
+    job = load_job(where, colorspace="auto" if way == AS_SRGB else None)
+    return {"way": way} | judged(plate, as_mean(job) if way == AS_MEAN else job)
 
 
 COLUMNS = (
