@@ -13,6 +13,8 @@ if str(ROOT) not in sys.path:
 
 bpy = pytest.importorskip("bpy")
 
+from tests.blender.sunny import LAMPS, write_sunny  # noqa: E402 (the root is on the path by now)
+
 
 @pytest.fixture
 def scene():
@@ -111,3 +113,17 @@ def add_camera():
         return camera
 
     return add
+
+
+@pytest.fixture
+def sunny(tmp_path):
+    """The path of a lighting.json with a sky and a sun, and its Lighting."""
+    path = tmp_path / "sunny.json"
+    return path, write_sunny(path)
+
+
+@pytest.fixture
+def lamplit(tmp_path):
+    """As `sunny`, with three key lights."""
+    path = tmp_path / "lamplit.json"
+    return path, write_sunny(path, others=LAMPS)

@@ -15,7 +15,7 @@ from btfsep_engine import conventions, images, sh
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun
 from tests.blender.lit import look_around, positive_coefficients
-from tests.blender.test_sun_lamp import write_sunny
+from tests.blender.sunny import write_sunny
 
 LAMP = {"direction": [0.6, -0.48, 0.64], "irradiance": [3.0, 2.0, 1.0], "size_degrees": 3.0}
 

@@ -17,40 +17,9 @@ from btfsep_engine import sh
 from btfsep_engine.light.files import Lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun
 from tests.blender.lit import white_ball
+from tests.blender.sunny import DIRECTION, write_sunny
 
 ROOT = Path(__file__).resolve().parents[2]
-DIRECTION = np.array([-0.6, -0.48, 0.64])
-
-
-def write_sunny(path, *, order=4, direction=DIRECTION, irradiance=(3.0, 2.0, 1.0), size=0.5, sky=None, others=()):
-    """A lighting.json as the engine writes it; gives its Lighting."""
-    if sky is None:
-        sky = np.random.default_rng(3).normal(size=(sh.term_count(order), 3)) * 0.05
-        sky[0] = 1.0
-    sun = Sun(direction, irradiance, np.zeros(3), size_degrees=size)
-    x = sky + sum(s.coefficients(order) for s in (sun, *others))
-    light = Lighting(order, x, np.zeros_like(x), np.ones(len(x), bool), 0.0, (sun, *others))
-    write_lighting(path, light)
-    return light
-
-
-@pytest.fixture
-def sunny(tmp_path):
-    path = tmp_path / "sunny.json"
-    return path, write_sunny(path)
-
-
-LAMPS = (
-    Sun((0.8, 0.0, -0.6), (0.5, 1.0, 2.0), np.zeros(3), size_degrees=5.0),
-    Sun((0.0, -1.0, 0.0), (1.0, 1.0, 1.0), np.zeros(3), size_degrees=1.0),
-)
-
-
-@pytest.fixture
-def lamplit(tmp_path):
-    """As `sunny`, with three key lights."""
-    path = tmp_path / "lamplit.json"
-    return path, write_sunny(path, others=LAMPS)
 
 
 def the_lamp(scene):
@@ -341,73 +310,6 @@ def test_without_a_window(lamplit, tmp_path, where, lamps):
     assert ("with 3 Sun lamps beside it" in done.stdout + done.stderr) == bool(lamps)
     bpy.ops.wm.open_mainfile(filepath=str(saved))
     assert len(sun_lamp.lamps(bpy.context.scene)) == lamps
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"direction": [1, 0]}, "'direction' of 'sun'"),
-        ({"direction": [0, 0, 3]}, "no unit vector"),
-        ({"irradiance": [1, -1, 1]}, "negative"),
-        ({"irradiance": [1, float("nan"), 1]}, "'irradiance' of 'sun'"),
-        ({"size_degrees": 999}, "'size_degrees'"),
-        ({"sky": [[1, 1, 1]]}, "'sky' has 1 rows"),
-    ],
-)
-def test_a_sun_that_makes_no_sense_is_refused_in_words(sunny, change, words):
-    data = json.loads(sunny[0].read_text())
-    data["sun"] |= change
-    with pytest.raises(InputError, match=words):
-        lighting_file.validate(data)
-    with pytest.raises(InputError, match="'sun' is no object"):
-        lighting_file.validate(data | {"sun": 3})
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"direction": [1, 0]}, r"'direction' of 'lamps\[2\]'"),
-        ({"direction": [0, 0, 3]}, "no unit vector"),
-        ({"direction": [1e300, 0, 0]}, "no unit vector|three finite numbers"),
-        ({"irradiance": [1, -1, 1]}, "negative"),
-        ({"irradiance": [1, 1e39, 1]}, "three finite numbers"),
-        ({"irradiance": [1, 10**400, 1]}, "three finite numbers"),
-        ({"irradiance": None}, "three finite numbers"),
-        ({"size_degrees": "wide"}, "'size_degrees'"),
-    ],
-)
-def test_a_lamp_of_several_that_makes_no_sense_is_refused_in_words(lamplit, change, words):
-    data = json.loads(lamplit[0].read_text())
-    data["suns"]["lamps"][2] |= change
-    with pytest.raises(InputError, match=words):
-        lighting_file.validate(data)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"lamps": []}, "no list of 1 to 64"),
-        ({"lamps": {"0": 1}}, "no list of 1 to 64"),
-        ({"lamps": [3]}, r"'lamps\[0\]' is no object"),
-        ({"sky": [[1, 1, 1]]}, "'sky' has 1 rows"),
-        ({"sky": None}, "'sky' has no list"),
-    ],
-)
-def test_suns_that_make_no_sense_are_refused_in_words(lamplit, change, words):
-    data = json.loads(lamplit[0].read_text())
-    with pytest.raises(InputError, match="'suns' is no object"):
-        lighting_file.validate(data | {"suns": [3]})
-    with pytest.raises(InputError, match="no list of 1 to 64"):
-        lighting_file.validate(data | {"suns": data["suns"] | {"lamps": data["suns"]["lamps"] * 22}})
-    data["suns"] |= change
-    with pytest.raises(InputError, match=words):
-        lighting_file.validate(data)
-
-
-def test_a_number_of_ten_thousand_digits_is_refused_in_words(tmp_path):
-    (tmp_path / "l.json").write_text('{"order": ' + "9" * 10_000 + "}")
-    with pytest.raises(InputError, match="not JSON"):
-        lighting_file.read(tmp_path / "l.json")
 
 
 def shines_from(lamp):
