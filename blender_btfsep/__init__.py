@@ -7,9 +7,9 @@ import bpy
 
 from . import (
     alignment,
-    checkup,
     command,
     example,
+    first_checkup,
     icons,
     importer,
     known_suns,
@@ -37,7 +37,7 @@ MODULES = (
     icons,
     properties,
     preferences,
-    checkup,
+    first_checkup,
     library,
     library_assets,
     operators,

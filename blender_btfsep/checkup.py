@@ -1,20 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether the engine works on this machine: what it found of itself, shown in the preferences.
-
-It is asked once by itself, some seconds after the add-on was switched on for the first time: on most Windows and macOS
-machines something has to be installed first, which is better known before there is a photo.
-"""
+"""Whether the engine works on this machine: what it found of itself, kept from session to session and shown."""
 
 import json
 from pathlib import Path
 
-import bpy
-
-from . import atomic, durations, engine_process, runs
+from . import atomic, drawing, durations
 from .errors import InputError
 
 FILE = "checkup.json"
-SOON, LOOK = 3.0, 0.5  # seconds after switching on; between looks
 SHOWN = {
     "variant": "Renderer",
     "libLLVM": "libLLVM",
@@ -26,8 +19,7 @@ SHOWN = {
 }  # fact -> words for people
 
 _found = None
-"""{"ok", "facts", "message", "bytes"} of the last time; {} where it was never asked."""
-_process = None
+"""{"ok", "facts", "message", "bytes"} of the last time; {} where it was never asked; None: not read yet."""
 
 
 def _file() -> Path:
@@ -72,7 +64,7 @@ def _keep(state: dict) -> None:
         atomic.write_bytes(_file(), json.dumps(_found).encode())
     except InputError:
         pass  # it is asked again the next time
-    runs.redraw(at_once=True)
+    drawing.redraw(at_once=True)
 
 
 def draw(layout) -> None:
@@ -102,37 +94,3 @@ def draw(layout) -> None:
     row = box.row()
     row.label(text=f"Kept of earlier runs: {state.get('bytes', 0) / 1e6:.0f} MB")
     row.operator("btfsep.clear_cache", icon="TRASH")
-
-
-def _first_time():
-    """A timer: asks the engine, and looks whether it has answered."""
-    global _process
-    if _process is None:
-        try:
-            _process = runs.start_engine(["doctor"], stays=False)
-        except InputError as error:
-            take_failure(str(error))
-            return None
-    for message in _process.poll():
-        if isinstance(message, engine_process.Done):
-            take(message.result)
-        elif isinstance(message, engine_process.Failed):
-            take_failure(message.message)
-    if _process.over:
-        _process = None
-        return None
-    return LOOK
-
-
-def register():
-    if not bpy.app.background and not found():
-        bpy.app.timers.register(_first_time, first_interval=SOON, persistent=True)
-
-
-def unregister():
-    global _process, _found
-    if bpy.app.timers.is_registered(_first_time):
-        bpy.app.timers.unregister(_first_time)
-    if _process is not None:
-        _process.kill()
-    _process = _found = None

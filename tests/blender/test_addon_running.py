@@ -23,7 +23,7 @@ def during_the_run(monkeypatch, change):
 
 
 def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographed, fake_engine, tmp_path):
-    from blender_btfsep import checkup
+    from blender_btfsep import checkup, first_checkup
 
     checkup._file().unlink(missing_ok=True)
     checkup._found = None
@@ -48,7 +48,7 @@ def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographe
 
     # what is asked once by itself, some seconds after switching on
     fake_engine(lines=[{"type": "done", "result": {"ok": True, "facts": facts}}])
-    while checkup._first_time() is not None:
+    while first_checkup._first_time() is not None:
         pass
     assert checkup.found()["ok"]
     for text in ("", "[]", '{"facts": 3}'):
