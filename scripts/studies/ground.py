@@ -10,6 +10,7 @@ above the table's plane alone, the estimate's and the true one's: what comes fro
 the estimator were looked at on; other objects and tables, and the studio's light turned otherwise, are "new".
 """
 
+from functools import cache
 from itertools import cycle, product
 from pathlib import Path
 
@@ -78,11 +79,16 @@ def make(folder: Path, which) -> None:
         photos.take(shots, resolution=192, samples=64)
 
 
+@cache
+def _of_above(terms: int) -> np.ndarray:
+    """(9, terms)."""
+    y = sh.evaluate(sh.order_of(terms), _DIRECTIONS[_DIRECTIONS[:, 2] > 0])
+    return y[:, :9].T @ y
+
+
 def above(x) -> np.ndarray:
     """Order 2 of what of a light (terms, 3) comes from above the horizon: (9, 3)."""
-    up = _DIRECTIONS[:, 2] > 0
-    y = sh.evaluate(sh.order_of(len(x)), _DIRECTIONS[up])
-    return y[:, :9].T @ (y @ x)
+    return _of_above(len(x)) @ x
 
 
 def study(photo, folder: Path, kind: str, knows: str, evidence: str) -> dict:

@@ -21,12 +21,13 @@ from tqdm import tqdm
 from btfsep_engine import sh
 from btfsep_engine.atomic import write_json
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.job.load import load_job
 from scripts.cycles.lights import studio_lights, true_lighting
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.ground import above
-from scripts.studies.measures import order2
+from scripts.studies.measures import errors
 
 SETS = {"first": 1, "second": 2, "third": 3, "several": 4}  # seeds; no constant was chosen by the last two
 COUNT = 32
@@ -120,8 +121,10 @@ def judged(plate, job) -> dict:
     scene, true = scene_of(job), truth(plate)
     found = estimated(scene)
     row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth(found, true, free_scale=True)
-    row["error"] = order2(above(found.fit.all_coefficients), above(true)) if plate["table"] else row["order2"]
-    row["over"] = row["error"] / row["stated2"]
+    if plate["table"]:
+        light, samples = above(found.fit.all_coefficients), np.array([above(sample) for sample in found.fit.samples])
+        row |= errors(light, above(true)) | {"stated2": expected_error(light, samples)["order_2"]["median"]}
+    row["over"] = row["order2"] / row["stated2"]
     row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)
     return row
 
@@ -135,7 +138,7 @@ def study(plate, folder: Path, way: str) -> dict:
 
 COLUMNS = (
     ("plates", lambda rows: len(rows)),
-    ("error", tables.spread_of("error")),
+    ("error", tables.spread_of("order2")),
     ("direction", tables.spread_of("direction", "{:.1f}°")),
     ("stated", tables.median_of("stated2")),
     ("over stated", tables.spread_of("over")),

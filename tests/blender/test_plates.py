@@ -12,7 +12,7 @@ from btfsep_engine import images
 from btfsep_engine.job.load import load_job
 from scripts.cycles import objects, studio
 from scripts.cycles import plates as studio_plates
-from scripts.studies import cameras, plates
+from scripts.studies import cameras, measures, plates
 
 
 def test_plates_are_drawn_alike_and_of_all_kinds():
@@ -57,12 +57,17 @@ def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
     }  # fmt: skip
     studio_plates.take(plate, tmp_path / "00")
     row = plates.study(plate, tmp_path, plates.AS_IS)
-    assert row["error"] < 0.3 and row["direction"] < 15 and not row["curve doubted"]
+    assert row["order2"] < 0.3 and row["direction"] < 15 and not row["curve doubted"]
     assert "AgX, as stated" in row["choice"]["curve"]
     taken = plates.study(plate, tmp_path, plates.AS_SRGB)
-    assert "sRGB" in taken["choice"]["curve"] and taken["error"] != row["error"]
+    assert "sRGB" in taken["choice"]["curve"] and taken["order2"] != row["order2"]
     ways = {way: cameras.study(plate, tmp_path, "Canon EOS 5D II", way) for way in ("as sRGB", "as a camera's")}
-    assert ways["as a camera's"]["error"] < ways["as sRGB"]["error"] and ways["as sRGB"]["coded"] == "by a camera"
-    assert cameras.study(plate, tmp_path, cameras.FLOATS, cameras.AS_STORED)["error"] < 0.3
+    assert ways["as a camera's"]["order2"] < ways["as sRGB"]["order2"] and ways["as sRGB"]["coded"] == "by a camera"
+    assert cameras.study(plate, tmp_path, cameras.FLOATS, cameras.AS_STORED)["order2"] < 0.3
     aside = plate | {"turn": plate["turn"] + 90}
-    assert plates.order2(plates.truth(aside), plates.truth(plate)) > 0.4
+    assert measures.order2(plates.truth(aside), plates.truth(plate)) > 0.4
+    # on a table only light from above it is judged, and what is stated of that
+    on_table = plate | {"table": (0.3, 0.3, 0.3)}
+    below = plates.study(on_table, tmp_path, plates.AS_IS)
+    assert below["order2"] != row["order2"] and below["stated2"] < row["stated2"]
+    assert below["over"] == below["order2"] / below["stated2"] and below["inside"] == row["inside"]
