@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the headers of image files say: their size, how they store colours, which camera they are from.
+"""What the headers of image files say: kind, size, how they store and code colours, which camera they are from.
 
 Nothing here decodes a picture, and nothing that a header claims is trusted: what cannot be followed says nothing.
 """
@@ -7,18 +7,68 @@ Nothing here decodes a picture, and nothing that a header claims is trusted: wha
 import contextlib
 import re
 import struct
+import zlib
+from typing import NamedTuple
 
 _TIFF = (b"II*\0", b"MM\0*")
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
 _WIDTH, _HEIGHT, _MAKER, _MODEL = 256, 257, 271, 272  # tags of TIFF, and of EXIF in it
+_SUBFILE, _PHOTOMETRIC, _ORIENTATION, _ICC, _DNG = 254, 262, 274, 34675, 50706
+_EXIF, _INTEROPERABILITY, _INDEX = 0x8769, 0xA005, 1
 _INTEGERS = {3: "H", 4: "I"}  # types of TIFF
 _TEXT = 2
 _LONGEST = 100  # bytes of a name
+_LARGEST_PROFILE = 2**22  # bytes
+_KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
+_DEVELOP = "develop it, without a tone curve if you can, and save it as EXR or as 16-bit TIFF"
+_OTHERS = (  # what files that are not read begin with, what they are, and what to do
+    (0, b"FUJIFILMCCD-RAW", "a camera's raw file", _DEVELOP),
+    (0, b"IIRO", "a camera's raw file", _DEVELOP),
+    (0, b"IIRS", "a camera's raw file", _DEVELOP),
+    (0, b"IIU\0", "a camera's raw file", _DEVELOP),
+    (0, b"\0MRM", "a camera's raw file", _DEVELOP),
+    (4, b"ftypcrx", "a camera's raw file", _DEVELOP),
+    (4, b"ftyphei", "a HEIC picture", "export it as JPEG, or as 16-bit TIFF"),
+    (4, b"ftyphev", "a HEIC picture", "export it as JPEG, or as 16-bit TIFF"),
+    (4, b"ftypmif", "a HEIC or AVIF picture", "export it as JPEG, or as 16-bit TIFF"),
+    (4, b"ftypmsf", "a HEIC or AVIF picture", "export it as JPEG, or as 16-bit TIFF"),
+    (4, b"ftypavi", "an AVIF picture", "export it as JPEG, PNG or 16-bit TIFF"),
+    (4, b"ftyp", "a movie", "save its frames as PNG, EXR or 16-bit TIFF"),
+    (0, b"\x1aE\xdf\xa3", "a movie", "save its frames as PNG, EXR or 16-bit TIFF"),
+    (0, b"\xff\x0a", "a JPEG XL picture", "export it as JPEG, PNG or 16-bit TIFF"),
+    (4, b"JXL ", "a JPEG XL picture", "export it as JPEG, PNG or 16-bit TIFF"),
+    (0, b"SDPX", "a DPX picture", "convert it to scene-linear and save it as EXR"),
+    (0, b"XPDS", "a DPX picture", "convert it to scene-linear and save it as EXR"),
+    (0, b"\x80\x2a\x5f\xd7", "a Cineon picture", "convert it to scene-linear and save it as EXR"),
+    (0, b"8BPS", "a Photoshop document", _KINDS),
+    (0, b"gimp xcf", "a GIMP document", _KINDS),
+    (0, b"GIF8", "a GIF", "save what it was made from as PNG: a GIF has 256 colours"),
+    (0, b"%PDF", "a PDF", _KINDS),
+    (0, b"<svg", "a drawing", _KINDS),
+)
+
+
+class Coding(NamedTuple):
+    """What a file says of what its codes mean, as it says it.
+
+    ``icc`` : the bytes of a profile; ``cicp`` : primaries, transfer, matrix and range (ITU-T H.273); ``gamma`` : the
+    exponent by which codes become light; ``chromaticities`` : x, y of red, green, blue and white; ``is_adobe`` : EXIF's
+    R03.
+    """
+
+    icc: bytes | None = None
+    cicp: bytes | None = None
+    is_srgb: bool = False
+    gamma: float | None = None
+    chromaticities: tuple | None = None
+    is_adobe: bool = False
 
 
 def size(data: bytes) -> tuple[int, int] | None:
     """(width, height) that the header of a PNG, JPEG, TIFF, WebP or HDR claims, before anything is decoded, or None."""
     with contextlib.suppress(struct.error, IndexError):
-        if data[:8] == b"\x89PNG\r\n\x1a\n":
+        if data[:8] == _PNG:
             return struct.unpack(">II", data[16:24])
         if data[:2] == b"\xff\xd8":
             return _size_of_jpeg(data)
@@ -54,6 +104,106 @@ def camera(data: bytes) -> str:
             maker, model = (tags[tag] if isinstance(tags.get(tag), str) else "" for tag in (_MAKER, _MODEL))
             return (model if model.casefold().startswith(maker.casefold()) else f"{maker} {model}").strip()
     return ""
+
+
+def refused(data: bytes) -> tuple[str, str] | None:
+    """Why a file is not read though it may be decodable, or what it is that is not, and what to do; else None."""
+    with contextlib.suppress(struct.error, IndexError):
+        for at, begin, what, do in _OTHERS:
+            if data[at : at + len(begin)] == begin:
+                return f"it is {what}", do
+        if data[:4] in _TIFF:
+            tags = _tags(data)
+            small = isinstance(tags.get(_SUBFILE), int) and tags[_SUBFILE] & 1
+            if data[8:10] == b"CR" or small or _DNG in tags or tags.get(_PHOTOMETRIC) in (32803, 34892):
+                return "it is a camera's raw file, or a preview of one", _DEVELOP
+            if tags.get(_PHOTOMETRIC) in (5, 8, 9, 10):
+                return "its colours are not RGB (CMYK or Lab)", "convert it to RGB and save it again"
+        at = _jpeg_frame(data) if data[:2] == _JPEG else None
+        if at is not None and data[at + 5] == 4:
+            return "its colours are CMYK, for printing", "convert it to RGB and save it again"
+    return None
+
+
+def orientation(data: bytes) -> int:
+    """How a file says that it is to be turned and mirrored (EXIF, 1 to 8); 1 where it says nothing: as stored."""
+    with contextlib.suppress(struct.error, IndexError):
+        exif = _exif(data)
+        found = None if exif is None else _tags(exif).get(_ORIENTATION)
+        return found if found in range(1, 9) else 1
+    return 1
+
+
+def as_stored(data: bytes) -> bytes:
+    """The bytes of a TIFF that does not say that it is to be turned, of which decoders take notice; others as is."""
+    if data[:4] not in _TIFF:
+        return data
+    with contextlib.suppress(struct.error, IndexError):
+        order = "<" if data[:2] == b"II" else ">"
+        for tag, kind, length, at in _entries(data):
+            if tag == _ORIENTATION and kind == 3 and length == 1:
+                return data[:at] + struct.pack(order + "H", 1) + data[at + 2 :]
+    return data
+
+
+def coding(data: bytes) -> Coding:
+    """What a PNG, JPEG, TIFF or WebP says of the meaning of its codes."""
+    said = {}
+    with contextlib.suppress(struct.error, IndexError, zlib.error):
+        if data[:8] == _PNG:
+            said = _coding_of_png(data)
+        elif data[:2] == _JPEG:
+            said["icc"] = _icc_of_jpeg(data)
+        elif data[:4] in _TIFF:
+            found = next((entry for entry in _entries(data) if entry[0] == _ICC), None)
+            if found is not None:
+                (at,) = struct.unpack(("<" if data[:2] == b"II" else ">") + "I", data[found[3] : found[3] + 4])
+                said["icc"] = data[at : at + min(found[2], _LARGEST_PROFILE)]
+        elif data[:4] == b"RIFF":
+            said["icc"] = _chunk(data, 12, b"ICCP", "<", before_kind=False, tail=0)
+        said["is_adobe"] = _is_adobe(data)
+    return Coding(**said)
+
+
+def _coding_of_png(data: bytes) -> dict:
+    said, kinds = {}, (b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM")
+    chunks = {kind: _chunk(data, 8, kind, ">", before_kind=True, tail=4) for kind in kinds}
+    if chunks[b"cICP"] and len(chunks[b"cICP"]) == 4:
+        said["cicp"] = chunks[b"cICP"]
+    if chunks[b"iCCP"]:
+        packed = chunks[b"iCCP"].partition(b"\0")[2][1:]
+        said["icc"] = b""
+        with contextlib.suppress(zlib.error):
+            said["icc"] = zlib.decompressobj().decompress(packed, _LARGEST_PROFILE)
+    said["is_srgb"] = chunks[b"sRGB"] is not None
+    if chunks[b"gAMA"]:
+        (times,) = struct.unpack(">I", chunks[b"gAMA"][:4])
+        said["gamma"] = 1e5 / times if times else 0.0
+    if chunks[b"cHRM"]:
+        white, *primaries = struct.iter_unpack(">2I", chunks[b"cHRM"][:32])
+        said["chromaticities"] = tuple(n / 1e5 for pair in (*primaries, white) for n in pair)
+    return said
+
+
+def _icc_of_jpeg(data: bytes) -> bytes | None:
+    """The profile, which may lie in several segments."""
+    parts = {}
+    for marker, at, length in _jpeg_segments(data):
+        if marker == 0xDA:  # the picture begins
+            break
+        if marker == 0xE2 and data[at : at + 12] == b"ICC_PROFILE\0":
+            parts[data[at + 12]] = data[at + 14 : at + length]
+    return b"".join(parts[number] for number in sorted(parts))[:_LARGEST_PROFILE] if parts else None
+
+
+def _is_adobe(data: bytes) -> bool:
+    """Whether EXIF says R03: Adobe RGB, as cameras state it that embed no profile."""
+    exif = _exif(data)
+    tags = {} if exif is None else _tags(exif)
+    for tag in (_EXIF, _INTEROPERABILITY):
+        at = tags.get(tag)
+        tags = _tags(exif, at) if isinstance(at, int) and 0 < at < len(exif) else {}
+    return tags.get(_INDEX) == "R03"
 
 
 def _jpeg_segments(data: bytes):
@@ -125,20 +275,30 @@ def _chunk(data: bytes, at: int, wanted: bytes, order: str, *, before_kind: bool
     return None
 
 
-def _tags(data: bytes) -> dict:
-    """The integers and texts of the first directory of a TIFF, by their tags."""
+def _entries(data: bytes, at: int | None = None):
+    """Of a directory of a TIFF, the first or that ``at`` a place, each entry's tag, type, length and place of value."""
     order = "<" if data[:2] == b"II" else ">"
-    (at,) = struct.unpack(order + "I", data[4:8])
+    if at is None:
+        (at,) = struct.unpack(order + "I", data[4:8])
     (count,) = struct.unpack(order + "H", data[at : at + 2])
+    for place in range(at + 2, at + 2 + 12 * count, 12):
+        tag, kind, length = struct.unpack(order + "HHI", data[place : place + 8])
+        yield tag, kind, length, place + 8
+
+
+def _tags(data: bytes, at: int | None = None) -> dict:
+    """The integers and texts of a directory of a TIFF (as of `_entries`), by their tags."""
+    order = "<" if data[:2] == b"II" else ">"
     tags = {}
-    for i in range(count):
-        entry = data[at + 2 + 12 * i : at + 14 + 12 * i]
-        tag, kind, length = struct.unpack(order + "HHI", entry[:8])
+    for tag, kind, length, place in _entries(data, at):
+        entry = data[place : place + 4]
         if kind in _INTEGERS and length == 1:
             form = order + _INTEGERS[kind]
-            (tags[tag],) = struct.unpack(form, entry[8 : 8 + struct.calcsize(form)])
+            (tags[tag],) = struct.unpack(form, entry[: struct.calcsize(form)])
         elif kind == _TEXT and length <= _LONGEST:
-            (begin,) = struct.unpack(order + "I", entry[8:12])
-            text = entry[8 : 8 + length] if length <= 4 else data[begin : begin + length]
+            (begin,) = struct.unpack(order + "I", entry)
+            text = entry[:length] if length <= 4 else data[begin : begin + length]
             tags[tag] = "".join(c for c in text.split(b"\0")[0].decode("ascii", "replace") if c.isprintable()).strip()
+        else:
+            tags.setdefault(tag, None)
     return tags

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reading and writing images: everything becomes linear Rec.709, with the pixels that cannot be trusted marked.
 
-The stored orientation is kept (EXIF rotation is not applied): a camera in pixels refers to the pixels as stored.
+The stored orientation is kept (EXIF rotation is not applied, as Blender does not): a camera in pixels refers to the
+pixels as stored. The colours are what the file says that they are (`colour_profile`).
 """
 
 import contextlib
@@ -13,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from btfsep_engine import agx, atomic, camera_curve, image_headers
+from btfsep_engine import agx, atomic, camera_curve, colour_profile, image_headers
+from btfsep_engine.colour_profile import Profile
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
 
@@ -47,6 +49,8 @@ class Image:
     bits : of a code, 8 or 16; None: floats
     coarse_chroma : whether colours are stored at half the resolution (JPEG 4:2:0 and 4:2:2, lossy WebP)
     camera : maker and model of the camera that a file of integers says it is from; empty: it says none
+    profile : what its colours were taken to mean; None: what files of its kind mean, of Rec.709's primaries
+    orientation : how the file says that its pixels, which are as stored, are to be turned (EXIF, 1 to 8; 1: not)
     """
 
     pixels: np.ndarray
@@ -56,6 +60,8 @@ class Image:
     bits: int | None = None
     coarse_chroma: bool = False
     camera: str = ""
+    profile: Profile | None = None
+    orientation: int = 1
 
 
 def srgb_to_linear(values) -> np.ndarray:
@@ -75,62 +81,116 @@ def luminance(pixels) -> np.ndarray:
     return np.asarray(pixels) @ REC709_LUMINANCE.astype(np.asarray(pixels).dtype)
 
 
-def read_linear(path, *, colorspace: str = "auto", by_camera: bool = False, max_pixels: int | None = None) -> Image:
+def read_linear(
+    path,
+    *,
+    colorspace: str = "auto",
+    primaries: str = "auto",
+    by_camera: bool = False,
+    max_pixels: int | None = None,
+) -> Image:
     """Reads EXR, HDR, PNG, JPEG, TIFF or WebP as linear Rec.709. Grey images become three equal channels.
 
     Parameters
     ----------
     path : file
-    colorspace : "auto" (integer formats are sRGB-coded, floating-point ones linear), "srgb", "linear",
-        "camera": integers are what cameras make of a photograph (`camera_curve`),
+    colorspace : "auto" (as the file's profile says, without one integer formats are sRGB-coded, floating-point ones
+        linear), "srgb", "linear", "camera": integers are what cameras make of a photograph (`camera_curve`),
         or "agx": they are a picture that Blender's view transform made
+    primaries : "auto" (as the file says, else Rec.709), or a name of `colour_profile.PRIMARIES`; numbers that are no
+        colours are to be read with "rec709". A picture of AgX has Rec.709's
     by_camera : "auto" takes integers of a file that names its camera for that camera's own picture
     max_pixels : refuse larger images, and those that do not say their size, before anything is decoded
 
-    Raises InputError: the file is missing, unreadable, truncated, no image, of no size or of an absurd one.
+    Raises InputError: the file is missing, unreadable, truncated, no image, of no size or of an absurd one; or its
+    codes are of a kind of display that is not undone.
     """
     if colorspace not in COLORSPACES:
         raise ValueError(colorspace)
-    stored, alpha, peak, inside, header = _stored(Path(path), max_pixels)
+    path = Path(path)
+    stored, alpha, peak, inside, header, profile = _stored(path, max_pixels)
+    if primaries != "auto":
+        profile = colour_profile.of_primaries(primaries)
+    elif colorspace == "agx":
+        profile = None
+    if profile is not None and profile.hdr:
+        got = f"its codes are those of {profile.name}, which are not undone"
+        raise InputError(path.name, got, "export it for a usual display (SDR), or as linear EXR")
     camera = "" if peak is None else image_headers.camera(header)
-    if colorspace == "auto" and by_camera and camera:
-        colorspace = "camera"
+    decode = _decoder(colorspace, profile, peak is not None, stored.shape[-1], bool(by_camera and camera))
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
     saturated = clipped.any(-1)
-    coded = peak is not None if colorspace == "auto" else colorspace in ("srgb", "camera")
     if peak is not None and colorspace == "agx":
         stored = np.repeat(stored, 3, -1) if stored.shape[-1] == 1 else stored
         clipped = np.broadcast_to(clipped, stored.shape)
         pixels = agx.to_linear(stored / peak).astype(np.float32)
     elif peak is not None:
         codes = np.arange(peak + 1) / peak
-        if colorspace == "camera":
-            table = camera_curve.to_scene(srgb_to_linear(codes))
+        tables = decode(np.repeat(codes[:, None], stored.shape[-1], -1)).astype(np.float32).T
+        if (tables == tables[0]).all():
+            pixels = tables[0][stored]
         else:
-            table = srgb_to_linear(codes) if coded else codes
-        pixels = table.astype(np.float32)[stored]
+            pixels = np.stack([table[stored[..., i]] for i, table in enumerate(tables)], -1)
     else:
-        pixels = (srgb_to_linear(stored) if coded else stored).astype(np.float32, copy=False)
+        pixels = decode(stored).astype(np.float32, copy=False)
     if pixels.shape[-1] == 1:
         pixels = np.repeat(pixels, 3, -1)
+    elif profile is not None and profile.to_rec709 is not None:
+        pixels = pixels @ profile.to_rec709.T.astype(np.float32)
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
-    bits = None if peak is None else peak.bit_length()
-    coarse = image_headers.has_coarse_chroma(header)
-    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, coarse, camera)
+    return Image(
+        pixels=np.ascontiguousarray(pixels),
+        saturated=saturated,
+        usable=opaque & ~saturated,
+        clipped=clipped,
+        bits=None if peak is None else peak.bit_length(),
+        coarse_chroma=image_headers.has_coarse_chroma(header),
+        camera=camera,
+        profile=profile,
+        orientation=image_headers.orientation(header),
+    )
+
+
+def _decoder(colorspace: str, profile: Profile | None, integers: bool, channels: int, by_camera: bool):
+    """The function that makes stored values (..., channels), integers from 0 to 1, linear in their own primaries."""
+    curves = () if profile is None else profile.curves
+    if colorspace in ("auto", "camera") and len(set(curves)) in (1, channels):
+        shown = profile.decode
+    elif colorspace == "linear" or not (integers or colorspace in ("srgb", "camera")):
+        return lambda values: values
+    else:
+        shown = srgb_to_linear
+    is_photo = colorspace == "camera" or (colorspace == "auto" and by_camera and not (profile and profile.linear))
+    return (lambda values: camera_curve.to_scene(shown(values))) if integers and is_photo else shown
 
 
 def declared_size(path) -> tuple[int, int] | None:
     """(width, height) that an image claims, before any of its pixels is decoded; None where it does not say.
 
-    Raises InputError: the file cannot be read, or claims an absurd size.
+    Raises InputError: the file cannot be read, is of a kind that is not, or claims an absurd size.
     """
     path = Path(path)
     data = atomic.read_bytes(path)
     if not data.startswith(_EXR):
+        _refuse(path, data)
         return image_headers.size(data)
     (low, high), *_ = _exr_windows(path)
     return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
+
+
+def data_size(path) -> tuple[int, int] | None:
+    """(width, height) of the data window of an EXR; None: it is none. Raises InputError as :func:`declared_size`."""
+    path = Path(path)
+    if not atomic.read_bytes(path).startswith(_EXR):
+        return None
+    _, (low, high), *_ = _exr_windows(path)
+    return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
+
+
+def orientation(path) -> int:
+    """How a file says that its pixels are to be turned (EXIF, 1 to 8). Raises InputError where it cannot be read."""
+    return image_headers.orientation(atomic.read_bytes(Path(path)))
 
 
 def resized(pixels, side: int) -> np.ndarray:
@@ -214,21 +274,30 @@ def _check_size(path: Path, width: int, height: int, max_pixels: int | None = No
         raise InputError(path.name, got, "make it smaller")
 
 
+def _refuse(path: Path, data: bytes) -> None:
+    """InputError where a file is of a kind that is not read, or not rightly."""
+    why = image_headers.refused(data)
+    if why is not None:
+        raise InputError(path.name, *why)
+
+
 def _stored(path: Path, max_pixels: int | None = None):
     """(h, w, 1 or 3) RGB as stored, (h, w) alpha in [0, 1] or None, the largest code (None for floats), where the file
-    has data, (h, w) bool, and the file's bytes.
+    has data, (h, w) bool, the file's bytes, and what it says of its colours.
     """
     data = atomic.read_bytes(path)
     if data.startswith(_EXR):
-        stored, alpha, inside = _read_exr(path, max_pixels)
-        return stored, alpha, None, inside, data
+        stored, alpha, inside, header = _read_exr(path, max_pixels)
+        said = header.get("chromaticities")
+        return stored, alpha, None, inside, data, None if said is None else colour_profile.of_chromaticities(said)
+    _refuse(path, data)
     size = image_headers.size(data)
     if size is not None:
         _check_size(path, *size, max_pixels)
     elif max_pixels is not None:
         raise InputError(path.name, "it does not say its size as PNG, JPEG, TIFF, WebP or HDR do", _KINDS)
-    stored, alpha, peak = _decode(path, data)
-    return stored, alpha, peak, np.ones(stored.shape[:2], bool), data
+    stored, alpha, peak = _decode(path, image_headers.as_stored(data))
+    return stored, alpha, peak, np.ones(stored.shape[:2], bool), data, colour_profile.of_file(data)
 
 
 def _decode(path: Path, data: bytes):
@@ -298,7 +367,7 @@ def _exr_opened(path: Path, **how) -> list:
 
 
 def _read_exr(path: Path, max_pixels: int | None = None):
-    """(h, w, 1 or 3) floats, alpha or None, and where the data window is, of the first part with colours."""
+    """(h, w, 1 or 3) floats, alpha or None, where the data are, and the header, of the first part with colours."""
     for channels, header in _exr_parts(path, max_pixels):
         names = set(channels)
         layers = ["", *sorted((n[:-1] for n in names if n.endswith(".R")), key=lambda n: ("ombined" not in n, n))]
@@ -307,12 +376,12 @@ def _read_exr(path: Path, max_pixels: int | None = None):
                 alpha = [layer + "A"] if layer + "A" in names else []
                 planes = [channels[layer + c].pixels for c in "RGB"] + [channels[a].pixels for a in alpha]
                 a, inside = _placed(path, header, planes)
-                return a[..., :3], a[..., 3] if alpha else None, inside
+                return a[..., :3], a[..., 3] if alpha else None, inside, header
         if "Y" in names:
             if "RY" in names or "BY" in names:
                 raise InputError(path.name, "the EXR is coded as luminance and chroma", "save it as RGB")
             a, inside = _placed(path, header, [channels[n].pixels for n in ("Y", "A") if n in names])
-            return a[..., :1], a[..., 1] if a.shape[2] == 2 else None, inside
+            return a[..., :1], a[..., 1] if a.shape[2] == 2 else None, inside, header
     raise InputError(path.name, "the EXR has no channels R, G, B or Y", "save the picture's colours in it")
 
 

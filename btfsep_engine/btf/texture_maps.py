@@ -125,7 +125,8 @@ class _Reader:
 
     def read(self, path, colorspace: str) -> np.ndarray:
         """(h, w, 3) float32, row 0 is the smallest v (a picture's lowest). Raises InputError."""
-        image = read_linear(path, colorspace=colorspace)
+        numbers = colorspace == "linear"
+        image = read_linear(path, colorspace=colorspace, primaries="rec709" if numbers else "auto")
         h, w = image.saturated.shape
         if min(h, w) < MIN_SIDE or max(h, w) > MAX_SIDE:
             raise InputError(path.name, f"it is {w} x {h} pixels", f"give {MIN_SIDE} to {MAX_SIDE} pixels an edge")

@@ -82,6 +82,7 @@ def load_job(
         digest=reader.digest(),
         warnings=tuple(notes),
         image_colorspace=schema.image_colorspace,
+        image_primaries=schema.image_primaries,
         known_lamps=lamps,
     )
 
@@ -226,31 +227,55 @@ def _no_photo(camera: Camera) -> Photo:
     return Photo(np.zeros((*shape, 3), np.float32), np.ones(shape, bool), 0)
 
 
-def read_photo(path, camera: Camera, *, colorspace: str = "auto", notes: list | None = None) -> Photo:
+def read_photo(
+    path, camera: Camera, *, colorspace: str = "auto", primaries: str = "auto", notes: list | None = None
+) -> Photo:
     """A photograph that ``camera`` took, which no job names; ``notes`` : takes, in words, what of it is left out.
 
     Raises InputError when it cannot be read, or is not of the camera's size.
     """
-    return _read(path, Path(path).name, colorspace, camera, [] if notes is None else notes)
+    return _read(path, Path(path).name, (colorspace, primaries), camera, [] if notes is None else notes)
 
 
 def _photo(reader: _Folder, schema: JobSchema, camera: Camera, notes: list) -> Photo:
     path = reader.path(schema.image, "job.json: image")
-    return _read(path, schema.image, schema.image_colorspace, camera, notes)
+    return _read(path, schema.image, (schema.image_colorspace, schema.image_primaries), camera, notes)
 
 
-def _fits(size, name: str, camera: Camera) -> None:
-    """InputError unless an image's (width, height) is the camera's; None: not known yet."""
-    if size not in (None, (camera.width, camera.height)):
-        got = f"it has {size[0]} x {size[1]} pixels and the camera {camera.width} x {camera.height}"
-        raise InputError(name, got, "export it at the camera's size")
+def _fits(size, name: str, camera: Camera, photo=None) -> None:
+    """InputError unless an image's (width, height) is the camera's; None: not known yet.
+
+    ``photo`` : its path where it may say why it is of another size.
+    """
+    own = camera.width, camera.height
+    if size not in (None, own):
+        got = f"it has {size[0]} x {size[1]} pixels and the camera {own[0]} x {own[1]}"
+        do = "export it at the camera's size"
+        if photo is not None and images.data_size(photo) == own:
+            got += ", the size of its data window"
+            do = "save it with a data window that is its display window"
+        elif photo is not None and size == own[::-1] and images.orientation(photo) > 4:
+            got += ", as it is to be turned (EXIF orientation) and its pixels are not"
+            do = "turn it in an image editor and save it, or give the camera as the photo is stored"
+        raise InputError(name, got, do)
 
 
-def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Photo:
-    _fits(images.declared_size(path), name, camera)  # before it is decoded: a small file can claim gigabytes
-    image = images.read_linear(path, colorspace="auto" if colorspace == "unknown" else colorspace, by_camera=True)
+def _read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
+    """``coding`` : the job's colour space and primaries."""
+    colorspace, primaries = coding
+    _fits(images.declared_size(path), name, camera, path)  # before it is decoded: a small file can claim gigabytes
+    image = images.read_linear(
+        path, colorspace="auto" if colorspace == "unknown" else colorspace, primaries=primaries, by_camera=True
+    )
     height, width = image.pixels.shape[:2]
-    _fits((width, height), name, camera)
+    _fits((width, height), name, camera, path)
+    if image.orientation != 1:
+        notes.append(
+            f"{name}: it says that it is to be turned (EXIF orientation {image.orientation}), which was not done: the "
+            "camera has to be of the pixels as they are stored"
+        )
+    if image.profile is not None and not image.profile.followed:
+        notes.append(f"{name}: {image.profile.name} could not be followed; its colours were taken for those of sRGB")
     finite = np.isfinite(image.pixels).all(-1)
     if not finite.all():
         rows, columns = np.nonzero(~finite)
@@ -266,7 +291,8 @@ def _read(path, name: str, colorspace: str, camera: Camera, notes: list) -> Phot
     if hidden:
         notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
     clipped = image.clipped if saturated else None
-    return Photo(image.pixels, image.usable, saturated, clipped, image.bits, image.coarse_chroma, image.camera)
+    said = image.bits, image.coarse_chroma, image.camera, image.profile
+    return Photo(image.pixels, image.usable, saturated, clipped, *said)
 
 
 def placed(matrix, what: str):
@@ -356,7 +382,7 @@ def _surface(reader: _Folder, schema: SurfaceSchema | None, mesh: TriangleMesh, 
 
 def _finish(path: Path, schema: SurfaceSchema, image) -> np.ndarray:
     """(n, n, 3) float32, numbers as they are, in [0, 1], of the size of an ``image`` of base colours."""
-    values = images.read_linear(path, colorspace="linear", max_pixels=BASE_COLOUR_PIXELS).pixels
+    values = images.read_linear(path, colorspace="linear", primaries="rec709", max_pixels=BASE_COLOUR_PIXELS).pixels
     if values.shape != image.shape:
         got = f"it has {values.shape[1]} x {values.shape[0]} pixels and {schema.base_color} {len(image)} x {len(image)}"
         raise InputError(schema.finish, got, "write both square and of one size")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.colour_profile import Profile
 from btfsep_engine.job.camera import Camera
 
 
@@ -85,6 +86,7 @@ class Photo:
     bits : of the file's codes, 8 or 16; None: floats
     coarse_chroma : whether the file has colours at less resolution than brightness
     camera : maker and model of the camera that the file says it is from; empty: it says none
+    profile : what its colours were taken to mean; None: what files of its kind mean, of Rec.709's primaries
     """
 
     radiance: np.ndarray
@@ -94,6 +96,7 @@ class Photo:
     bits: int | None = None
     coarse_chroma: bool = False
     camera: str = ""
+    profile: Profile | None = None
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
     ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb", "camera",
-    "linear", "agx" or "unknown" (the photo is then read as by "auto").
+    "linear", "agx" or "unknown" (the photo is then read as by "auto"), ``image_primaries`` as of `images.read_linear`.
     """
 
     folder: Path
@@ -114,4 +117,5 @@ class Job:
     digest: str
     warnings: tuple[str, ...] = ()
     image_colorspace: str = "auto"
+    image_primaries: str = "auto"
     known_lamps: tuple[KnownLamp, ...] = ()

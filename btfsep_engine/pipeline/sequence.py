@@ -92,7 +92,8 @@ class Frames:
         reporter = FrameReporter(seconds=self._reporter.seconds, run=self._reporter, is_first=self.first is None)
         with reporter.timed("reading"):
             self._move_to(self._poses.get(file.stem))
-            photo = read_photo(file, self._job.camera, colorspace=self._job.image_colorspace, notes=reporter.warnings)
+            how = {"colorspace": self._job.image_colorspace, "primaries": self._job.image_primaries}
+            photo = read_photo(file, self._job.camera, **how, notes=reporter.warnings)
         begun = time.perf_counter()
         try:
             self._look(photo, reporter)

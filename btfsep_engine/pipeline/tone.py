@@ -60,7 +60,7 @@ def curve_read_by(job) -> ToneCurve | Camera | AgX:
     """By which curve the job's photo was decoded when it was read."""
     stated, photo = job.image_colorspace, job.photo
     if stated in ("auto", "unknown"):
-        if photo.bits is None:
+        if photo.bits is None or (photo.profile is not None and photo.profile.linear):
             return LINEAR
         return CAMERA if photo.camera else SRGB
     return {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, "agx": AGX}[stated]
@@ -69,11 +69,25 @@ def curve_read_by(job) -> ToneCurve | Camera | AgX:
 def codes_of(job, radiance=None) -> np.ndarray:
     """float32, a job's photo's codes, 1: the largest; ``radiance`` : of some of its pixels; None: of all, (h, w, 3).
 
-    Not of what was read as AgX.
+    They are of the file's own primaries, and where it has a curve of its own they are what sRGB would have. Not of what
+    was read as AgX.
     """
     radiance, curve = job.photo.radiance if radiance is None else radiance, curve_read_by(job)
+    if _to_rec709(job) is not None:
+        radiance = np.linalg.solve(_to_rec709(job), radiance.reshape(-1, 3).T).T.reshape(radiance.shape)
     encode = {LINEAR: lambda values: values, SRGB: linear_to_srgb, CAMERA: CAMERA.encode}[curve]
     return encode(radiance).astype(np.float32)
+
+
+def radiance_of(job, curve, codes) -> np.ndarray:
+    """Linear Rec.709 of a job's photo's ``codes`` (..., 3), of `codes_of`, by a curve. float64."""
+    values = curve.decode(codes)
+    return values if _to_rec709(job) is None else values @ _to_rec709(job).T
+
+
+def _to_rec709(job) -> np.ndarray | None:
+    """The photo's primaries' matrix to Rec.709; None: they are those."""
+    return None if job.photo.profile is None else job.photo.profile.to_rec709
 
 
 def with_curves(problems, settings: FitSettings) -> list:
@@ -118,7 +132,7 @@ def read_otherwise(scene) -> bool:
 def read_by(scene, curves: Curves):
     """The scene with its photo read by the most probable curve."""
     out = copy.copy(scene)
-    radiance = curves.curves[0].decode(curves.codes).astype(np.float32)
+    radiance = radiance_of(scene.job, curves.curves[0], curves.codes).astype(np.float32)
     out.job = replace(scene.job, photo=replace(scene.job.photo, radiance=radiance))
     out.curves = curves
     return out
@@ -129,7 +143,7 @@ def _log_of(curve: ToneCurve, problems, codes, settings: FitSettings) -> float:
     read, slopes = [], []
     for p, image in zip(problems, codes, strict=True):
         values = p.radiance() if image is None else p.values_of(image)
-        measured = None if image is None else curve.decode(values)
+        measured = None if image is None else radiance_of(p.scene.job, curve, values)
         weights = importance(values, p.clipped) * (1.0 if p.weights is None else p.weights)
         read.append(replace(p, measured=measured, weights=weights))
         slopes.append(np.zeros(values.shape) if image is None else curve.log_slope(values))

@@ -46,10 +46,10 @@ def test_data() -> Path:
     return Path(folder)
 
 
-def _write_rgb_exr(path, pixels, channels="RGB"):
+def _write_rgb_exr(path, pixels, channels="RGB", **attributes):
     """Writes (h, w, n) floats with OpenEXR itself, one channel a letter, as float32 or float16."""
     planes = {c: np.ascontiguousarray(pixels[..., i]) for i, c in enumerate(channels)}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **attributes}
     OpenEXR.File(header, planes).write(str(path))
 
 

@@ -172,8 +172,8 @@ class _Reader:
         with self.members.file(name) as path:
             try:
                 path, upside_down = self._mended(path)
-                space = "auto" if self.gamma is None else "linear"
-                image = images.read_linear(path, colorspace=space, max_pixels=MAX_PIXELS)
+                space, primaries = ("auto", "auto") if self.gamma is None else ("linear", "rec709")
+                image = images.read_linear(path, colorspace=space, primaries=primaries, max_pixels=MAX_PIXELS)
                 coded = self.gamma is not None and path.suffix.lower() not in (*RADIANCE, ".exr")
             except InputError as error:
                 raise InputError(f"{self.members.source}: {name}", error.got, error.do) from error

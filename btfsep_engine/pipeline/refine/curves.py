@@ -8,7 +8,7 @@ import numpy as np
 from btfsep_engine.fit.stated import restated
 from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, SRGB, ToneCurve, importance, log_probability
 from btfsep_engine.pipeline.together import all_weights
-from btfsep_engine.pipeline.tone import codes_of, curve_read_by
+from btfsep_engine.pipeline.tone import codes_of, curve_read_by, radiance_of
 
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
 NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, "agx": AGX}
@@ -20,7 +20,7 @@ FAR = 2.25  # of the logarithm of the probability: how much more another curve h
 
 def _read_by(curve: ToneCurve, problem, codes):
     """The problem with its photo's ``codes`` (p, 3) read by a curve."""
-    values = problem.as_measured(curve.decode(codes))
+    values = problem.as_measured(radiance_of(problem.scene.job, curve, codes))
     # every curve has 1 for the largest code
     return replace(problem, measured=np.where(problem.clipped, problem.radiance(), values))
 
@@ -65,12 +65,17 @@ def curve_words(problems) -> str:
             why, camera = "whole numbers are by default", scene.job.photo.camera
             if bits is None:
                 why = "floating-point numbers are"
+            elif curve_read_by(scene.job) is LINEAR:
+                why = "the file's colour profile says"
             elif camera:
                 why = f"the file is from {camera}"
             said.append(f"{curve_read_by(scene.job).description}, as {why}")
         else:
             said.append(f"{NAMES[stated].description}, as stated")
-    return f"the photo's tone curve is {' | '.join(dict.fromkeys(said))}"
+    words = f"the photo's tone curve is {' | '.join(dict.fromkeys(said))}"
+    profiles = [p.scene.job.photo.profile for p in problems]
+    names = dict.fromkeys(p.name for p in profiles if p is not None and p.to_rec709 is not None)
+    return words + (f"; its colours were converted from {', '.join(names)}" if names else "")
 
 
 def curve_doubts(problems, light) -> list[str]:
