@@ -77,7 +77,7 @@ def export_job(
         view_layer.update()
         depsgraph = view_layer.depsgraph
         shown = isinstance(image_path, bpy.types.Image) and photo.file_at(image_path, camera, scene.frame_current)
-        file_name, colorspace, size = photo.put(image_path, folder, file=shown or None)
+        file_name, colorspace, size, primaries = photo.put(image_path, folder, file=shown or None)
         if curve != "auto" and Path(file_name).suffix not in photo.FLOAT:
             colorspace = curve
         evaluated = camera.evaluated_get(depsgraph)
@@ -118,6 +118,7 @@ def export_job(
         "version": 1,
         "image": file_name,
         "image_colorspace": colorspace,
+        **({} if primaries == "auto" else {"image_primaries": primaries}),
         "exposure_ev": float(exposure_ev),
         "camera": lens,
         "objects": fitted,

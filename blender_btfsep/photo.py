@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pictures of a job: the photo (the file itself where the engine can read it, else a linear EXR), masks, depth."""
+"""The pictures of a job: the photo (the file itself where the engine can read it, else its codes, or a linear EXR),
+masks, depth.
+"""
 
 import shutil
 from pathlib import Path
+from typing import NamedTuple
 
 import bpy
 import numpy as np
@@ -11,15 +14,26 @@ from . import pixels
 from .atomic import replacing, write_bytes
 from .errors import InputError
 from .frames import SUFFIXES, split
+from .photo_file import unread
 from .scratch import save_exr, scratch
 
 FLOAT = {".exr", ".hdr"}
-CODED = {"sRGB"}
+CODED = {"sRGB": "auto", "Display P3": "display-p3", "sRGB Encoded P3-D65": "display-p3"}
+"""Blender's colour spaces that have sRGB's curve, and their primaries for the engine (auto: what the file says)."""
 MOVIE = "save it as an image sequence, or the frame as an image, and open that"
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
 
 
-def put(source, folder, *, file=None) -> tuple[str, str, tuple[int, int]]:
+class Put(NamedTuple):
+    """A picture in a job: its file's name, the job's ``image_colorspace``, (width, height), ``image_primaries``."""
+
+    name: str
+    colorspace: str
+    size: tuple[int, int]
+    primaries: str = "auto"
+
+
+def put(source, folder, *, file=None) -> Put:
     """Puts the photo into ``folder``.
 
     Parameters
@@ -28,11 +42,7 @@ def put(source, folder, *, file=None) -> tuple[str, str, tuple[int, int]]:
     folder : Path that exists
     file : of a sequence the one of its files that is meant (of :func:`file_at`); None for the one that was opened
 
-    Returns
-    -------
-    name of the file in ``folder``; "auto" or "linear" for the job's ``image_colorspace``; (width, height)
-
-    Raises InputError when there is no picture.
+    Gives a Put; its colour space is "auto" or "linear". Raises InputError when there is no picture.
     """
     if isinstance(source, bpy.types.Image):
         if source.source == "SEQUENCE":
@@ -46,11 +56,10 @@ def put(source, folder, *, file=None) -> tuple[str, str, tuple[int, int]]:
     except RuntimeError as error:
         raise InputError(f"the photo {path.name}", error, "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
     try:
-        _no_movie(image)
-        size = _size(image)
         if path.suffix.lower() in SUFFIXES:
-            return _copy(path, Path(folder)), "auto", size
-        return _save(image, Path(folder)), "linear", size
+            _only_one(image)
+            return Put(_copy(path, Path(folder)), "auto", _size(image))
+        return _put_image(image, Path(folder))
     finally:
         bpy.data.images.remove(image)
 
@@ -107,32 +116,37 @@ def lacks_pixels(image) -> str:
     """Why ``image``, which has no pixels, has none, and what to do, in two parts with a colon."""
     if image.type == "MULTILAYER":
         return "is an EXR of many layers: save the one with the photo as an EXR of its own"
-    return "has no pixels: choose it again"
+    return unread(file_of(image)) or "has no pixels: choose it again"
 
 
-def _no_movie(image) -> None:
+def _only_one(image) -> None:
     if image.source == "MOVIE":
         raise InputError(f"the photo {image.name}", "it is a movie", MOVIE)
+    if image.source == "TILED":
+        raise InputError(f"the photo {image.name}", "it is made of tiles (UDIM)", "open the photo as a single image")
 
 
 def _put_image(image, folder: Path, stem: str = "photo"):
-    _no_movie(image)
+    _only_one(image)
     space = image.colorspace_settings.name
     path = file_of(image)
     as_is = image.source == "FILE" and not image.is_dirty and path is not None and path.suffix.lower() in SUFFIXES
     float_file = as_is and path.suffix.lower() in FLOAT
     as_is = as_is and (space in LINEAR or (space in CODED and not float_file))
     size = _size(image)
+    coding = "linear" if space in LINEAR else "auto"
     if as_is and (image.packed_file or path.is_file()):
         source = image.packed_file.data if image.packed_file else path
         name = _copy(source, folder, suffix=path.suffix.lower(), stem=stem)
-        return name, "linear" if space in LINEAR else "auto", size
-    return _save(image, folder, stem), "linear", size
+        return Put(name, coding, size, CODED.get(space, "auto"))
+    if not image.is_float and (space in LINEAR or space in CODED):
+        return Put(_save_codes(image, folder, stem), coding, size, CODED.get(space, "auto"))
+    return Put(_save(image, folder, stem), "linear", size)
 
 
 def put_texture(image, folder, stem: str) -> str:
     """Puts a texture's image into ``folder``, linear or as the engine reads its file; gives its name, from ``stem``."""
-    return _put_image(image, Path(folder), stem)[0]
+    return _put_image(image, Path(folder), stem).name
 
 
 def put_numbers(values, folder, stem: str) -> str:
@@ -221,15 +235,21 @@ def _copy(source, folder: Path, suffix: str | None = None, stem: str = "photo") 
     return name
 
 
+def _save_codes(image, folder: Path, stem: str) -> str:
+    """Saves the codes of an image of bytes, whose brightest are then known to be bounds."""
+    stored = np.empty(4 * image.size[0] * image.size[1], np.float32)
+    image.pixels.foreach_get(stored)
+    with scratch() as own:
+        copy = own(bpy.data.images.new("BTFsep photo", *image.size, alpha=True))
+        copy.pixels.foreach_set(stored)
+        with replacing(folder / f"{stem}.png") as file:
+            copy.filepath_raw, copy.file_format = str(file), "PNG"
+            copy.save()
+    return f"{stem}.png"
+
+
 def _save(image, folder: Path, stem: str = "photo") -> str:
     """Saves what Blender shows of ``image``, in scene-linear colours."""
-    with scratch() as own:
-        if image.colorspace_settings.name in LINEAR and not image.is_float:
-            # save_render would take the codes for sRGB
-            stored = np.empty(4 * image.size[0] * image.size[1], np.float32)
-            image.pixels.foreach_get(stored)
-            image = own(bpy.data.images.new("BTFsep photo", *image.size, float_buffer=True, is_data=True))
-            image.pixels.foreach_set(stored)
-        with replacing(folder / f"{stem}.exr") as file:
-            save_exr(image, file)
+    with replacing(folder / f"{stem}.exr") as file:
+        save_exr(image, file)
     return f"{stem}.exr"

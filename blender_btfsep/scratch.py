@@ -26,11 +26,14 @@ def scratch():
 
 
 def save_exr(image, path, *, raw: bool = False) -> None:
-    """Saves what Blender shows of ``image``, linear Rec.709, 32 bit, through a scene of its own; ``raw``: as it is."""
+    """Saves what Blender shows of ``image``, linear Rec.709 with alpha, 32 bit, through a scene of its own.
+
+    ``raw``: the numbers as they are, without alpha.
+    """
     with scratch() as own:
         scene = own(bpy.data.scenes.new("BTFsep picture"))
         settings = scene.render.image_settings
-        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB"
+        settings.file_format, settings.color_depth, settings.color_mode = "OPEN_EXR", "32", "RGB" if raw else "RGBA"
         if raw:
             scene.view_settings.view_transform = "Raw"
         else:  # the working space may be another

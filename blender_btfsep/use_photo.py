@@ -4,9 +4,13 @@
 import bpy
 
 from . import camera as pinhole
-from . import frames, light_picture, photo, reasons, runs
+from . import frames, light_picture, photo, photo_file, reasons, runs
 from .errors import InputError
 
+TURNED = (
+    "the file says that it is to be turned, which Blender does not do: if the photo lies on its side or stands on its "
+    "head, turn it in an image editor and open that"
+)
 READ = {
     "srgb": "read as sRGB",
     "camera": "read by the usual curve of cameras",
@@ -42,8 +46,9 @@ def read_as(image, curve: str) -> str:
     space = image.colorspace_settings.name
     if space in photo.LINEAR:
         return READ["linear"]
-    by_file = "read as sRGB; if the file names a camera, by the usual curve of cameras"
-    return by_file if space in photo.CODED else f"read as {space}, as Blender shows it"
+    if space not in photo.CODED:
+        return f"read as {space}, as Blender shows it"
+    return f"read as {space}; if the file names a camera, by the usual curve of cameras"
 
 
 def fit_render(scene, size) -> list:
@@ -109,9 +114,10 @@ class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
             raise InputError(f"the photo '{image.name}'", *f"it {photo.lacks_pixels(image)}".split(": "))
         words = fit_render(scene, size)
         put_behind(scene, camera, image, size)
-        light_picture.small(
-            image, photo.file_at(image, camera, scene.frame_current)
-        )  # for the picture of the light, later
+        file = photo.file_at(image, camera, scene.frame_current)
+        light_picture.small(image, file)  # for the picture of the light, later
+        if file is not None and photo_file.orientation(file) != 1:
+            words.append(TURNED)
         for space in views(context):
             through(space, camera)
         return "; ".join([f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)])

@@ -11,6 +11,7 @@ import pytest
 
 from blender_btfsep.errors import InputError
 from blender_btfsep.export import SURFACE, export_job
+from btfsep_engine.colour_profile import of_primaries
 from btfsep_engine.job.load import load_job
 
 WIDTH, HEIGHT = 48, 32
@@ -136,6 +137,72 @@ def test_the_engine_sees_the_colours_that_blender_sees(scene, ball, tmp_path, ki
     assert np.abs(seen - truth).max() < 1e-3
 
 
+@pytest.mark.parametrize("kind", ["painted", "scaled", "bmp", "tga"])
+def test_codes_that_blender_holds_stay_codes(scene, ball, tmp_path, kind):
+    """The brightest are known to be bounds, and what is transparent is left out, though no file is taken as it is."""
+    codes = np.round(np.random.default_rng(0).uniform(0.1, 0.9, (2 * HEIGHT, 2 * WIDTH, 4)) * 255) / 255
+    codes[..., 3], codes[:8, :8, 1], codes[40:, 60:, 3] = 1, 1, 0
+    image = make_image("ramp", codes)
+    if kind == "scaled":
+        image.scale(WIDTH, HEIGHT)
+    elif kind != "painted":
+        image.filepath_raw, image.file_format = str(tmp_path / f"ramp.{kind}"), {"bmp": "BMP", "tga": "TARGA"}[kind]
+        image.save()
+        image = bpy.data.images.load(image.filepath_raw)
+    scene.render.resolution_x, scene.render.resolution_y = image.size
+    folder = export_job(scene, tmp_path / "job", image_path=image, objects=[ball], occluders=[]).parent
+    photo = load_job(folder).photo
+    assert photo.bits == 8 and photo.saturated >= 9 and photo.clipped[:3, :3, 1].all()
+    last = np.s_[-8:, -8:]
+    assert not photo.usable[last].any() and not photo.clipped[last].any() and photo.usable[12:18].all()
+    if kind != "scaled":
+        np.testing.assert_allclose(photo.radiance[:40], decoded(codes[:40, :, :3]), atol=1e-5)
+
+
+CIE_XYZ = [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
+SPACES = {
+    "ACEScg": "acescg",
+    "ACES2065-1": "aces2065-1",
+    "Linear Rec.2020": "rec2020",
+    "Display P3": "display-p3",
+    "Linear CIE-XYZ D65": None,
+}
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("kind", ["png", "exr"])
+def test_colours_of_other_primaries_come_as_rec709(scene, ball, tmp_path, kind, space):
+    """By Blender or by the engine, alike; and what is not opaque stays so."""
+    codes = np.round(np.random.default_rng(0).uniform(0.2, 0.7, (HEIGHT, WIDTH, 4)) * 255) / 255
+    codes[..., 3], codes[:5, :5, 3] = 1, 0
+    image = bpy.data.images.new("wide", WIDTH, HEIGHT, alpha=True, float_buffer=kind == "exr", is_data=True)
+    image.pixels.foreach_set(np.ascontiguousarray(codes[::-1], np.float32).ravel())
+    image.filepath_raw, image.file_format = str(tmp_path / f"wide.{kind}"), {"png": "PNG", "exr": "OPEN_EXR"}[kind]
+    image.save()
+    image = bpy.data.images.load(image.filepath_raw)
+    image.colorspace_settings.name = space
+    folder = export_job(scene, tmp_path / "job", image_path=image, objects=[ball], occluders=[]).parent
+    photo = load_job(folder).photo
+    linear = decoded(codes[..., :3]) if space == "Display P3" else codes[..., :3]
+    to_rec709 = np.array(CIE_XYZ) if SPACES[space] is None else of_primaries(SPACES[space]).to_rec709
+    opaque = codes[..., 3] == 1
+    assert np.abs(photo.radiance - linear @ to_rec709.T)[opaque].max() < 4e-3
+    assert (photo.usable == opaque).all()
+
+
+def test_images_that_are_not_one_picture_say_what_to_do(scene, ball, tmp_path):
+    (tmp_path / "a.heic").write_bytes(b"\0\0\0\x24ftypheic" + bytes(99))
+    (tmp_path / "a.nef").write_bytes(b"II*\0" + bytes(99))
+    cases = {
+        r"made of tiles \(UDIM\); open": bpy.data.images.new("tiles", WIDTH, HEIGHT, tiled=True),
+        "HEIC picture.*; export it as JPEG": bpy.data.images.load(str(tmp_path / "a.heic")),
+        "raw file; develop it": bpy.data.images.load(str(tmp_path / "a.nef")),
+    }
+    for words, image in cases.items():
+        with pytest.raises(InputError, match=words):
+            export_job(scene, tmp_path / "job", image_path=image, objects=[ball], occluders=[])
+
+
 def listing(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
@@ -147,7 +214,7 @@ def test_no_file_of_a_job_is_written_in_place(scene, ball, tmp_path):
     image.filepath_raw, image.file_format = str(depth), "OPEN_EXR"
     image.save()
     mask = make_image("mask", np.ones((HEIGHT, WIDTH, 4)))
-    painted = make_image("painted", np.ones((HEIGHT, WIDTH, 4)))
+    painted = bpy.data.images.new("painted", WIDTH, HEIGHT, float_buffer=True)
     jobs = [
         {"image_path": tmp_path / "photo.png", "objects": [ball], "masks": {ball.name: mask}},
         {"image_path": painted, "objects": [], "depth": str(depth)},

@@ -28,6 +28,8 @@ from blender_btfsep import (
 from blender_btfsep.errors import InputError
 from blender_btfsep.photo import file_at
 from tests.blender.lit import LIGHTING
+from tests.engine.test_camera_curve import with_exif
+from tests.engine.test_image_kinds import turned
 
 
 def photo(path, width, height, *, space=None):
@@ -164,17 +166,21 @@ def test_a_photo_of_another_shape_than_the_region_is_one_of_the_whole_picture(ph
     assert camera.shown(photographed, (90, 30)) == (0, 0, 90, 30) and camera.render_region(photographed)[2:] == (90, 30)
 
 
+BY_CAMERA = "if the file names a camera, by the usual curve of cameras"
+
+
 @pytest.mark.parametrize(
     ("name", "space", "curve", "words"),
     [
-        ("a.png", None, "auto", "read as sRGB; if the file names a camera, by the usual curve of cameras"),
+        ("a.png", None, "auto", f"read as sRGB; {BY_CAMERA}"),
         ("a.png", None, "camera", "read by the usual curve of cameras"),
         ("a.png", "Non-Color", "auto", "read as linear light"),
         ("a.png", "AgX Base sRGB", "auto", "read as AgX Base sRGB, as Blender shows it"),
+        ("a.png", "Display P3", "auto", f"read as Display P3; {BY_CAMERA}"),
         ("a.png", None, "unknown", "its tone curve is found from the photo"),
         ("a.png", None, "linear", "read as linear light"),
         ("a.exr", None, "srgb", "read as linear light (floats)"),
-        ("deep.png", None, "auto", "read as sRGB; if the file names a camera, by the usual curve of cameras"),
+        ("deep.png", None, "auto", f"read as sRGB; {BY_CAMERA}"),
         ("deep.png", None, "linear", "read as linear light"),
     ],
 )
@@ -186,6 +192,17 @@ def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name
     linear = job["image_colorspace"] == "linear" or job["image"].endswith(".exr")
     coded = ("sRGB", "found", "of cameras")
     assert linear == all(each not in words.removeprefix("read as AgX Base sRGB") for each in coded)
+
+
+def test_a_photo_that_is_to_be_turned_lies_as_it_is_stored_and_that_is_said(photographed, tmp_path, capfd):
+    for number in (1, 6):
+        path = tmp_path / f"a{number}.jpg"
+        path.write_bytes(with_exif(".jpg", turned(number), 30, 40))
+        image = photographed.btfsep.image = bpy.data.images.load(str(path))
+        assert tuple(image.size) == (40, 30)
+        bpy.ops.btfsep.use_photo()
+        assert camera.render_size(photographed) == (40, 30)
+        assert (use_photo.TURNED in capfd.readouterr().out) == (number == 6)
 
 
 def test_a_photo_is_looked_at_once_and_again_when_it_is_another(photographed, tmp_path):

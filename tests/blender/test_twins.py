@@ -19,6 +19,7 @@ from blender_btfsep import (
     lighting_file,
     mending,
     photo,
+    photo_file,
     properties,
     request,
     sh_nodes,
@@ -27,11 +28,15 @@ from btfsep_engine import images
 from btfsep_engine.btf import linear
 from btfsep_engine.cli import command as engine_command
 from btfsep_engine.cli.commands import cli
+from btfsep_engine.colour_profile import PRIMARIES
 from btfsep_engine.images import read_linear
 from btfsep_engine.job.schema import MAX_KNOWN_LAMPS, JobSchema
 from btfsep_engine.light import files
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline import measuring, sequence, settings
+from tests.engine.profiles import tiff
+from tests.engine.test_camera_curve import with_exif
+from tests.engine.test_image_kinds import turned
 
 
 @pytest.mark.parametrize("order", [0, files.MAX_ORDER])
@@ -158,6 +163,26 @@ def test_the_files_of_photos(scene, tmp_path):
         image.save()
         found = read_linear(tmp_path / f"a{suffix}").pixels
         assert found.shape == (4, 8, 3) and np.allclose(found, ((0.5 + 0.055) / 1.055) ** 2.4, atol=0.01), suffix
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tif"])
+def test_how_a_photo_is_to_be_turned(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    for number in (1, 3, 6, 8):
+        tag = {274: (3, 1, number.to_bytes(2, "little"))}
+        picture = np.full((6, 8, 3), 90, np.uint8)
+        path.write_bytes(tiff(picture, tag) if suffix == ".tif" else with_exif(suffix, turned(number)))
+        assert photo_file.orientation(path) == images.orientation(path) == number
+    whole = path.read_bytes()
+    for end in range(1, len(whole), 3):
+        path.write_bytes(whole[:end])
+        assert photo_file.orientation(path) in (1, 8) and images.orientation(path) in (1, 8)
+    path.unlink()
+    assert photo_file.orientation(path) == 1
+
+
+def test_the_primaries_that_photos_have():
+    assert {*photo.CODED.values()} - {"auto"} <= PRIMARIES.keys()
 
 
 def test_the_frames_of_a_pattern_have_one_order(tmp_path):
