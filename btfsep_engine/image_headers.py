@@ -106,6 +106,11 @@ def camera(data: bytes) -> str:
     return ""
 
 
+def is_tiff(data: bytes) -> bool:
+    """Whether bytes begin as a TIFF does."""
+    return data[:4] in _TIFF
+
+
 def refused(data: bytes) -> tuple[str, str] | None:
     """Why a file is not read though it may be decodable, or what it is that is not, and what to do; else None."""
     with contextlib.suppress(struct.error, IndexError):

@@ -32,8 +32,7 @@ _EXR = b"\x76\x2f\x31\x01"
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
 _KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
 
-with contextlib.suppress(AttributeError):  # OpenCV would write its own complaints to stderr beside ours
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+cv2.setLogLevel(0)  # its own complaints, on stderr, would stand beside ours
 
 
 @dataclass(frozen=True)
@@ -309,7 +308,11 @@ def _decode(path: Path, data: bytes):
     if a is None or a.size == 0:
         if not data.startswith(_MAGIC):
             raise InputError(path.name, "this is not an image of a known kind", _KINDS)
-        raise InputError(path.name, "the image is truncated or damaged", "export it again")
+        got, do = "the image is truncated or damaged", "export it again"
+        if image_headers.is_tiff(data):
+            got += ", or its pixels are of a kind that is not read"
+            do = "save it as RGB of 8 or 16 bits or 32-bit floats, without more channels than alpha"
+        raise InputError(path.name, got, do)
     _check_size(path, a.shape[1], a.shape[0])
     if a.dtype == np.float64:
         a = a.astype(np.float32)

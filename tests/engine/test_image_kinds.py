@@ -70,6 +70,20 @@ def jpeg_of_four() -> bytes:
     return data[:at] + b"\xff\xc0" + frame + data[at + 19 :]
 
 
+def test_pixels_of_other_kinds_are_said_to_be(tmp_path, capfd):
+    """Half floats, whole numbers of 32 bits, a channel beside alpha: what editors write and OpenCV does not read."""
+    kinds = {
+        "half": tiff(np.ones((6, 8, 3), np.float16), {339: (3, 3, struct.pack("<3H", 3, 3, 3))}),
+        "long": tiff(np.ones((6, 8, 3), np.uint32)),
+        "five": tiff(np.ones((6, 8, 5), np.uint8), {338: (3, 2, struct.pack("<2H", 1, 0))}),
+    }
+    for name, data in kinds.items():
+        (tmp_path / f"{name}.tif").write_bytes(data)
+        with pytest.raises(InputError, match="pixels are of a kind that is not read; save it as RGB of 8 or 16 bits"):
+            images.read_linear(tmp_path / f"{name}.tif")
+    assert capfd.readouterr() == ("", "")  # OpenCV would say more
+
+
 GREY = np.full((6, 8, 3), 90, np.uint8)
 KINDS = {
     "raw.dng": (tiff(GREY, {50706: (1, 4, b"\1\4\0\0")}), "raw file.*develop it"),
