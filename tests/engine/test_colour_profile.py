@@ -3,6 +3,7 @@
 
 import struct
 import zlib
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,9 +11,10 @@ import pytest
 
 from btfsep_engine import camera_curve, colour_profile, image_headers, images
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.tone_curve import SRGB
 from btfsep_engine.images import srgb_to_linear
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.tone import codes_of, curve_read_by, radiance_of
+from btfsep_engine.pipeline.tone import Curves, codes_of, curve_read_by, radiance_of, read_by
 from tests.engine.profiles import (
     LINEAR_CURVE,
     SRGB_CURVE,
@@ -168,6 +170,10 @@ def test_the_curve_of_cameras_is_undone_in_the_files_own_primaries(job, picture,
     codes = codes_of(found)
     np.testing.assert_allclose(radiance_of(found, curve_read_by(found), codes), found.photo.radiance, atol=1e-5)
     np.testing.assert_allclose(srgb_to_linear(codes), (picture / 255) ** (563 / 256), atol=1e-5)  # as sRGB codes them
+    curves = Curves(codes, (SRGB,), np.ones(1))
+    again = read_by(SimpleNamespace(job=found), curves).job.photo  # the same codes by another curve
+    expected = (picture / 255) ** (563 / 256) @ np.transpose(TO_REC709["adobe"])
+    np.testing.assert_allclose(again.radiance, expected, atol=5e-4)
     stated = load_job(job.write(job.copy() | {"image": "photo.tif", "image_primaries": "rec709"})).photo
     np.testing.assert_allclose(stated.radiance, srgb_to_linear(picture / 255), atol=1e-6)
 
