@@ -78,7 +78,7 @@ def export_job(
         depsgraph = view_layer.depsgraph
         shown = isinstance(image_path, bpy.types.Image) and photo.file_at(image_path, camera, scene.frame_current)
         file_name, colorspace, size, primaries = photo.put(image_path, folder, file=shown or None)
-        if curve != "auto" and Path(file_name).suffix not in photo.FLOAT:
+        if curve != "auto" and not photo.is_linear(Path(folder) / file_name):
             colorspace = curve
         evaluated = camera.evaluated_get(depsgraph)
         lens = pinhole.for_photo(scene, evaluated, size)

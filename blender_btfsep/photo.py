@@ -14,7 +14,7 @@ from . import pixels
 from .atomic import replacing, write_bytes
 from .errors import InputError
 from .frames import SUFFIXES, split
-from .photo_file import unread
+from .photo_file import holds_floats, unread
 from .scratch import save_exr, scratch
 
 FLOAT = {".exr", ".hdr"}
@@ -103,10 +103,15 @@ def taken_as_is(image, path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES and space in (LINEAR if path.suffix.lower() in FLOAT else CODED)
 
 
+def is_linear(path: Path) -> bool:
+    """Whether the engine takes the file ``path`` for linear light, whatever curve others have."""
+    return path.suffix.lower() in FLOAT or holds_floats(path)
+
+
 def of_floats(image) -> bool:
     """Whether the photo ``image`` is linear light, whatever its curve; `is_float` are 16 bits, too."""
     path = file_of(image)
-    if path is not None and path.suffix.lower() in FLOAT:
+    if path is not None and is_linear(path):
         return True
     coded = path is not None and image.source != "GENERATED" and not image.is_dirty and taken_as_is(image, path)
     return image.is_float and not coded

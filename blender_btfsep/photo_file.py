@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a photo's file says beside its pixels: how it is to be turned; why Blender may not read it. No bpy here."""
+"""What a photo's file says beside its pixels: how it is to be turned, of what kind they are. No bpy here."""
 
 import struct
 from pathlib import Path
 
 _HEADER = 2**18  # bytes in which the tag is looked for
-_ORIENTATION = 274
+_ORIENTATION, _SAMPLE_FORMAT = 274, 339
+_TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 _EXPORT = "export it as JPEG, or as 16-bit TIFF"
 _DEVELOP = "develop it, without a tone curve if you can, and save it as EXR or as 16-bit TIFF"
 _RAW = ("3fr", "arw", "cr2", "cr3", "dng", "iiq", "nef", "nrw", "orf", "pef", "raf", "raw", "rw2", "srw", "x3f")
@@ -24,24 +25,35 @@ def unread(path) -> str:
 
 def orientation(path) -> int:
     """How the file at ``path`` says that its pixels are to be turned (EXIF, 1 to 8; 1: not, or not said)."""
+    found = _number(path, _ORIENTATION)
+    return found if found in range(1, 9) else 1
+
+
+def holds_floats(path) -> bool:
+    """Whether the file at ``path`` is a TIFF of floating-point numbers, which Blender takes for coded ones."""
+    return Path(path).suffix.lower() in (".tif", ".tiff") and _number(path, _SAMPLE_FORMAT) == 3
+
+
+def _number(path, wanted: int):
+    """The (first) 16-bit number that a tag of a TIFF, or of the EXIF in another file, has; None: there is none."""
     try:
         with open(path, "rb") as file:
             head = file.read(_HEADER)
-    except OSError:
-        return 1
-    begin = 0 if head[:4] in (b"II*\0", b"MM\0*") else head.find(b"Exif\0\0") + 6
-    if begin == 5:  # PNG and WebP have no such mark
-        begin = max(head.find(mark) for mark in (b"eXIf", b"EXIF")) + (4 if head[:4] == b"\x89PNG" else 8)
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(head[begin : begin + 4])
-    if order is None:
-        return 1
-    try:
-        (at,) = struct.unpack_from(order + "I", head, begin + 4)
-        (count,) = struct.unpack_from(order + "H", head, begin + at)
-        for place in range(begin + at + 2, begin + at + 2 + 12 * count, 12):
-            tag, kind, length, value = struct.unpack_from(order + "HHIH", head, place)
-            if (tag, kind, length) == (_ORIENTATION, 3, 1):
-                return value if 1 <= value <= 8 else 1
-    except struct.error:
+            begin = 0 if head[:4] in _TIFF else head.find(b"Exif\0\0") + 6
+            if begin == 5:  # PNG and WebP have no such mark
+                begin = max(head.find(mark) for mark in (b"eXIf", b"EXIF")) + (4 if head[:4] == b"\x89PNG" else 8)
+            order = _TIFF.get(head[begin : begin + 4])
+            if order is None:
+                return None
+            file.seek(begin + struct.unpack_from(order + "I", head, begin + 4)[0])  # of a TIFF it may lie at the end
+            (count,) = struct.unpack(order + "H", file.read(2))
+            for tag, kind, length, value in struct.iter_unpack(order + "HHI4s", file.read(12 * count)):
+                if (tag, kind) != (wanted, 3):
+                    continue
+                if length > 2:
+                    file.seek(begin + struct.unpack(order + "I", value)[0])
+                    value = file.read(2)
+                return struct.unpack(order + "H", value[:2])[0]
+    except (OSError, struct.error):
         pass
-    return 1
+    return None

@@ -2,6 +2,7 @@
 """The photo behind the camera, the objects drawn over it, the report and the Rendered view."""
 
 import json
+import struct
 
 import bpy
 import numpy as np
@@ -27,7 +28,9 @@ from blender_btfsep import (
 )
 from blender_btfsep.errors import InputError
 from blender_btfsep.photo import file_at
+from btfsep_engine.job.load import load_job
 from tests.blender.lit import LIGHTING
+from tests.engine.profiles import tiff
 from tests.engine.test_camera_curve import with_exif
 from tests.engine.test_image_kinds import turned
 
@@ -192,6 +195,22 @@ def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name
     linear = job["image_colorspace"] == "linear" or job["image"].endswith(".exr")
     coded = ("sRGB", "found", "of cameras")
     assert linear == all(each not in words.removeprefix("read as AgX Base sRGB") for each in coded)
+
+
+def test_a_tiff_of_floats_is_linear_light(photographed, tmp_path):
+    """Blender takes its numbers for coded ones; developed from raw, as 32-bit TIFF, they are light."""
+    light = np.random.default_rng(0).uniform(0.1, 2, (32, 48, 3)).astype(np.float32)
+    path = tmp_path / "a.tif"
+    path.write_bytes(tiff(light, {339: (3, 3, struct.pack("<3H", 3, 3, 3))}))
+    image = photographed.btfsep.image = bpy.data.images.load(str(path))
+    photographed.btfsep.curve = "srgb"
+    assert use_photo.read_as(image, "srgb") == "read as linear light (floats)"
+    photographed.render.resolution_x, photographed.render.resolution_y = 48, 32
+    found = load_job(request.write_job(photographed, folder=tmp_path / "job")).photo
+    np.testing.assert_array_equal(found.radiance, light)
+    codes = tmp_path / "b.tif"
+    codes.write_bytes(tiff((light * 30000).astype(np.uint16)))
+    assert use_photo.read_as(bpy.data.images.load(str(codes)), "srgb") == "read as sRGB"
 
 
 def test_a_photo_that_is_to_be_turned_lies_as_it_is_stored_and_that_is_said(photographed, tmp_path, capfd):
