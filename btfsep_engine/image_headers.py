@@ -20,6 +20,7 @@ _INTEGERS = {3: "H", 4: "I"}  # types of TIFF
 _TEXT = 2
 _LONGEST = 100  # bytes of a name
 _LARGEST_PROFILE = 2**22  # bytes
+_MOST_PARTS = 2**17  # segments or chunks that are looked through: pictures have fewer, files that lie may have millions
 _KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
 _DEVELOP = "develop it, without a tone curve if you can, and save it as EXR or as 16-bit TIFF"
 _OTHERS = (  # what files that are not read begin with, what they are, and what to do
@@ -214,7 +215,9 @@ def _is_adobe(data: bytes) -> bool:
 def _jpeg_segments(data: bytes):
     """Of the header of a JPEG each segment's marker, where its contents begin, and their length."""
     at = 2
-    while at < len(data) and data[at] == 0xFF:
+    for _ in range(_MOST_PARTS):
+        if at >= len(data) or data[at] != 0xFF:
+            return
         marker = data[at + 1]
         if marker == 0xFF:  # padding
             at += 1
@@ -270,8 +273,10 @@ def _exif(data: bytes) -> bytes | None:
 
 def _chunk(data: bytes, at: int, wanted: bytes, order: str, *, before_kind: bool, tail: int) -> bytes | None:
     """Of a file of chunks the first that is ``wanted``; its length stands before its kind, or behind it."""
-    while at + 8 <= len(data):
+    for _ in range(_MOST_PARTS):
         head = data[at : at + 8]
+        if len(head) < 8:
+            return None
         kind, length = (head[4:], head[:4]) if before_kind else (head[:4], head[4:])
         (length,) = struct.unpack(order + "I", length)
         if kind == wanted:
