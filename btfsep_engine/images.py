@@ -121,7 +121,6 @@ def read_linear(
     saturated = clipped.any(-1)
     if peak is not None and colorspace == "agx":
         stored = np.repeat(stored, 3, -1) if stored.shape[-1] == 1 else stored
-        clipped = np.broadcast_to(clipped, stored.shape)
         pixels = agx.to_linear(stored / peak).astype(np.float32)
     elif peak is not None:
         codes = np.arange(peak + 1) / peak
@@ -138,17 +137,9 @@ def read_linear(
         pixels = pixels @ profile.to_rec709.T.astype(np.float32)
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
-    return Image(
-        pixels=np.ascontiguousarray(pixels),
-        saturated=saturated,
-        usable=opaque & ~saturated,
-        clipped=clipped,
-        bits=None if peak is None else peak.bit_length(),
-        coarse_chroma=image_headers.has_coarse_chroma(header),
-        camera=camera,
-        profile=profile,
-        orientation=image_headers.orientation(header),
-    )
+    bits = None if peak is None else peak.bit_length()
+    said = image_headers.has_coarse_chroma(header), camera, profile, image_headers.orientation(header)
+    return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, *said)
 
 
 def _decoder(colorspace: str, profile: Profile | None, integers: bool, channels: int, by_camera: bool):
@@ -174,17 +165,13 @@ def declared_size(path) -> tuple[int, int] | None:
     if not data.startswith(_EXR):
         _refuse(path, data)
         return image_headers.size(data)
-    (low, high), *_ = _exr_windows(path)
-    return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
+    return _extent(_exr_windows(path)[0])
 
 
 def data_size(path) -> tuple[int, int] | None:
     """(width, height) of the data window of an EXR; None: it is none. Raises InputError as :func:`declared_size`."""
     path = Path(path)
-    if not atomic.read_bytes(path).startswith(_EXR):
-        return None
-    _, (low, high), *_ = _exr_windows(path)
-    return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
+    return _extent(_exr_windows(path)[1]) if atomic.read_bytes(path).startswith(_EXR) else None
 
 
 def orientation(path) -> int:
@@ -352,9 +339,15 @@ def _exr_windows(path: Path, max_pixels: int | None = None) -> list:
     """The display and the data window of each part, (low, high) corners, by the headers alone; sizes are checked."""
     parts = _exr_opened(path, header_only=True)
     windows = [part.header[name] for part in parts for name in ("displayWindow", "dataWindow")]
-    for low, high in windows:
-        _check_size(path, *(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True)), max_pixels)
+    for window in windows:
+        _check_size(path, *_extent(window), max_pixels)
     return windows
+
+
+def _extent(window) -> tuple[int, int]:
+    """Width and height of a window, of its corners (low, high)."""
+    low, high = window
+    return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
 
 
 def _exr_opened(path: Path, **how) -> list:

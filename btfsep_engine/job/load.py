@@ -14,6 +14,7 @@ from btfsep_engine.job.camera import Camera
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth, shifted_mask
 from btfsep_engine.job.meshes import load_mesh
 from btfsep_engine.job.model import Job, JobObject, KnownLamp, Occluder, Photo, TriangleMesh
+from btfsep_engine.job.photograph import fits, no_photo, read
 from btfsep_engine.job.schema import KNOWN_TO, MAX_KNOWN_LAMPS, CameraSchema, JobSchema, SurfaceSchema, parse
 
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
@@ -53,7 +54,7 @@ def load_job(
     else:
         lamps = known_lamps([(direction_of_angles(*s[:2]), *(s[2:] or [KNOWN_TO])) for s in suns], "--sun")
     notes: list[str] = []
-    photo = _photo(reader, schema, camera, notes) if with_photo else _no_photo(camera)
+    photo = _photo(reader, schema, camera, notes) if with_photo else no_photo(camera)
     names = [o.name for o in schema.objects]
     for i, name in enumerate(names):
         if name in names[:i]:
@@ -222,77 +223,10 @@ def camera_of(schema: CameraSchema, *, name: str = "job.json: camera") -> Camera
     return camera
 
 
-def _no_photo(camera: Camera) -> Photo:
-    shape = camera.height, camera.width
-    return Photo(np.zeros((*shape, 3), np.float32), np.ones(shape, bool), 0)
-
-
-def read_photo(
-    path, camera: Camera, *, colorspace: str = "auto", primaries: str = "auto", notes: list | None = None
-) -> Photo:
-    """A photograph that ``camera`` took, which no job names; ``notes`` : takes, in words, what of it is left out.
-
-    Raises InputError when it cannot be read, or is not of the camera's size.
-    """
-    return _read(path, Path(path).name, (colorspace, primaries), camera, [] if notes is None else notes)
-
-
 def _photo(reader: _Folder, schema: JobSchema, camera: Camera, notes: list) -> Photo:
     path = reader.path(schema.image, "job.json: image")
-    return _read(path, schema.image, (schema.image_colorspace, schema.image_primaries), camera, notes)
-
-
-def _fits(size, name: str, camera: Camera, photo=None) -> None:
-    """InputError unless an image's (width, height) is the camera's; None: not known yet.
-
-    ``photo`` : its path where it may say why it is of another size.
-    """
-    own = camera.width, camera.height
-    if size not in (None, own):
-        got = f"it has {size[0]} x {size[1]} pixels and the camera {own[0]} x {own[1]}"
-        do = "export it at the camera's size"
-        if photo is not None and images.data_size(photo) == own:
-            got += ", the size of its data window"
-            do = "save it with a data window that is its display window"
-        elif photo is not None and size == own[::-1] and images.orientation(photo) > 4:
-            got += ", as it is to be turned (EXIF orientation) and its pixels are not"
-            do = "turn it in an image editor and save it, or give the camera as the photo is stored"
-        raise InputError(name, got, do)
-
-
-def _read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
-    """``coding`` : the job's colour space and primaries."""
-    colorspace, primaries = coding
-    _fits(images.declared_size(path), name, camera, path)  # before it is decoded: a small file can claim gigabytes
-    image = images.read_linear(
-        path, colorspace="auto" if colorspace == "unknown" else colorspace, primaries=primaries, by_camera=True
-    )
-    height, width = image.pixels.shape[:2]
-    _fits((width, height), name, camera, path)
-    if image.orientation != 1:
-        notes.append(
-            f"{name}: it says that it is to be turned (EXIF orientation {image.orientation}), which was not done: the "
-            "camera has to be of the pixels as they are stored"
-        )
-    if image.profile is not None and not image.profile.followed:
-        notes.append(f"{name}: {image.profile.name} could not be followed; its colours were taken for those of sRGB")
-    finite = np.isfinite(image.pixels).all(-1)
-    if not finite.all():
-        rows, columns = np.nonzero(~finite)
-        got = f"{len(rows)} pixels are NaN or infinite, first x {columns[0]}, y {rows[0]}"
-        raise InputError(name, got, "render or export the photo again")
-    if not image.usable.any():
-        cure = "give one that is opaque, with a shorter exposure"
-        raise InputError(name, "every pixel is saturated or transparent", cure)
-    saturated = int(image.saturated.sum())
-    if saturated:
-        notes.append(f"{name}: {saturated} of {width * height} pixels are saturated")
-    hidden = int((~image.usable & ~image.saturated).sum())
-    if hidden:
-        notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
-    clipped = image.clipped if saturated else None
-    said = image.bits, image.coarse_chroma, image.camera, image.profile
-    return Photo(image.pixels, image.usable, saturated, clipped, *said)
+    coding = schema.image_colorspace, schema.image_primaries
+    return read(path, schema.image, coding, camera, notes)
 
 
 def placed(matrix, what: str):
@@ -320,9 +254,9 @@ def _mask(reader: _Folder, schema, camera: Camera):
     if schema.mask is None:
         return None
     path = reader.path(schema.mask, f"object '{schema.name}': mask")
-    _fits(images.declared_size(path), schema.mask, camera)
+    fits(images.declared_size(path), schema.mask, camera)
     mask = images.read_mask(path)
-    _fits(mask.shape[::-1], schema.mask, camera)
+    fits(mask.shape[::-1], schema.mask, camera)
     if not mask.any():
         raise InputError(schema.mask, "the mask is empty", "paint what may be used white, or set it to null")
     return mask
@@ -408,9 +342,9 @@ def _depth_object(reader: _Folder, schema: JobSchema, camera: Camera) -> JobObje
     if len(schema.objects) > 1:
         raise InputError("job.json: objects", "a job with depth has one surface", "keep one object")
     path = reader.path(schema.depth, "job.json: depth")
-    _fits(images.declared_size(path), schema.depth, camera)
+    fits(images.declared_size(path), schema.depth, camera)
     depth = images.read_depth(path)
-    _fits(depth.shape[::-1], schema.depth, camera)
+    fits(depth.shape[::-1], schema.depth, camera)
     bad = np.isnan(depth) | (depth < 0)
     if bad.any():
         rows, columns = np.nonzero(bad)

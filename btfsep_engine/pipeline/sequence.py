@@ -19,8 +19,9 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.fit.over_time import Frame, smoothed, windows
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.images import SUFFIXES
-from btfsep_engine.job.load import load_job, read_photo
+from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job, Photo
+from btfsep_engine.job.photograph import read_photo
 from btfsep_engine.job.poses import posed_jobs
 from btfsep_engine.light.files import MAP_SIZE, write_lighting, write_lighting_exr
 from btfsep_engine.pipeline.checks import all_doubts

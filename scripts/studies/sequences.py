@@ -32,7 +32,8 @@ import numpy as np
 
 from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.job.load import load_job, read_photo
+from btfsep_engine.job.load import load_job
+from btfsep_engine.job.photograph import read_photo
 from btfsep_engine.job.poses import posed_jobs
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
