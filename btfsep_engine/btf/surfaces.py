@@ -20,6 +20,9 @@ class Surface:
     metallic : [0, 1], the conductor's share
     specular : [0, 1], Principled's *Specular IOR Level* at its index 1.5: 0.5 is a reflectance of 0.04 straight on
     emission : (3,) radiance, linear Rec.709, >= 0
+    coat : [0, 1], the share under a clear coat of the index 1.5; coat_roughness : [0, 1]
+    sheen : (3,) in [0, 1], weight times tint of Principled's microfibres; sheen_roughness : [0, 1]
+    left_out : what else there is to the material, in words: the numbers say nothing of it
     image : (n, n, 3) float32, linear, in [0, 1], row 0 at the top, or None: base colours by the mesh's UVs, a period
         of 1; ``base_color`` then says nothing
     finish : (n, n, 3) float32 like ``image``: roughness, metallic and specular of each place, of few kinds; or None
@@ -30,6 +33,11 @@ class Surface:
     metallic: float = 0.0
     specular: float = 0.5
     emission: tuple = (0.0, 0.0, 0.0)
+    coat: float = 0.0
+    coat_roughness: float = 0.03
+    sheen: tuple = (0.0, 0.0, 0.0)
+    sheen_roughness: float = 0.5
+    left_out: tuple = ()
     image: np.ndarray | None = None
     finish: np.ndarray | None = None
 
@@ -59,7 +67,9 @@ class Surface:
         if self.finish is not None:
             return {"finishes": [{k: v for k, v in s.numbers().items() if k != "base_color"} for _, s in self.kinds()]}
         colour = {"base_color": list(self.base_color)} if self.image is None else {}
-        return colour | {"roughness": self.roughness, "metallic": self.metallic, "specular": self.specular}
+        layers = {"coat": self.coat, "coat_roughness": self.coat_roughness} if self.coat else {}
+        layers |= {"sheen": list(self.sheen), "sheen_roughness": self.sheen_roughness} if any(self.sheen) else {}
+        return colour | {"roughness": self.roughness, "metallic": self.metallic, "specular": self.specular} | layers
 
 
 SURFACES = {

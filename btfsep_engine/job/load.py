@@ -294,20 +294,21 @@ def _object_surface(reader: _Folder, schema, mesh: TriangleMesh) -> Surface | No
 def _surface(reader: _Folder, schema: SurfaceSchema | None, mesh: TriangleMesh, what: str) -> Surface | None:
     if schema is None:
         return None
-    numbers = {k: getattr(schema, k) for k in ("roughness", "metallic", "specular")}
-    emission = tuple(schema.emission)
+    numbers = {k: getattr(schema, k) for k in ("roughness", "metallic", "specular", "coat", "coat_roughness")}
+    numbers |= {"sheen_roughness": schema.sheen_roughness, "left_out": tuple(schema.left_out)}
+    numbers |= {k: tuple(getattr(schema, k)) for k in ("sheen", "emission")}
     if not isinstance(schema.base_color, str):
         if schema.finish is not None:
             got = "it has a finish, and its base_color is no image"
             raise InputError(f"{what}: surface", got, "give an image of base colours of the same size")
-        return Surface(tuple(schema.base_color), emission=emission, **numbers)
+        return Surface(tuple(schema.base_color), **numbers)
     image = _base_colours(reader.path(schema.base_color, f"{what}: surface"), schema.base_color)
     if mesh.corner_uv is None:
         raise InputError(
             f"{what}: surface", "its base_color is an image, and the mesh has no UV map", "export one, or give a colour"
         )
     finish = None if schema.finish is None else _finish(reader.path(schema.finish, f"{what}: surface"), schema, image)
-    surface = Surface(image=image, emission=emission, finish=finish, **numbers)
+    surface = Surface(image=image, finish=finish, **numbers)
     if len(surface.kinds()) > MOST_FINISHES:
         got = f"it has {len(surface.kinds())} kinds of roughness, metallic and specular, and {MOST_FINISHES} may be"
         raise InputError(schema.finish, got, "group those that are alike")

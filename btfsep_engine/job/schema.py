@@ -17,6 +17,7 @@ MAX_OBJECTS = 1000
 MAX_KNOWN_LAMPS = 8
 KNOWN_TO = 1.0  # degrees: how well the direction of a known lamp is known where nobody says it
 MAX_BYTES = 2**24
+MAX_LEFT_OUT = 16
 
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
 Matrix = Annotated[list[Row], Field(min_length=4, max_length=4)]
@@ -64,6 +65,7 @@ class SurfaceSchema(Strict):
     """Values of Blender's Principled BSDF, colours linear Rec.709.
 
     ``finish`` : an image of roughness, metallic and specular, in their place, beside one of base colours.
+    ``sheen`` : weight times tint. ``left_out`` : what the numbers do not say of the material, each in a word or two.
     """
 
     base_color: ColourOrImage = [0.8, 0.8, 0.8]
@@ -72,6 +74,11 @@ class SurfaceSchema(Strict):
     metallic: Share = 0.0
     specular: Share = 0.5
     emission: Power = [0.0, 0.0, 0.0]
+    coat: Share = 0.0
+    coat_roughness: Share = 0.03
+    sheen: Colour = [0.0, 0.0, 0.0]
+    sheen_roughness: Share = 0.5
+    left_out: Annotated[list[Name], Field(max_length=MAX_LEFT_OUT)] = []
 
 
 class ObjectSchema(Strict):

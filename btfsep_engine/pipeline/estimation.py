@@ -19,6 +19,8 @@ from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
 from btfsep_engine.pipeline.mending import mended
+from btfsep_engine.pipeline.mirrors import WORDS as MIRRORED
+from btfsep_engine.pipeline.mirrors import softened
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine import refined
@@ -26,6 +28,7 @@ from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.ground import ground
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
+from btfsep_engine.pipeline.refine.left_out import left_out
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
@@ -128,6 +131,8 @@ def left_as_it_is(model: Model, light: SolvedLight):
     words = {} if model.untried is None else {"appearance": model.untried}
     if any(unseen_meshes(problem.scene.job) for problem in model.problems):
         words["geometry"] = UNSEEN
+    if any(problem.scene.mirrors for problem in model.problems):
+        words["mirrors"] = MIRRORED
     return model, light, words
 
 
@@ -142,6 +147,7 @@ REFINEMENTS = (
     key_lights,
     other_curves,
     surroundings,
+    left_out,
     misplaced,
 )
 
@@ -160,6 +166,8 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
 def found_light(scene: PreparedScene, library, settings: Settings, *, material=None, others=()) -> Estimate:
     """`estimate` without what speaks against it, which changes nothing of the light."""
     scenes, reporter = [scene, *others], scene.reporter
+    if material is None:
+        scenes = [softened(each) for each in scenes]
     refuse_unknown(scenes, settings)
     materials = materials_of_all(scenes, library, settings, name=material)
     with reporter.stage("transport"):

@@ -29,6 +29,7 @@ from btfsep_engine.pipeline.estimation import Estimate, found_light
 from btfsep_engine.pipeline.following import CHOSEN, FollowedEstimate, Follower
 from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.mending import mended
+from btfsep_engine.pipeline.mirrors import softened
 from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
@@ -135,7 +136,8 @@ class Frames:
     def _look(self, photo: Photo, reporter: Reporter) -> None:
         """Looks at the scene, where it is not the last frame's; its camera goes where this photo has it."""
         if self._scene is None:
-            self._scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
+            scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
+            self._scene = softened(scene) if self._material is None else scene
 
     def _light(self, photo: Photo, reporter: Reporter) -> FollowedEstimate:
         """The Estimate of a photo, and what of it was found for it alone (`following.FollowedEstimate`)."""

@@ -10,6 +10,9 @@ Cycles (Turquin 2019): times 1 + F_ms (1 - E) / E, E the albedo of a white metal
 cosine-weighted mean, F_ms = F E_mean / (1 - F (1 - E_mean)), F the mean of Schlick's reflectance, b + (1 - b) / 21.
 White stays white; it is not quite reciprocal. The texels of an image then have b F_ms and F_ms, too.
 
+Over these may lie a clear coat, a dielectric's layer alone, and microfibres, Principled's sheen (Zeltner, Burley and
+Chiang 2022): what is below each is seen by what it does not reflect itself towards the view, as in Cycles.
+
 A value is the average over its light's hat, as the library's are (:mod:`btfsep_engine.render.hats`), but without noise:
 a quadrature of the hemisphere and directions of the lobe, joined by the balance heuristic (Veach 1997). The nodes are
 those with which tables are integrated (:func:`btfsep_engine.btf.directions.light_projection`): a diffuse base keeps its
@@ -32,6 +35,7 @@ from btfsep_engine.render.hats import sharpened
 from btfsep_engine.render.microfacet import R2, Microfacets
 from btfsep_engine.render.parametrise import mean_scale
 
+COAT_F0 = 0.04  # of the index 1.5
 LEAST_ROUGHNESS = 0.05  # narrower lobes overflow single precision, and the table is much wider anyway
 LOBE = 1024  # directions of the lobe for each view
 PLACES = 1 << 14  # of a mesh, at which the image is looked at for its mean
@@ -90,12 +94,55 @@ def _factors(surface: Surface, colours) -> tuple[np.ndarray, np.ndarray]:
         again = once * mean / (1 - once * (1 - mean))
         texels += [colours * again, again]
         parts += [metal[..., i : i + 1] * ((1 - white) / white)[:, None, None] for i in (0, 1)]
+    over, below = _layers(surface)
+    parts = [part * below for part in parts]
+    parts[1] = parts[1] + over
     widths = [t.shape[-1] for t in texels]
     angular = np.zeros((*table.shape[:2], 3, sum(widths)), np.float32)
     for part, width, end in zip(parts, widths, np.cumsum(widths), strict=True):
         channels = range(3)  # of one number for all channels, or one for each
         angular[:, :, channels, [end - width + (c if width == 3 else 0) for c in channels]] = part
     return np.concatenate(texels, -1).astype(np.float32), angular
+
+
+def _layers(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """What coat and sheen send themselves, (views, lights, 3), and how much below them is seen, (views, 1, 1)."""
+    weight, over, below = cosine_weights(ubo2014_directions()), np.zeros((1, 1, 3)), np.ones((1, 1, 1))
+    if surface.coat > 0:
+        roughness = max(surface.coat_roughness, LEAST_ROUGHNESS)
+        clear = surface.coat * flat_table(roughness, COAT_F0, metal=False)[..., 1:]
+        over, below = over + clear, below * (1 - (clear[..., 0] @ weight))[:, None, None]
+    if any(surface.sheen):
+        fibres = sheen_table(surface.sheen_roughness)[..., None] * np.asarray(surface.sheen)
+        through = (1 - (fibres.max(-1) @ weight))[:, None, None]
+        over, below = fibres + through * over, through * below
+    return over, below
+
+
+@lru_cache(maxsize=16)
+def sheen_table(roughness: float) -> np.ndarray:
+    """Principled's microfibres, of weight and tint 1: (views, lights) float64, 1/sr, without the cosine.
+
+    Linearly transformed cosines and an albedo for each view, by the rational fits of Zeltner, Burley and Chiang (2022).
+    """
+    directions = ubo2014_directions()
+    x, y = np.clip(directions[:, 2], 1e-3, 1), np.clip(roughness, 0.01, 1)
+    spread = y * (0.0206607 + 1.58491 * y) / (0.0379424 + y * (1.32227 + y))
+    middle = y * (-0.193854 + y * (-1.14885 + y * (1.7932 - 0.95943 * y * y))) / (0.046391 + y)
+    floor = y * (0.000654023 + (-0.0207818 + 0.119681 * y) * y) / (1.26264 + y * (-1.92021 + y))
+    albedo = np.exp(-0.5 * ((x - middle) / spread) ** 2) / (spread * np.sqrt(2 * np.pi)) + floor
+    a = (2.58126 * x + 0.813703 * y) * y / (1 + 0.310327 * x * x + 2.60994 * x * y)
+    b = np.sqrt(1 - x) * (y - 1) * y**3 / (0.0000254053 + 1.71228 * x - 1.71506 * x * y + 1.34174 * y * y)
+    flat = np.linalg.norm(directions[:, :2], axis=1)
+    along = np.divide(directions[:, :2], flat[:, None], out=np.tile([1.0, 0.0], (len(x), 1)), where=flat[:, None] > 0)
+    forward = along @ directions[:, :2].T
+    aside = np.stack([-along[:, 1], along[:, 0]], -1) @ directions[:, :2].T
+    up = directions[None, :, 2]
+    a, b = a[:, None], b[:, None]
+    table = np.square(a / (np.square(a * forward + b * up) + np.square(a * aside) + up * up)) / np.pi
+    table *= (np.clip(albedo, 0, 1) / (table @ cosine_weights(directions)))[:, None]
+    table.flags.writeable = False  # it is shared
+    return table
 
 
 def _mean_over(material: Tabulated, mesh: TriangleMesh, edge: float) -> np.ndarray:

@@ -14,15 +14,21 @@ from btfsep_engine.images import write_exr
 from scripts.cycles import engine, materials, studio
 
 SIZE, SAMPLES = 64, 256
+SOCKETS = {
+    "roughness": "Roughness", "metallic": "Metallic", "specular": "Specular IOR Level", "coat": "Coat Weight",
+    "coat_roughness": "Coat Roughness", "sheen_roughness": "Sheen Roughness",
+}  # fmt: skip
 
 
 def principled(surface):
     """A material of the values of a job's ``surface``; its base colour may be an image (h, w, 3), row 0 at the top."""
     material, node = materials.shaded("given", "ShaderNodeBsdfPrincipled")
     tree = material.node_tree
-    for key, socket in (("roughness", "Roughness"), ("metallic", "Metallic"), ("specular", "Specular IOR Level")):
+    for key, socket in SOCKETS.items():
         if key in surface:
             node.inputs[socket].default_value = surface[key]
+    if "sheen" in surface:
+        node.inputs["Sheen Weight"].default_value, node.inputs["Sheen Tint"].default_value = 1, (*surface["sheen"], 1)
     colour = surface["base_color"]
     if isinstance(colour, np.ndarray):
         picture = tree.nodes.new("ShaderNodeTexImage")
@@ -81,6 +87,15 @@ SURFACES = {
     "plastic": ("city", {"base_color": [0.5, 0.3, 0.1], **PLASTIC}),
     "metal": ("courtyard", {"base_color": [0.9, 0.6, 0.3], "roughness": 0.4, "metallic": 1.0}),
     "rough metal": ("city", {"base_color": [0.9, 0.6, 0.3], "roughness": 0.9, "metallic": 1.0}),
+    "coated": ("city", {"base_color": [0.4, 0.1, 0.1], "roughness": 0.6, "coat": 1.0, "coat_roughness": 0.3}),
+    "coated metal": (
+        "city",
+        {"base_color": [0.4, 0.1, 0.1], "roughness": 0.5, "metallic": 1.0, "coat": 0.8, "coat_roughness": 0.4},
+    ),
+    "velvet": (
+        "city",
+        {"base_color": [0.1, 0.1, 0.3], "roughness": 1.0, "sheen": [0.9, 0.5, 0.2], "sheen_roughness": 0.3},
+    ),
     "painted plastic": ("city", {"base_color": painted(), **PLASTIC}),
     "painted metal": ("city", {"base_color": painted(), "roughness": 0.5, "metallic": 1.0}),
 }

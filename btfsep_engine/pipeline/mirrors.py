@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Objects that mirror the light: what they show of it, as a rougher metal in their place would.
+
+A mirror's pixel shows the light of one direction with all its small lamps, of which a series of order 9, or pixels
+chosen here and there, know nothing: fitted as it is, what the series lacks is taken for noise, of which most of the
+light then drowns. But a mirror's picture *is* the light, over all directions that it reflects to the camera. So these
+are put together, each pixel counted by the solid angle that it reflects, and what a rougher metal would show in that
+light, with the same shadows, stands in the place of the picture: it is as smooth as other materials' pictures are, and
+low orders lose nothing by it. Light that comes by way of another surface is left out of both.
+"""
+
+import copy
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from btfsep_engine.btf.model import Material
+from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.job.model import Photo
+from btfsep_engine.render.homogeneous import homogeneous
+from btfsep_engine.render.sampling import thinned
+from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.render.transport import Transport
+
+SHARP = 0.25  # roughness: metals up to it are mirrors, their lobes narrower than the tables' directions lie apart
+ROUGH = 0.7  # of what stands for them: its lobe is about as wide as a series of order 9 can tell
+METAL = 0.9  # of its share: what is left shows little
+CELLS = 2048  # directions, 4 degrees apart
+FINE = 16384  # directions, by which pixels are sorted
+WIDE, REACH = np.radians(4.0), np.radians(8.0)  # of the mean in a cell: of a few pixels, it would not keep their light
+SHOWN = 0.25  # of what is in a cell's reach: where less is, another cell stands for it
+LACKING = 0.2  # of what a place would show: where more of it is unknown, the place is left out
+PLACES = 3000  # of an object
+LEAST = 100  # of them: fewer tell nothing, and the object stays as it is
+LEAST_REFLECTED = 0.01  # a black mirror shows noise
+CLIPPED = 0.1  # of what a place shows, clipped: it shows at least so much
+
+WORDS = (
+    "what mirrors shows the light itself: all that it shows was put together, and the light is the one that goes with "
+    "what a rougher metal would show in its place"
+)
+
+
+@dataclass(frozen=True)
+class CellLights:
+    """Lights by their radiance in the directions that share out the sphere: cells (n, M, 3)."""
+
+    cells: np.ndarray
+    returns = False
+
+    @property
+    def count(self) -> int:
+        return self.cells.shape[1]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(map(str, range(self.count)))
+
+    def cell_averages(self, directions) -> np.ndarray:
+        """(n, M, 3), of the directions that they are of."""
+        return self.cells
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """An object that mirrors: the light that its pixels show, and where a rougher metal is put into its place.
+
+    Attributes
+    ----------
+    pixels : (p, 2) int32, that see the sky in it; fine : (p,) int, where; weights : (p,) their solid angles
+    reflectance : (p, 3), of the mirror at these
+    filled : (CELLS,) int, the cell that stands for each: the nearest that is shown
+    places : (q, 2) int32; transport : to these; material : the rougher metal
+    whole : (n, 2) int32, all pixels of the object; nearest : (n,), the place that stands for each
+    """
+
+    pixels: np.ndarray
+    fine: np.ndarray
+    weights: np.ndarray
+    reflectance: np.ndarray
+    filled: np.ndarray
+    places: np.ndarray
+    transport: Transport
+    material: Material
+    whole: np.ndarray
+    nearest: np.ndarray
+
+    def light(self, values) -> np.ndarray:
+        """(CELLS, 3), what ``values`` (p, 3) of the pixels are in each direction."""
+        values = values / self.reflectance
+        total = np.stack([np.bincount(self.fine, self.weights * v, FINE) for v in values.T], -1)
+        there = np.bincount(self.fine, self.weights, FINE)
+        return (mean_kernel() @ total / np.maximum(mean_kernel() @ there, 1e-300)[:, None])[self.filled]
+
+    def shown(self, *lights) -> np.ndarray:
+        """(q, lights, 3), at the places, under lights (CELLS, 3)."""
+        return self.transport.radiance(self.material, CellLights(np.stack(lights, 1)))
+
+
+def mirror_like(surface: Surface | None) -> bool:
+    """Whether a surface's picture is that of the light."""
+    return surface is not None and surface.image is None and surface.metallic >= METAL and surface.roughness <= SHARP
+
+
+def softened(scene):
+    """A PreparedScene with the pictures of what mirrors as a rougher metal's; the same where nothing does.
+
+    A photo by an unknown curve stays as it is: what its values add up to is not known.
+    """
+    job = scene.job
+    found = {i: _mirror(scene, i) for i, o in enumerate(job.objects) if mirror_like(o.surface)}
+    found = {i: mirror for i, mirror in found.items() if mirror is not None}
+    if not found or job.image_colorspace == "unknown":
+        return scene
+    out = copy.copy(scene)
+    out.mirrors, out.regions, objects = tuple(found.values()), list(scene.regions), list(job.objects)
+    for i, mirror in found.items():
+        out.regions[i] = np.zeros_like(scene.regions[i])
+        out.regions[i][tuple(mirror.places.T)] = True
+        objects[i] = replace(objects[i], surface=rougher(objects[i].surface))
+    out.job = replace(job, objects=tuple(objects), photo=picture(out.mirrors, job.photo))
+    return out
+
+
+def picture(mirrors, photo: Photo) -> Photo:
+    """A photo with the pictures of ``mirrors`` as a rougher metal's."""
+    if not mirrors:
+        return photo
+    radiance, usable = photo.radiance.copy(), photo.usable.copy()
+    clipped = np.zeros(radiance.shape, bool) if photo.clipped is None else photo.clipped.copy()
+    for mirror in mirrors:
+        at, to = tuple(mirror.pixels.T), tuple(mirror.whole.T)
+        values = photo.radiance[at].astype(np.float64)
+        lost = np.zeros_like(values) if photo.clipped is None else values * photo.clipped[at]
+        shown, at_least = np.moveaxis(mirror.shown(mirror.light(values), mirror.light(lost)), 1, 0)
+        radiance[to], clipped[to] = shown[mirror.nearest], (at_least > CLIPPED * shown)[mirror.nearest]
+        usable[to] = ~clipped[to].any(-1)
+    # sums of light are no codes: no curve is sought by them
+    return replace(photo, radiance=radiance, usable=usable, clipped=clipped if clipped.any() else None, bits=None)
+
+
+def rougher(surface: Surface) -> Surface:
+    """The metal whose picture stands for a mirror's: what the mirror's own lobe widens is counted."""
+    alpha = np.hypot(ROUGH**2, surface.roughness**2)  # widths add in squares
+    return replace(surface, roughness=float(np.sqrt(alpha)), metallic=1.0)
+
+
+def _mirror(scene, index: int) -> Mirror | None:
+    """The Mirror of an object; None where it shows too little of the light."""
+    surface, photo, directions = scene.job.objects[index].surface, scene.job.photo, fibonacci_sphere(CELLS)
+    points = scene.points(index, textured=False)
+    towards = scene.transport(points, directions=1).reflected_directions()
+    at, weights = tuple(points.pixels.T), solid_angles(points, towards, photo.usable.shape)
+    use = photo.usable[at] if photo.clipped is None else photo.usable[at] | photo.clipped[at].any(-1)
+    use &= (weights > 0) & scene.tracer.sees_sky(points.position, points.flat_normal, towards)
+    if not use.any():
+        return None
+    fine = cKDTree(fibonacci_sphere(FINE)).query(towards[use])[1]
+    there = mean_kernel() @ np.bincount(fine, weights[use], FINE)
+    shown = there > SHOWN * np.asarray(mean_kernel().sum(1)).ravel() * (4 * np.pi / FINE)
+    if not shown.any():
+        return None
+    nearest = cKDTree(directions[shown]).query(directions)[1]
+    cosine = np.clip((points.normal * points.to_eye).sum(1), 0, 1)[use, None]
+    base = np.asarray(surface.base_color)
+    reflectance = np.maximum(base + (1 - base) * (1 - cosine) ** 5, LEAST_REFLECTED)
+    parts = points.pixels[use], fine, weights[use], reflectance, np.flatnonzero(shown)[nearest]
+    some = scene.points(index, region=thinned(scene.regions[index], PLACES), textured=False)
+    material = homogeneous(rougher(surface), GIVEN)
+    seen = np.repeat(shown[:, None], 3, 1)
+    looked_at = scene.transport(some, directions=CELLS).radiance(
+        material, CellLights(np.stack([seen, seen * 0 + 1], 1))
+    )
+    known, all_round = looked_at[..., 1].T
+    good = np.flatnonzero(known > (1 - LACKING) * np.maximum(all_round, 1e-30))
+    if len(good) < LEAST:
+        return None
+    some = some.take(good)
+    nearest = cKDTree(some.pixels).query(points.pixels)[1]
+    of_places = some.pixels, scene.transport(some, directions=CELLS), material
+    return Mirror(*parts, *of_places, points.pixels, nearest)
+
+
+@lru_cache(maxsize=1)
+def mean_kernel() -> csr_matrix:
+    """(CELLS, FINE), what directions count in the mean of a cell."""
+    coarse, fine = (cKDTree(fibonacci_sphere(n)) for n in (CELLS, FINE))
+    apart = coarse.sparse_distance_matrix(fine, 2 * np.sin(REACH / 2), output_type="coo_matrix").tocsr()
+    apart.data = np.exp(-0.5 * np.square(apart.data / WIDE))
+    return apart
+
+
+def solid_angles(points: SurfacePoints, towards, shape) -> np.ndarray:
+    """(p,) of the directions ``towards`` (p, 3) that pixels show, from their neighbours'; 0 where these are none.
+
+    ``shape`` : (h, w), of the picture
+    """
+    grid = np.full((*shape, 3), np.nan)
+    grid[tuple(points.pixels.T)] = towards
+    steps = []
+    for axis in (0, 1):
+        ahead = np.diff(grid, axis=axis, append=np.nan)
+        behind = np.diff(grid, axis=axis, prepend=np.nan)
+        one = np.where(np.isnan(ahead), behind, ahead)
+        steps.append((one + np.where(np.isnan(behind), one, behind)) / 2)
+    area = np.linalg.norm(np.cross(*steps), axis=-1)[tuple(points.pixels.T)]
+    return np.where(np.isfinite(area), area, 0.0)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A mirror's picture is the light: estimates from it, and what stands in its place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine import sh
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.light.sun import Sun
+from btfsep_engine.pipeline import mirrors
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.render.homogeneous import homogeneous
+from scripts.studies.measures import errors
+from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
+
+TINT = np.array([0.9, 0.7, 0.5])
+LAMPS, WIDE = ([0.3, -0.5, 0.8], [-0.9, 0.1, 0.4], [0.2, 0.9, 0.3]), 5.0  # to them; degrees
+EDGE = np.cos(np.radians(WIDE / 2))
+
+
+def lamps() -> list:
+    return [Sun(np.array(d) / np.linalg.norm(d), np.full(3, 3.0), np.zeros(3), size_degrees=WIDE) for d in LAMPS]
+
+
+def light(directions) -> np.ndarray:
+    """(n, 3), a smooth sky with three lamps of five degrees."""
+    out = sh.series(positive_light(2), directions)
+    for lamp in lamps():
+        out = out + (directions @ lamp.direction > EDGE)[:, None] * lamp.irradiance / (2 * np.pi * (1 - EDGE))
+    return out
+
+
+def truth() -> np.ndarray:
+    sky = np.zeros((100, 3))
+    sky[:9] = positive_light(2)
+    return sky + sum(lamp.coefficients(9) for lamp in lamps())
+
+
+def mirrored(**surface):
+    """A mirror ball's scene, its photo in closed form: averages over pixels, of their corners' directions."""
+    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=5, radius=0.6))
+    job = job_of([mesh], looking_down())
+    job = replace(job, objects=(replace(job.objects[0], surface=Surface(tuple(TINT), metallic=1.0, **surface)),))
+    scene = scene_of(job)
+    points = scene.points(0, textured=False)
+    total, rays = 0.0, job.camera.rays
+    for down, right in np.stack(np.meshgrid(np.arange(8), np.arange(8)), -1).reshape(-1, 2) / 8 + 1 / 16:
+        origin, ray = rays(points.pixels[:, 1] + right, points.pixels[:, 0] + down)
+        middle = -(origin * ray).sum(1)
+        reach = middle - np.sqrt(np.maximum(0.36 - ((origin + middle[:, None] * ray) ** 2).sum(1), 0))
+        normal = (origin + reach[:, None] * ray) / 0.6
+        cosine = np.clip(-(normal * ray).sum(1, keepdims=True), 0, 1)
+        share = TINT + (1 - TINT) * (1 - cosine) ** 5
+        total = total + share * light(ray + 2 * cosine * normal)
+    return scene_of(with_photo(job, picture(points, total / 64)))
+
+
+def test_a_mirror_ball_shows_the_light_with_its_lamps():
+    scene = mirrored(roughness=0.0)
+    found = estimate(scene, open_library(None), choose("balanced"))
+    off = errors(found.lighting.coefficients, truth())
+    assert off["order2"] < 0.1 and off["direction"] < 4
+    assert "mirrors" in found.choice
+    plain = estimate(scene, open_library(None), choose("balanced"), material="reference/chrome")  # as it was taken
+    assert errors(plain.lighting.coefficients, truth())["order2"] > 2 * off["order2"]
+
+
+def test_what_stands_in_its_place_is_a_rougher_metals_picture():
+    scene = mirrors.softened(mirrored(roughness=0.05))
+    (ball,) = scene.job.objects
+    assert ball.surface.roughness == pytest.approx(mirrors.ROUGH, abs=0.01)
+    points = scene.points(0, textured=False)
+    shown = scene.sun_radiance(points, homogeneous(ball.surface, GIVEN), *lamps())
+    sky = mirrors.CellLights(sh.series(positive_light(2), mirrors.fibonacci_sphere(mirrors.CELLS))[:, None])
+    shown = (
+        shown + scene.transport(points, directions=mirrors.CELLS).radiance(homogeneous(ball.surface, GIVEN), sky)[:, 0]
+    )
+    values = scene.job.photo.radiance[tuple(points.pixels.T)]
+    assert np.median(np.abs(values / shown - 1)) < 0.1
+    assert mirrors.softened(scene) is scene  # it is no mirror any more
+
+
+def test_lamps_that_are_clipped_are_bounds():
+    scene = mirrored(roughness=0.0)
+    photo = scene.job.photo
+    most = np.quantile(photo.radiance[scene.regions[0]], 0.98)
+    clipped = photo.radiance >= most
+    photo = replace(photo, radiance=np.minimum(photo.radiance, most), clipped=clipped, usable=~clipped.any(-1))
+    scene.job = replace(scene.job, photo=photo)
+    bounds = mirrors.softened(scene).job.photo.clipped
+    region = scene.regions[0]
+    assert 0.02 < bounds[region].mean() < 0.9 and not bounds[~region].any()
+
+
+@pytest.mark.parametrize("surface", [{"roughness": 0.4}, {"roughness": 0.0, "coat": 0.0, "image": np.ones((2, 2, 3))}])
+def test_what_is_no_mirror_stays(surface):
+    assert not mirrors.mirror_like(Surface(metallic=1.0, **surface))
+    assert not mirrors.mirror_like(Surface(roughness=0.0)) and not mirrors.mirror_like(None)
