@@ -89,14 +89,16 @@ def export_job(
         shadowing = meshes.render_occluders(view_layer, depsgraph, objects) if occluders is None else list(occluders)
         shadowing = [thing for thing in shadowing if thing not in objects]
         gathered = meshes.gather(depsgraph, objects + shadowing)
+        called = dict(zip(meshes.names_of(objects), objects, strict=True))
+        baked = own_surface.bakes(called, gathered, surfaces, depsgraph)
 
     names, parts, fitted = _FileNames(), {SURFACE: None}, []
     if depth is None:
-        called = zip(meshes.names_of(objects), objects, strict=True)
-        parts = {name: _mapped(gathered.get(thing.name_full), mapping, name) for name, thing in called}
+        parts = {name: _mapped(gathered.get(thing.name_full), mapping, name) for name, thing in called.items()}
     for name, part in parts.items():
         file, mask = names.of(name), (masks or {}).get(name)
-        surface, uv = own_surface.of(name, part, surfaces, folder, mapping=mapping, warn=warn)
+        told = {"mapping": mapping, "baked": baked.get(name), "warn": warn}
+        surface, uv = own_surface.of(name, part, surfaces, folder, **told)
         part = part if uv is None else {**part, "uv": uv}
         fitted.append(
             {

@@ -5,13 +5,14 @@ import re
 
 import numpy as np
 
-from . import library_assets, palette, photo, surroundings
+from . import library_assets, meshes, object_bake, palette, photo, surroundings
 from .bake import source_of
 from .colour import to_rec709
 from .errors import InputError
 
 BLENDER = "BLENDER"
 FINISH = ("roughness", "metallic", "specular")  # in an image of finishes: red, green, blue
+VARYING = ("Roughness", "Metallic", "Specular IOR Level", "Base Color", "Color")  # inputs whose links are baked
 MOST_FINISHES = 16  # that a job may have of one object
 ALIKE = 0.01  # numbers of materials that differ by less are one
 
@@ -43,7 +44,44 @@ def words(thing) -> str:
     return library_assets.material_named_by(thing) or own or "It has no material: white"
 
 
-def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn) -> tuple:
+def bakes(things: dict, parts: dict, surfaces: dict | None, depsgraph) -> dict:
+    """object_bake.BakedSurface of those whose material cannot be told otherwise, by their names.
+
+    ``things`` : of `meshes.names_of` -> object; ``parts`` : its triangles, of `meshes.gather`, by its full name
+    """
+    out = {}
+    for name, thing in things.items():
+        part = parts.get(thing.name_full)
+        if (surfaces or {}).get(name) != BLENDER or part is None or not _varies(part["areas"]):
+            continue
+        baked = object_bake.bake_object(thing, depsgraph) if thing.type in meshes.SURFACE_TYPES else None
+        if baked is not None and len(baked.uv) == len(part["positions"]):
+            out[name] = baked
+    return out
+
+
+def _varies(areas: dict) -> bool:
+    """Whether materials that can be baked have more than numbers, and than one image by the UV map."""
+    linked = False
+    for material in areas:
+        output = material.node_tree.get_output_node("CYCLES") if material and material.use_nodes else None
+        source = source_of(output.inputs["Surface"]) if output else None
+        if material is not None and not object_bake.readable(source):
+            return False
+        node = source.node if source else None
+        inputs = () if node is None else (i for i in node.inputs if i.name in VARYING)
+        linked |= node is not None and (node.type not in object_bake.LEAVES or any(map(source_of, inputs)))
+    only = texture_of(areas)
+    return linked and (only is None or any(map(source_of, _finish_inputs(areas))))
+
+
+def _finish_inputs(areas: dict) -> list:
+    """The inputs of an object's one shader that say its gloss."""
+    shader = source_of(next(iter(areas)).node_tree.get_output_node("CYCLES").inputs["Surface"])
+    return [i for i in shader.node.inputs if i.name in VARYING[:-2]]
+
+
+def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn, baked=None) -> tuple:
     """The "surface" of an object in the job, or None, and the texture coordinates that it needs instead of the part's.
 
     Parameters
@@ -53,6 +91,7 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
     surfaces : object name -> as of `chosen`
     folder : the job's; an image of the base colour is put there
     mapping : of `export.export_job`
+    baked : object_bake.BakedSurface, of `bakes`, or None
     warn : called with a sentence about what is left out
 
     Raises InputError: the object's own material cannot be read, or light goes through it.
@@ -67,17 +106,36 @@ def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: 
         surface = surroundings.surface_of(part["areas"], told.append)
     except surroundings.Clear as error:
         raise InputError(f"object '{name}'", error, "give its colour, or have it recognised") from None
+    if baked is not None:
+        told = told if surface is not None else []
+        surface = _baked(name, baked, surface or dict(surroundings.DEFAULT), folder)
     if surface is None:
         why = told[0] if told else "what it reflects is not known"
         raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")
     for sentence in told:
         warn(f"object '{name}': {sentence}")
+    if baked is not None:
+        return surface, baked.uv if isinstance(surface["base_color"], str) else None
     if len(part["areas"]) > 1:
         return _of_several(name, part, surface, folder, warn)
     image = texture_of(part["areas"])
     if image is not None and part["uv"] is not None and mapping != "UNWRAP":
         surface["base_color"] = photo.put_texture(image, folder, _stem("colour", name))
     return surface, None
+
+
+def _baked(name: str, baked, surface: dict, folder) -> dict:
+    """The ``surface`` with what was baked, in images where it varies."""
+    colour, at = np.clip(to_rec709(baked.colour), 0, 1).astype(np.float32), tuple(baked.places.T)
+    finish = object_bake.grouped(baked.finish, baked.finish[at])
+    mean = dict(zip(FINISH, finish[at].mean(0, dtype=np.float64).round(6).tolist(), strict=True))
+    glosses = np.ptp(finish[at], axis=0).max() > 0
+    if not glosses and np.ptp(colour[at], axis=0).max() < ALIKE:
+        return surface | mean | {"base_color": colour[at].mean(0, dtype=np.float64).round(6).tolist()}
+    files = {"base_color": photo.put_numbers(colour, folder, _stem("colour", name))}
+    if glosses:
+        files["finish"] = photo.put_numbers(finish, folder, _stem("finish", name))
+    return surface | mean | files
 
 
 def _stem(what: str, name: str) -> str:

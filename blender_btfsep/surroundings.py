@@ -10,6 +10,7 @@ from .bake import source_of
 from .colour import to_rec709
 
 DEFAULT = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0, "metallic": 0.0, "specular": 0.0}  # Cycles', of no material
+LAYERS = {"coat": 0.0, "coat_roughness": 0.03, "sheen": [0.0, 0.0, 0.0], "sheen_roughness": 0.5}  # of Principled
 BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
 CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"}
 LITTLE = 0.01  # of an input: no more than that is nothing
@@ -52,7 +53,15 @@ def surface_of(areas: dict, warn) -> dict | None:
         warn(f"{clear}: that part of it is left out")
     weights = [area for _, area in read]
     # rounded: a mean of ones must not be more than one
-    return {key: np.average([n[key] for n, _ in read], axis=0, weights=weights).round(6).tolist() for key in DEFAULT}
+    mean = {
+        key: np.average([n.get(key, value) for n, _ in read], axis=0, weights=weights).round(6).tolist()
+        for key, value in (DEFAULT | LAYERS).items()
+    }
+    for layer in ("coat", "sheen"):
+        if np.max(mean[layer]) < LITTLE:
+            del mean[layer], mean[f"{layer}_roughness"]
+    left = list(dict.fromkeys(word for n, _ in read for word in n.get("left_out", ())))
+    return mean | ({"left_out": left} if left else {})
 
 
 def read_alone(material) -> dict | None:
@@ -90,7 +99,8 @@ def _numbers(material, warn) -> dict | None:
             warn(f"{what} shines, which is left out")
         ior = _mean(node.inputs["IOR"], 1.5)
         f0 = ((ior - 1) / (ior + 1)) ** 2 * 2 * _mean(node.inputs["Specular IOR Level"], 0.5)
-        more = {"metallic": _mean(node.inputs["Metallic"], 0.0), "specular": min(f0 / 0.08, 1.0)}
+        more = {"metallic": _mean(node.inputs["Metallic"], 0.0), "specular": min(f0 / 0.08, 1.0)} | _layers(node)
+        more["left_out"] = _left_out(node)
         colour, roughness = node.inputs["Base Color"], _mean(node.inputs["Roughness"], 0.5)
     elif node.type == "BSDF_DIFFUSE":
         colour, roughness, more = node.inputs["Color"], 1.0, {"metallic": 0.0, "specular": 0.0}
@@ -105,6 +115,28 @@ def _numbers(material, warn) -> dict | None:
         warn(f"the colour of {what} is neither a number nor an image; {unknown}")
         return None
     return {"base_color": np.clip(base, 0, 1), "roughness": float(np.clip(roughness, 0, 1)), **more}
+
+
+def _layers(node) -> dict:
+    """Coat and sheen of a Principled BSDF."""
+
+    def share(name: str, otherwise: float) -> float:
+        return float(np.clip(_mean(node.inputs[name], otherwise), 0, 1))
+
+    tint = _colour(node.inputs["Sheen Tint"])
+    sheen = share("Sheen Weight", 0.0) * (np.ones(3) if tint is None else np.clip(tint, 0, 1))
+    roughness = {"coat_roughness": share("Coat Roughness", 0.03), "sheen_roughness": share("Sheen Roughness", 0.5)}
+    return {"coat": share("Coat Weight", 0.0), "sheen": sheen, **roughness}
+
+
+def _left_out(node) -> list[str]:
+    """What of a Principled BSDF a job's surface has no number for, in words."""
+    found = []
+    if _up_to(node.inputs["Subsurface Weight"]) > LITTLE:
+        found.append("light that goes on below its surface")
+    if source_of(node.inputs["Alpha"]) is not None:
+        found.append("its cut-outs")
+    return found
 
 
 def _up_to(socket, *, least: bool = False) -> float:
