@@ -143,6 +143,7 @@ def _of_all(thing, mesh, own, what: str) -> np.ndarray:
 
 def _emitting(tree, own, what: str) -> None:
     """Makes each shader of a tree emit its colour or its finish; groups are copied for it."""
+    layers = [_as_layer(tree, node, what) for node in tree.nodes if node.type == "MIX_SHADER"]
     for node in list(tree.nodes):
         if node.type == "GROUP" and node.node_tree and any(s.type == "SHADER" for s in node.outputs):
             node.node_tree = own(node.node_tree.copy())
@@ -150,6 +151,7 @@ def _emitting(tree, own, what: str) -> None:
         elif node.type in LEAVES:
             emission = tree.nodes.new("ShaderNodeEmission")
             colour, finish = LEAVES[node.type]
+            finish = (finish[0], 0.0, 0.5) if node in layers else finish
             if what == "colour":
                 _put(tree, next(node.inputs[name] for name in colour if name in node.inputs), emission.inputs["Color"])
             else:
@@ -167,6 +169,18 @@ def _emitting(tree, own, what: str) -> None:
         tree.links.remove(link)
 
 
+def _as_layer(tree, mix, what: str):
+    """Where Fresnel's share mixes two shaders, the second is a dielectric's layer over the first; gives it, or None."""
+    share = source_of(mix.inputs[0])
+    if share is None or share.node.type not in VIEWED:
+        return None
+    for link in mix.inputs[0].links:
+        tree.links.remove(link)
+    mix.inputs[0].default_value = 0.0 if what == "colour" else 1.0
+    second = source_of(mix.inputs[2])
+    return second and second.node
+
+
 def _put(tree, given, target) -> None:
     """What an input is fed with, or set to, for another."""
     source = source_of(given)
@@ -178,6 +192,8 @@ def _put(tree, given, target) -> None:
         target.default_value = given.default_value
 
 
+# nodes whose value is another from another side
+VIEWED = {"FRESNEL", "LAYER_WEIGHT"}
 # of each shader the input of its colour, and roughness, metallic and specular: an input, or a number
 LEAVES = {
     "BSDF_PRINCIPLED": (("Base Color",), ("Roughness", "Metallic", "Specular IOR Level")),

@@ -167,7 +167,7 @@ def found_light(scene: PreparedScene, library, settings: Settings, *, material=N
     """`estimate` without what speaks against it, which changes nothing of the light."""
     scenes, reporter = [scene, *others], scene.reporter
     if material is None:
-        scenes = [softened(each) for each in scenes]
+        scenes = [softened(each, settings) for each in scenes]
     refuse_unknown(scenes, settings)
     materials = materials_of_all(scenes, library, settings, name=material)
     with reporter.stage("transport"):

@@ -21,6 +21,7 @@ from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import Photo
+from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.homogeneous import homogeneous
 from btfsep_engine.render.sampling import thinned
 from btfsep_engine.render.surface import SurfacePoints
@@ -106,15 +107,18 @@ def mirror_like(surface: Surface | None) -> bool:
     return surface is not None and surface.image is None and surface.metallic >= METAL and surface.roughness <= SHARP
 
 
-def softened(scene):
+def softened(scene, settings: TransportSettings):
     """A PreparedScene with the pictures of what mirrors as a rougher metal's; the same where nothing does.
 
-    A photo by an unknown curve stays as it is: what its values add up to is not known.
+    A photo by an unknown curve stays as it is: what its values add up to is not known. So does one that is fitted by
+    path tracing, in which surfaces light each other.
     """
     job = scene.job
+    if settings.transport != "kernel" or job.image_colorspace == "unknown":
+        return scene
     found = {i: _mirror(scene, i) for i, o in enumerate(job.objects) if mirror_like(o.surface)}
     found = {i: mirror for i, mirror in found.items() if mirror is not None}
-    if not found or job.image_colorspace == "unknown":
+    if not found:
         return scene
     out = copy.copy(scene)
     out.mirrors, out.regions, objects = tuple(found.values()), list(scene.regions), list(job.objects)

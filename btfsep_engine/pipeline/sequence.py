@@ -137,7 +137,7 @@ class Frames:
         """Looks at the scene, where it is not the last frame's; its camera goes where this photo has it."""
         if self._scene is None:
             scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
-            self._scene = softened(scene) if self._material is None else scene
+            self._scene = softened(scene, self._settings) if self._material is None else scene
 
     def _light(self, photo: Photo, reporter: Reporter) -> FollowedEstimate:
         """The Estimate of a photo, and what of it was found for it alone (`following.FollowedEstimate`)."""

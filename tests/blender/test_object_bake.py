@@ -103,6 +103,18 @@ def test_mixtures_and_groups_are_numbers_where_they_are_even(photographed, cube,
     assert len(bpy.data.node_groups) == 1 and inner.outputs[0].is_linked
 
 
+def test_fresnels_mixture_is_a_layer(photographed, cube, tmp_path):
+    own, mix = materials.shaded("own", "ShaderNodeMixShader")
+    matte, gloss = (own.node_tree.nodes.new(f"ShaderNodeBsdf{kind}") for kind in ("Diffuse", "Glossy"))
+    matte.inputs["Color"].default_value, gloss.inputs["Roughness"].default_value = (0.6, 0.3, 0.1, 1), 0.3
+    for source, socket in zip((own.node_tree.nodes.new("ShaderNodeFresnel"), matte, gloss), mix.inputs, strict=True):
+        own.node_tree.links.new(source.outputs[0], socket)
+    cube.data.materials.append(own)
+    surface = surface_of(photographed, tmp_path)
+    assert np.allclose(surface["base_color"], (0.6, 0.3, 0.1), atol=1e-3)
+    assert [surface[key] for key in ("roughness", "metallic", "specular")] == pytest.approx([0.3, 0, 0.5], abs=1e-3)
+
+
 def test_layers_are_numbers_and_what_has_none_is_named(photographed, cube, tmp_path):
     told = {"Coat Weight": 0.5, "Coat Roughness": 0.1, "Sheen Weight": 0.5, "Sheen Tint": (1, 0.5, 0, 1)}
     own, shader = materials.shaded("own", "ShaderNodeBsdfPrincipled")
