@@ -134,6 +134,8 @@ def _left_out(node) -> list[str]:
     found = []
     if _up_to(node.inputs["Subsurface Weight"]) > LITTLE:
         found.append("light that goes on below its surface")
+    if _up_to(node.inputs["Sheen Weight"]) > LITTLE:
+        found.append("how bright its sheen is at a slant")
     if source_of(node.inputs["Alpha"]) is not None:
         found.append("its cut-outs")
     return found

@@ -11,6 +11,9 @@ from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
 from btfsep_engine.render.surface import SurfacePoints
 
 LEAST_LEFT = 0.2  # of an object's pixels
+# Cosine to the eye, of which a sheen's pixels have more: it is brightest at a slant, where tables end (75 degrees) and
+# hold less than there is, and a rim brighter than that is taken for a light behind the object.
+SLANT = 0.3
 
 
 def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured: bool) -> list[SurfacePoints]:
@@ -28,17 +31,27 @@ def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured
     if settings.estimator == "map":
         regions = [without_outlines(scene, region) for region in regions]
     for index, (region, share) in enumerate(zip(regions, shares, strict=True)):
+        surface = scene.job.objects[index].surface
+        fibrous = surface is not None and any(surface.sheen)
 
-        def chosen(region=region, share=share, index=index):
+        def chosen(region=region, share=share, index=index, fibrous=fibrous):
             if share:  # not all is worth computing at
                 region = thinned(region, max(REGION, 4 * share), seed=settings.seed)
             points = scene.bare_points(index, region=region)
+            if fibrous:
+                points = facing(points)
             return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points
 
-        parts = [scene.seen, index, np.packbits(region), region.shape, share, settings.seed]
+        parts = [scene.seen, index, np.packbits(region), region.shape, share, settings.seed, fibrous]
         points = kept.recalled("points", parts, chosen)
         out.append(scene.laid(points, index, textured=textured))
     return out
+
+
+def facing(points: SurfacePoints) -> SurfacePoints:
+    """The points without those at a slant, unless little would be left."""
+    some = np.flatnonzero((points.normal * points.to_eye).sum(1) > SLANT)
+    return points.take(some) if len(some) >= LEAST_LEFT * len(points) else points
 
 
 def without_outlines(scene: PreparedScene, region) -> np.ndarray:

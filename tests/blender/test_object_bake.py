@@ -122,7 +122,8 @@ def test_layers_are_numbers_and_what_has_none_is_named(photographed, cube, tmp_p
         shader.inputs[name].default_value = value
     cube.data.materials.append(own)
     surface = surface_of(photographed, tmp_path)
-    assert (surface["coat"], surface["sheen"]) == (0.5, [0.5, 0.25, 0]) and "left_out" not in surface
+    assert (surface["coat"], surface["sheen"]) == (0.5, [0.5, 0.25, 0])
+    assert surface["left_out"] == ["how bright its sheen is at a slant"]
     assert surface["coat_roughness"] == pytest.approx(0.1)
-    shader.inputs["Subsurface Weight"].default_value = 1
+    shader.inputs["Subsurface Weight"].default_value, shader.inputs["Sheen Weight"].default_value = 1, 0
     assert surface_of(photographed, tmp_path)["left_out"] == ["light that goes on below its surface"]

@@ -65,7 +65,7 @@ def test_a_mirror_ball_shows_the_light_with_its_lamps():
     found = estimate(scene, open_library(None), choose("balanced"))
     off = errors(found.lighting.coefficients, truth())
     assert off["order2"] < 0.1 and off["direction"] < 4
-    assert "mirrors" in found.choice
+    assert "mirrors" in found.choice and "put together" in found.choice["near"]
     plain = estimate(scene, open_library(None), choose("balanced"), material="reference/chrome")  # as it was taken
     assert errors(plain.lighting.coefficients, truth())["order2"] > 2 * off["order2"]
 

@@ -147,6 +147,8 @@ def near_lamps(model, light):
     """The refinement: how near the lamps of a light are, the brightest first."""
     if model.settings.estimator != "map":
         return model, light, {}
+    if any(problem.scene.mirrors for problem in model.problems):
+        return model, light, {"near": "light is taken to come from far away: what mirrors show was put together so"}
     with model.reporter.stage("fit"):
         scene = Photographed(model, light)
         direction = light.solver.brightest_direction(light.fit)
