@@ -95,7 +95,7 @@ def _numbers(material, warn) -> dict | None:
     if node.type == "BSDF_PRINCIPLED":
         if _up_to(node.inputs["Transmission Weight"]) > LITTLE or _up_to(node.inputs["Alpha"], least=True) < 1 - LITTLE:
             raise Clear(f"light goes through {what}")
-        if _up_to(node.inputs["Emission Strength"]) > 0 and _up_to(node.inputs["Emission Color"]) > 0:
+        if _shines(node):
             warn(f"{what} shines, which is left out")
         ior = _mean(node.inputs["IOR"], 1.5)
         f0 = ((ior - 1) / (ior + 1)) ** 2 * 2 * _mean(node.inputs["Specular IOR Level"], 0.5)
@@ -136,9 +136,18 @@ def _left_out(node) -> list[str]:
         found.append("light that goes on below its surface")
     if _up_to(node.inputs["Sheen Weight"]) > LITTLE:
         found.append("how bright its sheen is at a slant")
+    film = node.inputs.get("Thin Film Thickness")
+    if film is not None and _up_to(film) > 0:
+        found.append("its thin film")
+    if _shines(node):
+        found.append("that it shines")
     if source_of(node.inputs["Alpha"]) is not None:
         found.append("its cut-outs")
     return found
+
+
+def _shines(node) -> bool:
+    return _up_to(node.inputs["Emission Strength"]) > 0 and _up_to(node.inputs["Emission Color"]) > 0
 
 
 def _up_to(socket, *, least: bool = False) -> float:

@@ -126,4 +126,6 @@ def test_layers_are_numbers_and_what_has_none_is_named(photographed, cube, tmp_p
     assert surface["left_out"] == ["how bright its sheen is at a slant"]
     assert surface["coat_roughness"] == pytest.approx(0.1)
     shader.inputs["Subsurface Weight"].default_value, shader.inputs["Sheen Weight"].default_value = 1, 0
-    assert surface_of(photographed, tmp_path)["left_out"] == ["light that goes on below its surface"]
+    shader.inputs["Emission Strength"].default_value = 0.1
+    told = ["light that goes on below its surface", "that it shines"]
+    assert surface_of(photographed, tmp_path)["left_out"] == told
