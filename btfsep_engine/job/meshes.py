@@ -12,6 +12,7 @@ from btfsep_engine import atomic, kept
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.job.polygons import Polygons, read_obj, read_ply, triangulate
+from btfsep_engine.job.winding import corner_angles, disagree, mended_normals, neighbours, places_of, turned_over
 
 SMOOTH_DEGREES = 30.0  # Blender's default of Shade Smooth by Angle
 _AGAIN = "export it again as PLY or OBJ"
@@ -85,7 +86,7 @@ def assemble(name: str, polygons: Polygons, *, to_world=None) -> tuple[TriangleM
         raise InputError(name, "no face of the mesh has an area", "check its scale and to_world")
     faces, triangles = faces[kept], triangles[kept]
     normals = cross[kept] / area[kept, None]
-    corner_normals = None
+    corner_normals, missing = None, None
     if polygons.normals is not None:
         corner_normals = _corner_values(polygons.normals, polygons.normal_corners, triangles)
         size = np.abs(corner_normals).max(-1, keepdims=True)  # they may be of any length but none
@@ -95,10 +96,23 @@ def assemble(name: str, polygons: Polygons, *, to_world=None) -> tuple[TriangleM
         length = np.linalg.norm(corner_normals, axis=-1, keepdims=True)
         missing = ~(length[..., 0] > 0)
         corner_normals /= np.where(missing[..., None], 1, length)
-        if missing.any():
-            corner_normals[missing] = smooth_normals(vertices, faces, normals)[missing]
-    else:
-        corner_normals = smooth_normals(vertices, faces, normals)
+    if corner_normals is None or missing.any() or disagree(corner_normals, normals):
+        place = places_of(vertices)
+        turned = turned_over(place[faces], len(vertices))
+        if turned.any():
+            faces, triangles = (np.where(turned[:, None], each[:, ::-1], each) for each in (faces, triangles))
+            normals = np.where(turned[:, None], -normals, normals)
+        if corner_normals is None:
+            corner_normals = smooth_normals(vertices, faces, normals, place=place)
+        else:
+            corner_normals, missing = (
+                np.where(turned.reshape(-1, *[1] * (each.ndim - 1)), each[:, ::-1], each)
+                for each in (corner_normals, missing)
+            )
+            if missing.any():
+                corner_normals[missing] = smooth_normals(vertices, faces, normals, place=place)[missing]
+            if turned.any():
+                corner_normals = mended_normals(corner_normals, normals, vertices[faces], place[faces], turned)
     corner_uv = None
     if polygons.uv is not None:
         corner_uv = _corner_values(polygons.uv, polygons.uv_corners, triangles).astype(np.float32)
@@ -121,7 +135,7 @@ def _corner_values(values: np.ndarray, index: np.ndarray, triangles: np.ndarray)
     return out
 
 
-def smooth_normals(vertices, faces, normals) -> np.ndarray:
+def smooth_normals(vertices, faces, normals, *, place=None) -> np.ndarray:
     """Corner normals, averaged by corner angle over the faces that edges under SMOOTH_DEGREES connect.
 
     Parameters
@@ -129,23 +143,15 @@ def smooth_normals(vertices, faces, normals) -> np.ndarray:
     vertices : (v, 3) float64; vertices at the same place count as one
     faces : (f, 3) int
     normals : (f, 3) float64, unit, of the faces
+    place : (v,) int, of `winding.places_of`; None: made
 
     Returns
     -------
     (f, 3, 3) float64, unit
     """
-    _, place = np.unique(np.ascontiguousarray(vertices + 0.0).view("V24").ravel(), return_inverse=True)
-    corner_place = place[faces]
+    corner_place = (places_of(vertices) if place is None else place)[faces]
     count = len(faces)
-    # the half-edge k of a face goes from its corner k to its corner k + 1
-    a, b = corner_place, np.roll(corner_place, -1, 1)
-    key = (np.minimum(a, b) * np.int64(len(vertices)) + np.maximum(a, b)).ravel()
-    order = np.argsort(key, kind="stable")
-    same = key[order][1:] == key[order][:-1]
-    # an edge of exactly two faces
-    alone = np.concatenate([[True], ~same, [True]])
-    pair = np.flatnonzero(same & alone[:-2] & alone[2:])
-    one, two = order[pair], order[pair + 1]
+    one, two = neighbours(corner_place, len(vertices))
     smooth = _dot(normals[one // 3], normals[two // 3]) > np.cos(np.radians(SMOOTH_DEGREES))
     one, two = one[smooth], two[smooth]
     s1, s2 = one, two  # corners where the two half-edges start, and where they end
@@ -156,12 +162,7 @@ def smooth_normals(vertices, faces, normals) -> np.ndarray:
     right = np.concatenate([np.where(across, e2, s2), np.where(across, s2, e2)])
     graph = coo_matrix((np.ones(len(left), bool), (left, right)), shape=(3 * count, 3 * count))
     _, group = connected_components(graph, directed=False)
-    p = vertices[faces]
-    forward = np.roll(p, -1, 1) - p
-    forward /= np.sqrt(_dot(forward, forward))[..., None]
-    backward = -np.roll(forward, 1, 1)
-    angle = np.arccos(np.clip(_dot(forward, backward), -1, 1)).ravel()
-    weighted = np.repeat(normals, 3, 0) * angle[:, None]
+    weighted = np.repeat(normals, 3, 0) * corner_angles(vertices[faces]).reshape(-1, 1)
     total = np.stack([np.bincount(group, weighted[:, i]) for i in range(3)], -1)
     out = total[group]
     length = np.sqrt(_dot(out, out))[:, None]

@@ -303,3 +303,44 @@ def test_real_meshes_agree_with_trimesh(test_data, name):
     np.testing.assert_allclose(np.linalg.norm(mesh.corner_normals, axis=-1), 1, atol=1e-5)
     facing = (mesh.corner_normals * geometric_normals(mesh)[:, None]).sum(-1)
     assert np.mean(facing > 0.5) > 0.99
+
+
+def partly_turned(share, seed=3):
+    """A ball of which patches are turned over, with the smooth normals that its faces then have: obj lines, ball."""
+    ball = trimesh.creation.icosphere(3)
+    random, turned = np.random.default_rng(seed), np.zeros(len(ball.faces), bool)
+    while turned.mean() < share:
+        turned ^= ball.triangles_center @ ball.face_normals[random.integers(len(ball.faces))] > 0.93
+    faces = np.where(turned[:, None], ball.faces[:, ::-1], ball.faces)
+    normals = trimesh.Trimesh(ball.vertices, faces, process=False).vertex_normals
+    lines = [*(f"v {x} {y} {z}" for x, y, z in ball.vertices), *(f"vn {x} {y} {z}" for x, y, z in normals)]
+    return lines, faces, ball
+
+
+@pytest.mark.parametrize("normals", [False, True])
+def test_faces_turned_over_beside_their_neighbours(tmp_path, normals):
+    """Smooth normals between faces that are turned opposite ways are no mean of theirs."""
+    lines, faces, ball = partly_turned(0.3)
+    corner = "{0}//{0}" if normals else "{0}"
+    lines = [line for line in lines if normals or not line.startswith("vn")]
+    lines += ["f " + " ".join(corner.format(i + 1) for i in face) for face in faces]
+    mesh = load(tmp_path, "\n".join(lines), "ball.obj")
+    own = geometric_normals(mesh)
+    outwards = np.sign((own * mesh.vertices[mesh.faces].mean(1)).sum(1))
+    assert abs(outwards.sum()) == len(faces)  # all one way
+    true = mesh.vertices[mesh.faces]  # of the unit ball
+    cosine = np.abs((mesh.corner_normals * true).sum(-1))
+    assert cosine.min() > np.cos(np.radians(2))
+    assert np.abs(mesh.vertices[mesh.faces] - ball.vertices[faces]).min() == 0
+
+
+def test_a_band_with_one_side_stays_as_it_is(tmp_path):
+    n = 40
+    t = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    way = np.stack([np.cos(t), np.sin(t), 0 * t], -1)
+    across = np.cos(t / 2)[:, None] * way + np.sin(t / 2)[:, None] * np.array([0, 0, 1.0])
+    points = np.stack([way - 0.2 * across, way + 0.2 * across], 1).reshape(-1, 3)
+    quads = [[2 * i, 2 * i + 1, 2 * i + 3, 2 * i + 2] for i in range(n - 1)] + [[2 * n - 2, 2 * n - 1, 0, 1]]
+    mesh = load(tmp_path, ply("ascii", points, quads, kind="double"))
+    np.testing.assert_array_equal(np.sort(mesh.faces, 1)[0], [0, 1, 3])
+    assert np.isfinite(mesh.corner_normals).all() and len(mesh.faces) == 2 * n
