@@ -36,7 +36,21 @@ def all_doubts(estimate) -> list[str]:
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
     out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
+    out += in_front_doubts(estimate)
     return out + curve_doubts(estimate.model.problems, estimate.light)
+
+
+def in_front_doubts(estimate) -> list[str]:
+    """That pixels were left out which nobody asked to leave out (`refine.in_front`)."""
+    problems = estimate.model.problems
+    lost, left = sum(p.left_out or 0 for p in problems), sum(len(p.pixels) for p in problems)
+    if estimate.settings.robust or not lost:
+        return []
+    return [
+        f"{100 * lost / (lost + left):.0f} % of the pixels show something else than the light explains: things in front "
+        "of the objects, or what is behind them where a mesh reaches too far; they were left out; a mask that leaves "
+        "them out is surer"
+    ]
 
 
 def shift_doubt(scene) -> str | None:

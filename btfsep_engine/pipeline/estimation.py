@@ -26,6 +26,7 @@ from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.ground import ground
+from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.left_out import left_out
@@ -138,6 +139,7 @@ def left_as_it_is(model: Model, light: SolvedLight):
 
 REFINEMENTS = (
     light_between_surfaces,
+    without_things_in_front,
     left_as_it_is,
     nearer_materials,
     shifted,

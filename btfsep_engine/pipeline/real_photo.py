@@ -34,10 +34,10 @@ def as_real_photo(problem: Problem, settings: FitSettings, *, recognised) -> Pro
         known = 1.0 if problem.weights is None else problem.weights
         measured, weights = working_values(light_solver([problem], solving), problem.radiance(), clipped, known)
         problem = replace(problem, measured=measured, weights=weights)
-        problem = problem.subset(_some_of_each(problem, weights.any(1)))
+        problem = problem.subset(some_of_each(problem, weights.any(1)))
     if settings.robust:
         stiff = light_solver([problem], solving, coarsening=STIFF)
-        kept = _some_of_each(problem, ~outliers(stiff, problem.radiance(), weights=problem.weights))
+        kept = some_of_each(problem, ~outliers(stiff, problem.radiance(), weights=problem.weights))
         problem = replace(problem, left_out=int((~kept).sum())).subset(kept)
     scales = scales_of(problem, recognised)
     if scales is None:
@@ -46,7 +46,7 @@ def as_real_photo(problem: Problem, settings: FitSettings, *, recognised) -> Pro
     return replace(problem, measured=problem.as_measured(problem.radiance()))
 
 
-def _some_of_each(problem: Problem, kept) -> np.ndarray:
+def some_of_each(problem: Problem, kept) -> np.ndarray:
     """``kept`` (p,) bool, and all of an object of which it is nothing: none may vanish from the fit."""
     parts = problem.by_object(kept)
     return np.concatenate([part if part.any() else np.ones_like(part) for part in parts])

@@ -12,7 +12,9 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.estimation import light_of as light_of_model
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
 from btfsep_engine.pipeline.real_photo import PHOTOS_OWN
@@ -146,6 +148,10 @@ def test_things_in_front_are_left_out_where_that_is_asked_for():
     image[40:52, 38:50] = 6 * image.max()
     scene.job = replace(scene.job, photo=replace(scene.job.photo, radiance=image))
     fooled, _, choice = light_of(scene, known)
+    warned = scene_of(scene.job)
+    answer = light_of_model(first_model([warned], [known], SETTINGS), None)
+    assert "pixels" in answer.choice["robust"] and off(answer.fit) < off(fooled) / 4  # nobody asked
+    assert any("show something else" in doubt for doubt in all_doubts(answer))
     found, problem, _ = light_of(scene, known, robust)
     assert "robust" not in choice
     assert off(found) < 0.02 + off(plain) < off(fooled) / 5

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pixels that show something else than the objects: a hand or a leaf in front, background where a mesh is too large.
+
+Where a few pixels are left over far more than all the others, those that stand apart from what a stiff light explains
+(`fit.robust`) are left out on trial. They stay out where the light explains what is left two or three times as well: so
+much neither a texture, nor the edges of shadows, nor highlights make of a photograph of the objects alone, and these
+are what lamps are found by. Where light between surfaces was left out of what the photo seemed to show, it is asked
+for again.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine.fit.robust import outliers
+from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
+from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
+from btfsep_engine.pipeline.together import all_weights, fit_together, light_solver
+
+TAILS = 1.3  # root mean square of what is left over, over what its median would be of noise: 1 of noise
+NORMAL = 1.126  # of three channels of noise: root mean square over median of a pixel's size
+POOR = 0.1  # relative misfit of all pixels: one explained better needs no such help
+EXPLAINED = 0.4  # of the misfit, that is left without them: of things in front 0.1 to 0.35, of crevices 0.5
+MOST = 0.5  # of the pixels
+
+
+def without_things_in_front(model, light):
+    """The refinement: pixels that the light does not explain are left out, where all else is then explained."""
+    problems, settings = model.problems, model.settings
+    settled = any(problem.left_out is not None for problem in problems)
+    if light.solver is None or settled or light.fit.residual < POOR:
+        return model, light, {}
+    weights = all_weights(problems)
+    left = light.left_over(problems) / light.solver.basis.response * (1.0 if weights is None else np.sqrt(weights))
+    size = np.sqrt(np.square(left).sum(1))
+    if np.sqrt(np.square(size).mean()) < TAILS * NORMAL * np.median(size):
+        return model, light, {}
+    with model.reporter.stage("fit"):
+        solving, kept = replace(settings, order=settings.fit_order), []
+        for problem in problems:
+            stiff = light_solver([problem], solving, coarsening=STIFF)
+            kept.append(some_of_each(problem, ~outliers(stiff, problem.radiance(), weights=problem.weights)))
+        share = 1 - np.concatenate(kept).mean()
+        if not 0 < share < MOST:
+            return model, light, {}
+        looks = {
+            look: [replace(p, left_out=int((~k).sum())).subset(k) for p, k in zip(each, kept, strict=True)]
+            for look, each in model.looks.items()
+        }
+        freed = replace(model, looks=looks)
+        answer = fit_together(freed.problems, replace(settings, order=light.order))
+    if answer.fit.residual > EXPLAINED * light.fit.residual:
+        return model, light, {}
+    words = {"robust": left_out_words(freed.problems)}
+    if model.bounces > 1:
+        return freed, answer, words
+    freed, answer, more = light_between_surfaces(freed, answer)
+    return freed, answer, words | more
