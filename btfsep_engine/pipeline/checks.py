@@ -36,7 +36,7 @@ def all_doubts(estimate) -> list[str]:
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
     out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
-    out += in_front_doubts(estimate)
+    out += in_front_doubts(estimate) + veil_doubts(estimate)
     return out + curve_doubts(estimate.model.problems, estimate.light)
 
 
@@ -47,10 +47,22 @@ def in_front_doubts(estimate) -> list[str]:
     if estimate.settings.robust or not lost:
         return []
     return [
-        f"{100 * lost / (lost + left):.0f} % of the pixels show something else than the light explains: things in front "
-        "of the objects, or what is behind them where a mesh reaches too far; they were left out; a mask that leaves "
-        "them out is surer"
+        f"{100 * lost / (lost + left):.0f} % of the pixels show something else than the light explains: things in "
+        "front of the objects, or what is behind them where a mesh reaches too far; they were left out; a mask that "
+        "leaves them out is surer"
     ]
+
+
+def veil_doubts(estimate) -> list[str]:
+    """That something lies over a photo (`refine.veil`)."""
+    out = []
+    for problem in (p for p in estimate.model.problems if p.veil is not None):
+        share = problem.veil.mean() / max(float((problem.veil + problem.radiance()).mean()), 1e-300)
+        out.append(
+            f"about {100 * share:.0f} % of the objects' brightness lies over the photo and never met them (haze, a "
+            "pane, stray light; or a tone curve or things nearby that are not told of); it was taken off"
+        )
+    return out
 
 
 def shift_doubt(scene) -> str | None:

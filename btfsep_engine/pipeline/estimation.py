@@ -36,6 +36,7 @@ from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
+from btfsep_engine.pipeline.refine.veil import veiled
 from btfsep_engine.pipeline.resume import estimate_key
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import Settings
@@ -143,6 +144,7 @@ REFINEMENTS = (
     left_as_it_is,
     nearer_materials,
     shifted,
+    veiled,
     near_lamps,
     sharp_lamps,
     ground,

@@ -32,6 +32,8 @@ class Problem:
         (`pipeline.refine.near`, `pipeline.refine.sharp`); or None
     slopes : (p, k, 3), what it may differ by in the first photograph's exposure, since camera or sun may be a little
         off; or None
+    veil : (3,), light over the photograph that never met the objects, which is taken off (`pipeline.refine.veil`); or
+        None
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
@@ -45,6 +47,7 @@ class Problem:
     scales: np.ndarray | None = None
     correction: np.ndarray | None = None
     slopes: np.ndarray | None = None
+    veil: np.ndarray | None = None
     left_out: int | None = None
 
     @property
@@ -89,7 +92,14 @@ class Problem:
         else:
             image = self.scene.job.photo.radiance if photo is None else photo
             values = self.values_of(image).astype(np.float64)  # floats overflow when squared
+        if self.veil is not None:
+            values = values - self.as_measured(self.veil_of_all)
         return values if self.correction is None else values - self.correction
+
+    @property
+    def veil_of_all(self) -> np.ndarray:
+        """(p, 3), the veil of each pixel."""
+        return np.broadcast_to(self.veil, (len(self.pixels), 3))
 
     def as_measured(self, values) -> np.ndarray:
         """The photograph's values (p, …, 3) over the objects' scales, where these are free."""

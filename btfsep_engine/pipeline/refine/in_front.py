@@ -4,14 +4,17 @@
 Where a few pixels are left over far more than all the others, those that stand apart from what a stiff light explains
 (`fit.robust`) are left out on trial. They stay out where the light explains what is left two or three times as well: so
 much neither a texture, nor the edges of shadows, nor highlights make of a photograph of the objects alone, and these
-are what lamps are found by. Where light between surfaces was left out of what the photo seemed to show, it is asked
-for again.
+are what lamps are found by. Of an object with gloss, what is brighter than the light explains may be a highlight, and
+stays. Where most of them lie along outlines, the camera is off, or the mesh. Light between surfaces that was left out
+of what the photo seemed to show is asked for again.
 """
 
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from btfsep_engine import sh
 from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
@@ -21,7 +24,47 @@ TAILS = 1.3  # root mean square of what is left over, over what its median would
 NORMAL = 1.126  # of three channels of noise: root mean square over median of a pixel's size
 POOR = 0.1  # relative misfit of all pixels: one explained better needs no such help
 EXPLAINED = 0.4  # of the misfit, that is left without them: of things in front 0.1 to 0.35, of crevices 0.5
+RIM, WITHIN = 2, 0.5  # rings of `render.outlines`; share of what is left out that lies farther from outlines
+GLOSSY = 0.03  # of the even light's image, root mean square, of those of order 9: roughness 0.4; matte 0.01
+NEIGHBOURS, SAME, ELSEWHERE = 40, 0.1, 0.1  # points that reflect the same direction; radians; of the extent
+TOLD, SHARED = 0.3, 0.15  # share of bright points that others tell of; of these others that are bright, too: 0.25 and
+# more of highlights, 0 to 0.15 of things in front
 MOST = 0.5  # of the pixels
+
+
+def shining(problem) -> np.ndarray:
+    """(p,) bool: points of objects that may show highlights, whose basis images do not fade with the order."""
+    out = []
+    for basis in problem.basis:
+        size = np.square(basis.mean(2, dtype=np.float64)).mean(0)
+        sharpest = sh.term_count(sh.order_of(len(size)) - 1)
+        out.append(np.full(len(basis), size[sharpest:].mean() > GLOSSY**2 * size[0]))
+    return np.concatenate(out)
+
+
+def highlights(problem, bright) -> np.ndarray:
+    """(p,) bool: which of the points that are too ``bright`` (p,) bool may be highlights.
+
+    A highlight is seen wherever the surface reflects the same direction, a thing in front at one place: other places
+    that reflect it tell. Where there are none, it may be one.
+    """
+    asked = np.flatnonzero(bright & shining(problem))
+    out = np.zeros(len(bright), bool)
+    out[asked] = True
+    if len(asked) < 2:
+        return out
+    normal, eye = problem.normals, np.concatenate([p.to_eye for p in problem.points])
+    mirrored = 2 * (normal * eye).sum(1, keepdims=True) * normal - eye
+    places = problem.pixels / np.ptp(problem.pixels, 0).max()
+    far, near = cKDTree(mirrored).query(mirrored[asked], NEIGHBOURS, distance_upper_bound=SAME)
+    there = np.isfinite(far)
+    near = np.where(there, near, 0)
+    there &= np.linalg.norm(places[near] - places[asked, None], axis=2) > ELSEWHERE
+    votes = there.any(1)
+    shared = (bright[near] & there).sum(1)[votes] / there.sum(1)[votes]
+    if votes.mean() > TOLD and shared.mean() < SHARED:
+        out[:] = False
+    return out
 
 
 def without_things_in_front(model, light):
@@ -37,11 +80,13 @@ def without_things_in_front(model, light):
         return model, light, {}
     with model.reporter.stage("fit"):
         solving, kept = replace(settings, order=settings.fit_order), []
-        for problem in problems:
+        ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
+        for problem, brighter in zip(problems, np.split(left.sum(1) > 0, ends), strict=True):
             stiff = light_solver([problem], solving, coarsening=STIFF)
-            kept.append(some_of_each(problem, ~outliers(stiff, problem.radiance(), weights=problem.weights)))
-        share = 1 - np.concatenate(kept).mean()
-        if not 0 < share < MOST:
+            apart = outliers(stiff, problem.radiance(), weights=problem.weights)
+            kept.append(some_of_each(problem, ~apart | highlights(problem, apart & brighter)))
+        lost, rings = ~np.concatenate(kept), np.concatenate([p.rings for p in problems])
+        if not 0 < lost.mean() < MOST or (rings[lost] > RIM).mean() < WITHIN:
             return model, light, {}
         looks = {
             look: [replace(p, left_out=int((~k).sum())).subset(k) for p, k in zip(each, kept, strict=True)]
