@@ -79,7 +79,8 @@ def turned_over(corners, count: int) -> np.ndarray:
 def mended_normals(corner_normals, normals, vertices, corners, turned) -> np.ndarray:
     """Corner normals (f, 3, 3) where faces were turned over beside others that were not: those of the faces around.
 
-    Faces that are shaded flat keep their normals; those at one place with the same normal share the new one.
+    Elsewhere those of turned faces are turned. Faces that are shaded flat keep theirs; corners at one place that had
+    the same normal share the new one.
 
     Parameters
     ----------
@@ -93,14 +94,13 @@ def mended_normals(corner_normals, normals, vertices, corners, turned) -> np.nda
     seam &= np.bincount(corners[~turned].ravel(), minlength=count).astype(bool)
     flat_shaded = (np.abs(np.einsum("fki,fi->fk", corner_normals, normals)) > OWN).all(1)
     wrong = np.flatnonzero(seam[place] & ~np.repeat(flat_shaded, 3))
-    if not len(wrong):
-        return corner_normals
-    flat = np.array(corner_normals, np.float64).reshape(-1, 3)
-    key = np.concatenate([place[wrong, None], np.round(flat[wrong] / ALIKE).astype(np.int64)], 1)
+    key = np.round(corner_normals.reshape(-1, 3)[wrong] / ALIKE).astype(np.int64)  # those that were one normal
+    key = np.concatenate([place[wrong, None], key], 1)
     group = np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)
     weighted = np.repeat(normals, 3, 0)[wrong] * corner_angles(vertices).ravel()[wrong, None]
     total = np.stack([np.bincount(group, weighted[:, i]) for i in range(3)], -1)[group]
     length = np.linalg.norm(total, axis=1, keepdims=True)
+    flat = np.where(turned[:, None, None], -corner_normals, corner_normals).reshape(-1, 3)
     flat[wrong] = np.where(length > 1e-9, total / np.maximum(length, 1e-9), np.repeat(normals, 3, 0)[wrong])
     return flat.reshape(corner_normals.shape)
 
