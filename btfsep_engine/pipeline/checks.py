@@ -17,9 +17,11 @@ from btfsep_engine.pipeline.doubts import (
 from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.interreflection import open_share
+from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 
+MISSHAPEN = "the mesh's shape or pose may be wrong, or there is paint that the job does not say"
 IN_ITS_PLACE = 45.0  # degrees between a lamp whose direction is given and the one that a photo has in its place
 
 
@@ -36,8 +38,14 @@ def all_doubts(estimate) -> list[str]:
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
     out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
+    out += misshapen_doubts(estimate)
     out += in_front_doubts(estimate) + veil_doubts(estimate)
     return out + curve_doubts(estimate.model.problems, estimate.light)
+
+
+def misshapen_doubts(estimate) -> list[str]:
+    """That whole parts of the objects are not as the light makes them (`refine.misshapen`)."""
+    return [f"{estimate.choice[UNEXPLAINED]}; {MISSHAPEN}"] if UNEXPLAINED in estimate.choice else []
 
 
 def in_front_doubts(estimate) -> list[str]:

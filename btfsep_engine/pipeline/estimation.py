@@ -31,6 +31,7 @@ from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.left_out import left_out
 from btfsep_engine.pipeline.refine.misplaced import misplaced
+from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
@@ -152,6 +153,7 @@ REFINEMENTS = (
     other_curves,
     surroundings,
     left_out,
+    misshapen,
     misplaced,
 )
 

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is stated of the light where whole parts of the objects are brighter or darker than any light makes them.
+
+Noise and texture are as often above as below what is expected: over a patch of the picture they are nearly gone. What a
+mesh of another shape, another pose of a limb or paint that nobody told of leave over stays. No fit knows of such a
+misfit how much of it light has imitated; on photographs of which the truth is known, the light errs by twice the size
+of what is left over patches, or by a little more.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine.fit.stated import expected_error, widened
+
+PATCHES = 8  # along the longer side of an object in the picture
+LEAST_POINTS = 4  # of a patch
+MUCH = 0.1  # relative misfit of patches: 0.01 to 0.04 where the geometry is right, 0.18 of a convex hull
+ERROR = 2.0  # that is stated at least, over that misfit
+WORTH, WIDEST = 1.25, 4.0  # times what the fit states
+UNEXPLAINED = "unexplained"  # its name among what is chosen
+
+
+def patch_misfit(problems, light) -> float:
+    """Root mean square of what is left over patches of the objects, over that of the photo; noise taken out."""
+    b, left = light.radiance(problems), light.left_over(problems)
+    numbers, first = [], 0
+    for points in (points for problem in problems for points in problem.points):
+        if len(points):
+            at = points.pixels - points.pixels.min(0)
+            cells = at // max(at.max() / PATCHES, 1e-9)
+            numbers.append(np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1) + first)
+            first = numbers[-1].max() + 1
+    patch = np.concatenate(numbers)
+    count = np.bincount(patch).astype(np.float64)[:, None]
+    mean, square = (np.stack([np.bincount(patch, v) for v in each.T], 1) / count for each in (left, np.square(left)))
+    by_chance = (square - np.square(mean)) / np.maximum(count - 1, 1)
+    kept = count[:, 0] >= LEAST_POINTS
+    power = (count * (np.square(mean) - by_chance))[kept].sum() / max(float(count[kept].sum()), 1e-300)
+    return float(np.sqrt(max(power, 0.0) / max(float(np.square(b).sum(1).mean()), 1e-300)))
+
+
+def misshapen(model, light):
+    """The refinement: wider ranges where parts of the objects are not explained, as wide as such lights err."""
+    if light.fit.samples is None or (misfit := patch_misfit(model.problems, light)) < MUCH:
+        return model, light, {}
+    stated = expected_error(light.fit.all_coefficients, light.fit.samples)["order_2"]["median"]
+    factor = min(ERROR * misfit / max(stated, 1e-9), WIDEST)
+    if factor < WORTH:
+        return model, light, {}
+    why = f"whole parts of the objects are {100 * misfit:.0f} % brighter or darker than the light makes them"
+    stated = f"what is known of it is stated {factor:.1f} times as wide"
+    return model, replace(light, fit=widened(light.fit, factor)), {UNEXPLAINED: f"{why}: {stated}"}

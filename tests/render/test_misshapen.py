@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Paint that nobody told of: the light errs by more than the fit knows, and what is stated grows with what is left."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline import estimation
+from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED, misshapen, patch_misfit
+from btfsep_engine.pipeline.settings import choose
+from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
+
+WHITE = "reference/white-diffuse"
+SETTINGS = choose("draft", bounces=1, directions=256, key_light="never")
+
+
+@pytest.fixture(scope="module")
+def jobs():
+    """Five white balls, their job with its photo, with a texture of noise; and with dark squares painted on them."""
+    balls = [trimesh.creation.icosphere(4, radius) for radius in (0.6, 0.3, 0.3, 0.3, 0.3)]
+    for ball, place in zip(balls[1:], ((0.3, 0.3), (-0.3, 0.3), (0.3, -0.3), (-0.3, -0.3)), strict=True):
+        ball.apply_translation([*place, 0.4])
+    scene = scene_of(job_of([as_mesh(trimesh.util.concatenate(balls))], looking_down()))
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    light = SHLighting(positive_light(2))
+    seen = scene.radiance(points, open_library(None).load(WHITE), light, directions=1024)[:, 0]
+    image = picture(points, seen, noise=0.1)
+    squares = np.where((np.indices(image.shape[:2]) // 12).sum(0) % 2, 1.0, 0.3)
+    return with_photo(scene.job, image), with_photo(scene.job, image * squares[..., None])
+
+
+def found(job):
+    return estimation.estimate(scene_of(job), open_library(None), SETTINGS, material=WHITE)
+
+
+def test_what_is_stated_grows_with_what_patches_leave_over(jobs, monkeypatch):
+    good, bad = map(found, jobs)
+    assert UNEXPLAINED not in good.choice and UNEXPLAINED in bad.choice
+    assert not any("whole parts" in said for said in good.scene.reporter.warnings)
+    assert any("whole parts" in said for said in bad.scene.reporter.warnings)
+    others = tuple(r for r in estimation.REFINEMENTS if r is not misshapen)
+    monkeypatch.setattr(estimation, "REFINEMENTS", others)
+    plain = found(jobs[1])
+    np.testing.assert_array_equal(bad.lighting.coefficients, plain.lighting.coefficients)
+    assert (bad.lighting.stddev > 1.2 * plain.lighting.stddev).all()
+
+
+def test_noise_is_not_of_patches(jobs):
+    """Of pixels that scatter by a tenth hardly anything stays over a patch; of a part that is darker, all does."""
+    answer = found(jobs[0])
+    misfit = patch_misfit(answer.model.problems, answer.light)
+    assert misfit < 0.03 < 0.09 < answer.fit.residual
+    problem = answer.model.problems[0]
+    b = problem.radiance()
+    half = problem.pixels[:, 1] > np.median(problem.pixels[:, 1])
+    parted = replace(problem, measured=np.where(half[:, None], 0.5 * b, b))
+    expected = np.sqrt(np.square(0.5 * b[half]).sum() / np.square(parted.radiance()).sum())
+    np.testing.assert_allclose(patch_misfit([parted], answer.light), expected, rtol=0.15)
