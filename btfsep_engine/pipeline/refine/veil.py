@@ -4,8 +4,8 @@
 It adds the same to every pixel, in a colour of its own. Light from all sides does much the same to a convex object, so
 that one of those alone cannot tell; but hollows and shadows would be darker than they are. Where what is left over
 looks like that, the light is fitted with such a difference free (`fit.products`, ``slopes``), and where that explains
-the photo clearly better, the veil is taken off; how much of it there is stays free. A photo that is too dark
-everywhere has none: that speaks of its tone curve. What a JPEG's or a film's colours make of strong ones, and light of
+the photo clearly better and less is left over without it, it is taken off; how much of it there is stays free. A photo
+that is too dark everywhere has none: that speaks of its tone curve. What a JPEG's or a film's colours make of strong ones, and light of
 things nearby which nobody modelled, looks much the same, and is better taken off, too.
 """
 
@@ -21,6 +21,7 @@ USUAL = 0.2  # of the photo's mean: a deviation
 SPEAKS = 20.0  # chi^2 of one degree of freedom: 0 to 11 without a veil, 90 to 1,100 with one of two fifths
 CLEARLY = 5.0  # of the logarithm of the evidence: -7 to -3 without a veil
 LEAST = 0.03  # of the photo's mean
+FALLS = 0.9  # of what was left over, without it
 
 
 def veiled(model, light):
@@ -51,11 +52,18 @@ def veiled(model, light):
         }
         bare = replace(free, looks=looks)
         answer = fit_together(bare.problems, settings, beside=light.fit)
+        if _left(bare.problems, answer) > FALLS * _left(model.problems, light):
+            return model, light, {}
     words = {"veil": veil_words(bare.problems)}
     if model.bounces > 1:
         return bare, answer, words
     bare, answer, more = light_between_surfaces(bare, answer)
     return bare, answer, words | more
+
+
+def _left(problems, light) -> float:
+    """Root mean square of what a light leaves over."""
+    return float(np.sqrt(np.square(light.left_over(problems)).mean()))
 
 
 def _own(problem) -> list:
