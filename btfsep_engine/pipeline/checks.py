@@ -55,9 +55,8 @@ def in_front_doubts(estimate) -> list[str]:
     if estimate.settings.robust or not lost:
         return []
     return [
-        f"{100 * lost / (lost + left):.0f} % of the pixels show something else than the light explains: things in "
-        "front of the objects, or what is behind them where a mesh reaches too far; they were left out; a mask that "
-        "leaves them out is surer"
+        f"{lost} of {lost + left} pixels show something else than the light explains: things in front of the objects, "
+        "or what is behind them where a mesh reaches too far; they were left out; a mask that leaves them out is surer"
     ]
 
 

@@ -5,8 +5,8 @@ It adds the same to every pixel, in a colour of its own. Light from all sides do
 that one of those alone cannot tell; but hollows and shadows would be darker than they are. Where what is left over
 looks like that, the light is fitted with such a difference free (`fit.products`, ``slopes``), and where that explains
 the photo clearly better and less is left over without it, it is taken off; how much of it there is stays free. A photo
-that is too dark everywhere has none: that speaks of its tone curve. What a JPEG's or a film's colours make of strong ones, and light of
-things nearby which nobody modelled, looks much the same, and is better taken off, too.
+that is too dark everywhere has none: that speaks of its tone curve. What a JPEG's or a film's colours make of strong
+ones, and light of things nearby which nobody modelled, looks much the same, and is better taken off, too.
 """
 
 from dataclasses import replace
