@@ -14,8 +14,8 @@ MATERIAL = "does not rule them out"  # `card` says it from the answer itself, by
 @dataclass(frozen=True)
 class Advice:
     """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object); "" hides it under
-    Details; ``mend`` : key of `mending.MENDS`, "ALIGN", or "FREEZE" (the suns' own buttons); ``level`` : the trust that
-    is left at best
+    Details; ``mend`` : key of `mending.MENDS`, or "ALIGN", "UPRIGHT", "FREEZE" (the suns), which have their own
+    buttons; ``level`` : the trust that is left at best
     """
 
     phrase: str
@@ -64,6 +64,7 @@ KNOWN = (
     Advice("a render that was saved with that view", "The photo looks like a render saved with AgX", "AGX", "RED"),
     Advice("a camera's own picture", "The photo looks like a camera's own picture", "CAMERA", "AMBER"),
     Advice("tone curve is doubtful", "The photo's tone curve may be another one", "CURVE", "AMBER"),
+    Advice("it says that it is to be turned", "The photo's file asks for it to be turned", "UPRIGHT"),
     Advice("a depth shows one side", "The depth shows one side of it only"),
 )
 

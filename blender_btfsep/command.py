@@ -92,6 +92,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     job.add_argument("--job", help="folder for the job (default: one that is removed afterwards)")
 
+    one = argparse.ArgumentParser(add_help=False)
+    one.add_argument(
+        "--upright", action="store_true", help="turn the photo as its file asks for (default: as it is stored)"
+    )
+
     engine = argparse.ArgumentParser(add_help=False)
     engine.add_argument("--library", help="material library (default: the preferences', then the engine's)")
     engine.add_argument("--engine", help="Python, virtual environment or btfsep program (default: the preferences')")
@@ -113,16 +118,16 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--out", help="folder for the results (default: in the job's)")
 
     estimate = commands.add_parser(
-        "estimate", parents=[job, engine, fit, save, sun], help="estimate the light, write the World"
+        "estimate", parents=[job, one, engine, fit, save, sun], help="estimate the light, write the World"
     )
     engine_settings.add_options(estimate, engine_settings.COMMANDS["estimate"], "the panel's")
     estimate.set_defaults(run=_estimate)
 
-    recognise = commands.add_parser("recognise", parents=[job, engine], help="name the material of each object")
+    recognise = commands.add_parser("recognise", parents=[job, one, engine], help="name the material of each object")
     engine_settings.add_options(recognise, engine_settings.COMMANDS["recognise"], "the panel's")
     recognise.set_defaults(run=_recognise)
 
-    exporting = commands.add_parser("export", parents=[job], help="write the job folder only")
+    exporting = commands.add_parser("export", parents=[job, one], help="write the job folder only")
     exporting.set_defaults(run=_export)
 
     apply = commands.add_parser("apply", parents=[everything, save, sun], help="make a light in a file the World")
@@ -138,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     light.set_defaults(run=_light)
 
     sequence_run.add_command(commands, [job, engine, fit, save])
-    batch.add_command(commands, [job, engine, fit, sun], estimate=estimate_scene, save=save_file)
+    batch.add_command(commands, [job, one, engine, fit, sun], estimate=estimate_scene, save=save_file)
     measure.add_command(commands, [everything])
     return parser
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import bpy
 
-from . import engine_process, export, request, runs
+from . import engine_process, export, photo_file, request, runs, upright
 from .errors import InputError
+from .scratch import scratch
 
 
 class EngineBug(Exception):
@@ -102,21 +103,42 @@ def write_job(options, scene, *, image=None) -> Path:
     depth = options.depth or (scene.btfsep.depth and not objects)
     names = [thing.name for thing in objects] or list(request.fitted(scene.btfsep))
     names = [export.SURFACE] if depth else names
-    return request.write_job(
-        scene,
-        folder=options.job,
-        image=image or options.image,
-        camera=named(scene.objects, "object", options.camera) if options.camera else None,
-        objects=objects,
-        depth=options.depth,
-        material=by_object(getattr(options, "material", None), names, "material"),
-        masks={name: _image_of(path) for name, path in by_object(options.mask, names, "mask").items()},
-        occluders=options.occluders and options.occluders.upper(),
-        mapping=options.mapping and options.mapping.upper(),
-        exposure_ev=options.exposure,
-        curve=options.curve,
-        known_suns=None if options.known_suns is None else [_sun(scene, name) for name in options.known_suns],
-    )
+    with scratch() as own:
+        return request.write_job(
+            scene,
+            folder=options.job,
+            image=_photo(options, scene, image, own),
+            camera=named(scene.objects, "object", options.camera) if options.camera else None,
+            objects=objects,
+            depth=options.depth,
+            material=by_object(getattr(options, "material", None), names, "material"),
+            masks={name: _image_of(path) for name, path in by_object(options.mask, names, "mask").items()},
+            occluders=options.occluders and options.occluders.upper(),
+            mapping=options.mapping and options.mapping.upper(),
+            exposure_ev=options.exposure,
+            curve=options.curve,
+            known_suns=None if options.known_suns is None else [_sun(scene, name) for name in options.known_suns],
+        )
+
+
+def _photo(options, scene, path, own):
+    """The photo that the command line names, a path or an image, upright where that is asked for; None: the panel's.
+
+    An upright copy of the panel's photo becomes the panel's; one of a file is for the job alone (``own``).
+    """
+    path = path or options.image
+    if not getattr(options, "upright", False):
+        return path
+    if path is None:
+        if upright.asked(scene.btfsep.image) != 1:
+            scene.btfsep.image = upright.copy_of(scene.btfsep.image)
+        return None
+    if photo_file.orientation(path) == 1:
+        return path
+    try:
+        return own(upright.copy_of(own(bpy.data.images.load(str(Path(path).absolute()), check_existing=False))))
+    except RuntimeError as error:
+        raise InputError(f"the photo {path}", error, "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
 
 
 def _sun(scene, name: str):

@@ -20,6 +20,7 @@ from . import (
     runs,
     sequence_run,
     sun_lamp,
+    upright,
     use_photo,
     world,
 )
@@ -78,6 +79,9 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
         if sequence_run.is_sequence(image):
             shown = photo.file_at(image, camera, scene.frame_current)
             _wrapped(context, layout, f"At this frame: {shown.name if shown else ''}", icon="SEQUENCE")
+        if upright.asked(image) != 1:
+            _wrapped(context, layout, "The photo's file asks for it to be turned", icon="INFO")
+            layout.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
         behind = use_photo.is_behind(scene)
         if behind and there and pinhole.shown(scene, image.size) is None:
             box = layout.box()
@@ -301,6 +305,8 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             mend, about = warning["mend"], next((w for n, w, _ in mending.MENDS if n == warning["mend"]), "")
             if mend == "ALIGN":
                 _refine_alignment(box, context.scene.btfsep)
+            elif mend == "UPRIGHT":
+                box.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
             elif mend == "FREEZE":
                 self._suns(context, box)
             elif mend:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a photo's file says beside its pixels: how it is to be turned, of what kind they are. No bpy here."""
 
+import io
 import struct
 from pathlib import Path
 
@@ -23,21 +24,25 @@ def unread(path) -> str:
     return "" if path is None else _UNREAD.get(Path(path).suffix.lower().lstrip("."), "")
 
 
-def orientation(path) -> int:
-    """How the file at ``path`` says that its pixels are to be turned (EXIF, 1 to 8; 1: not, or not said)."""
-    found = _number(path, _ORIENTATION)
+def orientation(file) -> int:
+    """How a file (its path, or its bytes) says that its pixels are to be turned (EXIF, 1 to 8; 1: not, or not said)."""
+    found = _number(file, _ORIENTATION)
     return found if found in range(1, 9) else 1
 
 
-def holds_floats(path) -> bool:
-    """Whether the file at ``path`` is a TIFF of floating-point numbers, which Blender takes for coded ones."""
-    return Path(path).suffix.lower() in (".tif", ".tiff") and _number(path, _SAMPLE_FORMAT) == 3
+def holds_floats(path, file: bytes | None = None) -> bool:
+    """Whether the file at ``path`` is a TIFF of floating-point numbers, which Blender takes for coded ones.
+
+    ``file`` : its bytes, where it may not lie there
+    """
+    is_tiff = Path(path).suffix.lower() in (".tif", ".tiff")
+    return is_tiff and _number(path if file is None else file, _SAMPLE_FORMAT) == 3
 
 
-def _number(path, wanted: int):
+def _number(source, wanted: int):
     """The (first) 16-bit number that a tag of a TIFF, or of the EXIF in another file, has; None: there is none."""
     try:
-        with open(path, "rb") as file:
+        with io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb") as file:
             head = file.read(_HEADER)
             begin = 0 if head[:4] in _TIFF else head.find(b"Exif\0\0") + 6
             if begin == 5:  # PNG and WebP have no such mark

@@ -4,13 +4,14 @@
 import bpy
 
 from . import camera as pinhole
-from . import frames, light_picture, photo, photo_file, reasons, runs
+from . import frames, light_picture, photo, photo_file, reasons, runs, upright
 from .errors import InputError
 
 TURNED = (
     "the file says that it is to be turned, which Blender does not do: if the photo lies on its side or stands on its "
     "head, turn it in an image editor and open that"
 )
+PRESS = "its file asks for it to be turned, which Blender does not do: if it lies on its side, press Turn Upright"
 READ = {
     "srgb": "read as sRGB",
     "camera": "read by the usual curve of cameras",
@@ -106,21 +107,54 @@ class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         return lacking or ("" if settings.image or background(camera) else "Open the photo first")
 
     def do(self, context):
+        return use(context)
+
+
+class BTFSEP_OT_turn_upright(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+    """Take an upright copy of the photo, as its file asks for, and use that; it is kept in the .blend"""
+
+    bl_idname = "btfsep.turn_upright"
+    bl_label = "Turn Upright"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @staticmethod
+    def reason(context) -> str:
         scene, settings = context.scene, context.scene.btfsep
-        camera = settings.camera or scene.camera
-        settings.image = image = settings.image or background(camera)
-        size = photo.size_of(image)
-        if not all(size):
-            raise InputError(f"the photo '{image.name}'", *f"it {photo.lacks_pixels(image)}".split(": "))
-        words = fit_render(scene, size)
-        put_behind(scene, camera, image, size)
-        file = photo.file_at(image, camera, scene.frame_current)
-        light_picture.small(image, file)  # for the picture of the light, later
-        if file is not None and photo_file.orientation(file) != 1:
-            words.append(TURNED)
-        for space in views(context):
-            through(space, camera)
-        return "; ".join([f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)])
+        if runs.is_running():
+            return runs.RUNNING
+        if upright.asked(settings.image) == 1:
+            return "The photo's file does not ask for it to be turned"
+        return reasons.of_camera(settings.camera or scene.camera)
+
+    def do(self, context):
+        settings = context.scene.btfsep
+        camera, image = settings.camera or context.scene.camera, settings.image
+        settings.image = upright.copy_of(image)
+        for behind in camera.data.background_images:
+            if behind.image == image:
+                behind.image = settings.image
+        return use(context)
+
+
+def use(context) -> str:
+    """Puts the photo behind the camera and gives the render its resolution; what was done, in a sentence."""
+    scene, settings = context.scene, context.scene.btfsep
+    camera = settings.camera or scene.camera
+    settings.image = image = settings.image or background(camera)
+    size = photo.size_of(image)
+    if not all(size):
+        raise InputError(f"the photo '{image.name}'", *f"it {photo.lacks_pixels(image)}".split(": "))
+    words = fit_render(scene, size)
+    put_behind(scene, camera, image, size)
+    file = photo.file_at(image, camera, scene.frame_current)
+    light_picture.small(image, file)  # for the picture of the light, later
+    if upright.asked(image) != 1:
+        words.append(PRESS)
+    elif not image.packed_file and file is not None and photo_file.orientation(file) != 1:
+        words.append(TURNED)
+    for space in views(context):
+        through(space, camera)
+    return "; ".join([f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)])
 
 
 def views(context) -> list:
@@ -140,4 +174,4 @@ def through(space, camera) -> None:
     space.region_3d.view_perspective = "CAMERA"
 
 
-register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_use_photo,))
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_use_photo, BTFSEP_OT_turn_upright))

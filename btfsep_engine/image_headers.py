@@ -14,7 +14,7 @@ _TIFF = (b"II*\0", b"MM\0*")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _WIDTH, _HEIGHT, _MAKER, _MODEL = 256, 257, 271, 272  # tags of TIFF, and of EXIF in it
-_SUBFILE, _PHOTOMETRIC, _ORIENTATION, _ICC, _DNG = 254, 262, 274, 34675, 50706
+_SUBFILE, _PHOTOMETRIC, _ORIENTATION, _SUBSAMPLING, _ICC, _DNG = 254, 262, 274, 530, 34675, 50706
 _EXIF, _INTEROPERABILITY, _INDEX = 0x8769, 0xA005, 1
 _INTEGERS = {3: "H", 4: "I"}  # types of TIFF
 _TEXT = 2
@@ -84,7 +84,7 @@ def size(data: bytes) -> tuple[int, int] | None:
 
 
 def has_coarse_chroma(data: bytes) -> bool:
-    """Whether a file stores colours at less resolution than brightness."""
+    """Whether a file stores colours at less resolution than brightness; a PNG, whether EXIF says that of its source."""
     with contextlib.suppress(struct.error, IndexError):
         if data[:2] == b"\xff\xd8":
             at = _jpeg_frame(data)
@@ -92,6 +92,10 @@ def has_coarse_chroma(data: bytes) -> bool:
                 return False
             luma, *chroma = (data[at + 7 + 3 * i] for i in range(3))  # sampling factors, of columns and of rows
             return any(luma > other for other in chroma)
+        exif = _exif(data) if data[:8] == _PNG else None
+        for tag, kind, length, at in () if exif is None else _entries(exif):
+            if (tag, kind, length) == (_SUBSAMPLING, 3, 2):
+                return max(struct.unpack(("<" if exif[:2] == b"II" else ">") + "HH", exif[at : at + 4])) > 1
         return data[:4] == b"RIFF" and data[8:12] == b"WEBP" and b"VP8 " in data[12:64]
     return False
 

@@ -221,7 +221,7 @@ def test_a_photo_that_is_to_be_turned_lies_as_it_is_stored_and_that_is_said(phot
         assert tuple(image.size) == (40, 30)
         bpy.ops.btfsep.use_photo()
         assert camera.render_size(photographed) == (40, 30)
-        assert (use_photo.TURNED in capfd.readouterr().out) == (number == 6)
+        assert (use_photo.PRESS in capfd.readouterr().out) == (number == 6)
 
 
 def test_a_photo_is_looked_at_once_and_again_when_it_is_another(photographed, tmp_path):

@@ -100,7 +100,10 @@ def said_by(tree):
 def test_every_doubt_that_the_panel_knows_is_said_by_the_engine(known):
     files = sorted(Path(btfsep_engine.__file__).parent.rglob("*.py"))
     assert any(known.phrase in text for path in files for text in said_by(ast.parse(path.read_text())))
-    assert known.mend in {"", "ALIGN", "FREEZE", *(name for name, *_ in mending.MENDS)} and known.level in advice.LEVELS
+    assert (
+        known.mend in {"", "ALIGN", "UPRIGHT", "FREEZE", *(name for name, *_ in mending.MENDS)}
+        and known.level in advice.LEVELS
+    )
     assert advice.advice(f"object 'Cow' {known.phrase} and more").phrase == known.phrase
 
 
@@ -173,6 +176,7 @@ def test_how_a_photo_is_to_be_turned(tmp_path, suffix):
         picture = np.full((6, 8, 3), 90, np.uint8)
         path.write_bytes(tiff(picture, tag) if suffix == ".tif" else with_exif(suffix, turned(number)))
         assert photo_file.orientation(path) == images.orientation(path) == number
+        assert photo_file.orientation(path.read_bytes()) == number
     whole = path.read_bytes()
     for end in range(1, len(whole), 3):
         path.write_bytes(whole[:end])

@@ -31,6 +31,17 @@ def test_a_tiff_is_taken_as_it_is_stored(tmp_path, rng, dtype, number):
     assert image.orientation == number and images.declared_size(path) == (8, 6)
 
 
+@pytest.mark.parametrize(("shares", "order"), [((1, 1), "<"), ((2, 1), "<"), ((2, 2), ">")])
+def test_a_png_of_a_jpeg_says_that_its_colours_are_coarse(shares, order):
+    """By EXIF's YCbCrSubSampling, which says it of the codes, whatever file they are in now."""
+    head = {"<": b"II*\0", ">": b"MM\0*"}[order]
+    block = head + struct.pack(order + "IHHHIHHI", 8, 1, 530, 3, 2, *shares, 0)
+    assert image_headers.has_coarse_chroma(with_exif(".png", block)) is (shares != (1, 1))
+    assert image_headers.has_coarse_chroma(with_exif(".png", turned(6))) is False
+    for end in range(len(block)):
+        assert image_headers.has_coarse_chroma(with_exif(".png", block[:end])) in (True, False)
+
+
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
 def test_a_photo_that_is_to_be_turned_is_taken_as_stored_and_said(job, suffix):
     plain, data = with_exif(suffix, turned(1), 8, 12), with_exif(suffix, turned(6), 8, 12)
