@@ -2,7 +2,7 @@
 """Why a run cannot be begun, in sentences for tooltips: told by looks alone, before a click. Nothing here is slow."""
 
 from . import camera as pinhole
-from . import meshes, photo, runs
+from . import meshes, photo, runs, upright
 
 
 def of(scene, view_layer, settings, entries: dict) -> str:
@@ -59,7 +59,8 @@ def _of_shape(scene, image) -> str:
     if pinhole.shown(scene, (width, height)) is not None:
         return ""
     wide, high = pinhole.render_region(scene)[2:]
-    return f"The photo is {width} x {height}, the scene renders {wide} x {high}: press Use Photo"
+    button = "Turn Upright" if upright.asked(image) > 4 else "Use Photo"
+    return f"The photo is {width} x {height}, the scene renders {wide} x {high}: press {button}"
 
 
 def _of_entry(name: str, entry, view_layer, settings) -> str:

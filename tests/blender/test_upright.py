@@ -102,7 +102,10 @@ def test_alpha_and_chunks_of_a_png_come_along(addon, tmp_path):
     data = cv2.imencode(".png", codes)[1].tobytes()
     chunks = profiles.chunk(b"gAMA", struct.pack(">I", 50000)) + profiles.chunk(b"eXIf", block(8))
     (tmp_path / "a.png").write_bytes(data[:33] + chunks + data[33:])
-    copy = upright.copy_of(bpy.data.images.load(str(tmp_path / "a.png")))
+    image = bpy.data.images.load(str(tmp_path / "a.png"))
+    image.alpha_mode = "NONE"  # as Blender is to show it
+    copy = upright.copy_of(image)
+    assert copy.alpha_mode == "NONE"
     (tmp_path / "b.png").write_bytes(copy.packed_file.data)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "b.png"), -1), UPRIGHT[8](codes))
     own, found = read(tmp_path / "a.png"), read(tmp_path / "b.png")
@@ -114,6 +117,8 @@ def test_one_button_turns_the_photo_and_uses_it(photographed, tmp_path, capfd):
     settings, path = photographed.btfsep, lying(tmp_path / "a.jpg", 6)
     image = settings.image = bpy.data.images.load(str(path))
     image.colorspace_settings.name = "Display P3"
+    photographed.render.resolution_x, photographed.render.resolution_y = 20, 30
+    assert "renders 20 x 30: press Turn Upright" in request.missing(bpy.context)
     bpy.ops.btfsep.use_photo()
     assert "press Turn Upright" in capfd.readouterr().out and camera.render_size(photographed) == (30, 20)
     bpy.ops.ed.undo_push(message="before")
