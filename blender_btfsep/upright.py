@@ -56,7 +56,7 @@ def copy_of(image):
         raise InputError(named, "its pixels are floating-point numbers", _EDITOR)
     with scratch() as own:
         stored = own(image.copy())
-        stored.colorspace_settings.name, stored.alpha_mode = "Non-Color", "CHANNEL_PACKED"  # codes as in the file
+        stored.colorspace_settings.name = "Non-Color"  # codes as in the file, whatever its alpha is taken for
         kind = np.uint16 if stored.is_float else np.uint8
         codes = pixels.read(stored)
     codes = np.rint(np.multiply(codes, np.iinfo(kind).max, out=codes), out=codes).astype(kind)[::-1]
