@@ -128,6 +128,9 @@ def _photo(options, scene, path, own):
     """
     path = path or options.image
     if not getattr(options, "upright", False):
+        lies = upright.asked(scene.btfsep.image) if path is None else photo_file.orientation(path)
+        if lies > 4 and hasattr(options, "upright"):
+            say("the photo's file asks for it to be turned, which --upright does", sys.stderr)
         return path
     if path is None:
         if upright.asked(scene.btfsep.image) != 1:

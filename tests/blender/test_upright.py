@@ -196,11 +196,13 @@ def test_without_a_window(photographed, tmp_path, capsys):
     own, before = read(path), len(bpy.data.images)
     words = ["export", "--job", str(tmp_path / "job")]
     assert command.main([*words, "--image", str(path)]) == 2
-    assert "it is 30 x 20, the scene renders 20 x 30" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "which --upright does" in said and "it is 30 x 20, the scene renders 20 x 30" in said
     for _ in range(2):
         assert command.main([*words, "--upright", "--image", str(path)]) == 0
         found = load_job(tmp_path / "job")
         np.testing.assert_array_equal(found.photo.radiance, UPRIGHT[6](own.pixels))
+        assert "--upright" not in capsys.readouterr().err
         assert not any("to be turned" in warning for warning in found.warnings)
     assert len(bpy.data.images) == before and settings.image.name == "photo.png"
     assert command.main([*words, "--upright", "--image", str(tmp_path / "no.jpg")]) == 2
