@@ -127,6 +127,7 @@ def _photo(options, scene, path, own):
     An upright copy of the panel's photo becomes the panel's; one of a file is for the job alone (``own``).
     """
     path = path or options.image
+    path = path and bpy.path.abspath(str(path))
     if not getattr(options, "upright", False):
         lies = upright.asked(scene.btfsep.image) if path is None else photo_file.orientation(path)
         if lies > 4 and hasattr(options, "upright"):

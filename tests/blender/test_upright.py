@@ -198,8 +198,9 @@ def test_without_a_window(photographed, tmp_path, capsys):
     assert command.main([*words, "--image", str(path)]) == 2
     said = capsys.readouterr().err
     assert "which --upright does" in said and "it is 30 x 20, the scene renders 20 x 30" in said
-    for _ in range(2):
-        assert command.main([*words, "--upright", "--image", str(path)]) == 0
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    for given in (str(path), "//a.jpg"):
+        assert command.main([*words, "--upright", "--image", given]) == 0
         found = load_job(tmp_path / "job")
         np.testing.assert_array_equal(found.photo.radiance, UPRIGHT[6](own.pixels))
         assert "--upright" not in capsys.readouterr().err
