@@ -22,6 +22,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.contrast import spoilt
+from btfsep_engine.recognise.judgement import TABLE
 from btfsep_engine.recognise.model_file import source_digest
 from scripts.studies.estimates import scene_of
 from scripts.studies.photos import Photograph
@@ -114,7 +115,8 @@ def cues_of(
     ``every`` : candidates are rendered, not the likeliest alone
     """
     code = Path(inspect.getfile(Verification)).read_bytes()  # no training depends on it, and so no digest
-    key, out, view, of = digest(source_digest(), code, library.digest, settings, every), [], None, None
+    weights = b"" if every else TABLE.read_bytes()  # they say which candidates are worth a rendering
+    key, out, view, of = digest(source_digest(), code, library.digest, settings, every, weights), [], None, None
     for photograph in photographs:
         path = photograph.folder / f"cues-{flaw.replace(' ', '-')}.json"
         kept = json.loads(path.read_text()) if path.exists() else {}
