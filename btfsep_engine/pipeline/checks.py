@@ -93,7 +93,8 @@ def misfit_doubts(estimate) -> list[str]:
         open_share=np.concatenate([open_share(q.scene, p) for q in problems for p in q.points]),
     )
     names = [m.name for materials in estimate.model.materials for m in materials]
-    return structure_doubts(effects, residual=light.fit.residual, names=names)
+    mirrored = any(p.scene.mirrors for p in problems)
+    return structure_doubts(effects, residual=light.fit.residual, names=names, mirrored=mirrored)
 
 
 def known_lamp_doubts(estimate) -> list[str]:

@@ -115,7 +115,7 @@ def clamped_share(x) -> float:
     return float((area * np.maximum(-radiance, 0)).sum() / max((area * np.maximum(radiance, 0)).sum(), 1e-300))
 
 
-def structure_doubts(effects: dict[str, Effect], *, residual: float, names) -> list[str]:
+def structure_doubts(effects: dict[str, Effect], *, residual: float, names, mirrored: bool = False) -> list[str]:
     """What the residual's structure speaks for.
 
     Parameters
@@ -123,12 +123,13 @@ def structure_doubts(effects: dict[str, Effect], *, residual: float, names) -> l
     effects : of `fit.diagnose.diagnose`
     residual : of the fit, relative
     names : of the materials
+    mirrored : whether a mirror's picture was put together, for which all light was taken to come from far away
     """
     out, t = [], THRESHOLDS
     material = " or ".join(dict.fromkeys(names))
     near, blocked, diffuse = (effects[k] for k in ("near", "blocked", "diffuse"))
     speaks = residual > t.explained
-    if speaks and near.chi2 > t.near and np.linalg.norm(near.size) > t.near_size:
+    if speaks and not mirrored and near.chi2 > t.near and np.linalg.norm(near.size) > t.near_size:
         out.append(
             f"brightness changes with the place by {100 * np.linalg.norm(near.size):.0f} % over the object where its "
             "orientation does not: light from nearby (a lamp, a window, a table), which the method takes to be far away"

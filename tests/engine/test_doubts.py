@@ -82,6 +82,8 @@ def test_light_nearby_is_seen(rng):
     found, said = effects(rng, lambda b, place, opened: b * (1 + 0.15 * place[:, :1]))
     assert found["near"].chi2 > THRESHOLDS.near and any("nearby" in text for text in said)
     assert found["near"].size[0] > 0.1  # along x
+    of_mirrors = structure_doubts(found, residual=1.0, names=["white"], mirrored=True)
+    assert not any("nearby" in text for text in of_mirrors)  # their picture was made as under light from far away
 
 
 def test_missing_reflections_are_seen_and_missing_light_is_none(rng):
