@@ -164,6 +164,10 @@ class Verification:
         first = self.explained(materials[0], radiance)  # the others' lights are looked for from there on
         explained = [first, *(self.explained(material, radiance, first.solution) for material in materials[1:])]
         evidence = np.array([e.evidence for e in explained])
+        # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
+        mirrors = np.array([m.mirror_reflectance is not None for m in materials])
+        if not mirrors.all():
+            evidence[mirrors] = np.minimum(evidence[mirrors], evidence[~mirrors].max())
         below = np.sqrt(np.maximum(evidence.max() - evidence, 0))  # half of a chi^2's size, of which a root is normal
         found = {"evidence": -below, "tint": np.array([-unusual(e.colour) for e in explained])}
         cues = {cue: _of_all(values, range(len(materials)), count) for cue, values in found.items()}
@@ -171,14 +175,13 @@ class Verification:
         likely = [i for i in np.argsort(-odds, kind="stable") if i < len(materials)]
         if not self.every:
             enough = odds[likely[0]] - HOPELESS
-            likely = [i for i in likely[:RENDERED] if odds[i] > enough or materials[i].mirror_reflectance is not None]
+            likely = [i for i in likely[:RENDERED] if odds[i] > enough or mirrors[i]]
         texture = recogniser.encoder.part(vectors[-1], "sift")
         usable = np.isfinite(radiance[self.region]).all(-1)
         photo = Photographed(usable, texture, contrast(radiance, self.region))
-        # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
         similar = [
             dict.fromkeys(SIMILARITIES, np.nan)
-            if materials[i].mirror_reflectance is not None
+            if mirrors[i]
             else self.similarity(materials[i], explained[i].light, recogniser, photo)
             for i in likely
         ]

@@ -130,9 +130,10 @@ def cues_of(
                 random = np.random.default_rng(zlib.crc32(f"{photograph.folder.name} {flaw}".encode()))
                 radiance = flawed(radiance, view.region, flaw, random)
             view.verification.known.clear()
-            known = photograph.material in view.recogniser.materials
-            left_out = view.cues(radiance, without=photograph.material) if known else None
-            kept = {"key": key, "known": view.cues(radiance), "left_out": left_out}
+            has = photograph.material in view.recogniser.materials
+            known = view.cues(radiance)  # first, so that lights are looked for from where an estimate does
+            left_out = view.cues(radiance, without=photograph.material) if has else None
+            kept = {"key": key, "known": known, "left_out": left_out}
             kept["spoilt"] = spoilt(radiance[view.window], view.region[view.window])
             write_text(path, json.dumps(kept))
         out.append(Seen(photograph, flaw, kept["known"], kept["left_out"], kept["spoilt"]))

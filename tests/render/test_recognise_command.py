@@ -3,6 +3,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from importlib import resources
 
 import numpy as np
@@ -122,3 +123,27 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
         assert cues["evidence"].max() == 0 and cues["tint"][1] > -3
         again = verification.cues(names, votes, recogniser, 3 * radiance, vectors, library.load)
         np.testing.assert_allclose(again["contrast"], cues["contrast"], atol=1e-3)  # whatever the exposure
+
+
+def test_that_a_mirror_can_explain_any_photo_says_nothing(sphere_job_folder, small_library, tmp_path, monkeypatch):
+    """Light that is itself a blurred picture makes a mirror look like a matte ball, to the last pixel."""
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "cache"))
+    folder, _ = sphere_job_folder
+    library, settings, names = open_library(small_library), choose("draft"), (CHOSEN[0], "reference/chrome")
+    scene = scene_of(folder)
+    region = training_region(scene.regions[0], settings.training_pixels)
+    verification = Verification(scene, 0, region, bounding_window(region), settings)
+    explained = {CHOSEN[0]: -300.0, "reference/chrome": 0.0}
+    own = Verification.explained
+    monkeypatch.setattr(
+        Verification,
+        "explained",
+        lambda self, material, *given: replace(own(self, material, *given), evidence=explained[material.name]),
+    )
+    recogniser = trained_recogniser(scene, 0, library, settings)
+    radiance = scene.job.photo.radiance[verification.window]
+    vectors = recogniser.describe(radiance, region[verification.window])
+    told = {"classifier": np.array([-0.5, -2.0])}, recogniser, radiance, vectors, library.load
+    assert verification.cues(names, *told)["evidence"].tolist() == [0.0, 0.0]
+    explained["reference/chrome"] = -400.0  # and that it cannot speaks against it
+    assert verification.cues(names, *told)["evidence"] == pytest.approx([0.0, -10.0])
