@@ -172,21 +172,24 @@ def estimate(scene: PreparedScene, library, settings: Settings, *, material: str
 def found_light(scene: PreparedScene, library, settings: Settings, *, material=None, others=()) -> Estimate:
     """`estimate` without what speaks against it, which changes nothing of the light."""
     scenes, reporter = [scene, *others], scene.reporter
-    if material is None:
-        scenes = [softened(each, settings) for each in scenes]
     refuse_unknown(scenes, settings)
+
+    def modelled(scenes, materials) -> Model:
+        with reporter.stage("transport"):
+            each = [softened(*one, settings) for one in zip(scenes, materials, strict=True)]
+            return first_model(*map(list, zip(*each, strict=True)), settings)
+
     materials = materials_of_all(scenes, library, settings, name=material)
-    with reporter.stage("transport"):
-        model = first_model(scenes, materials, settings)
-    read = [problem.scene for problem in model.problems]  # their photos read by the curve that was chosen
+    model = modelled(scenes, materials)
+    # photos read by the curve that was chosen; those of mirrors as they were taken
+    read = [s if p.scene.mirrors else p.scene for s, p in zip(scenes, model.problems, strict=True)]
     if any(not m.is_given for each in materials for m in each) and any(map(read_otherwise, read)):
         anew = materials_of_all(read, library, settings, name=material)
         changes = changed_materials(scenes, materials, anew)
         for change in changes:
             reporter.warn(change)
         if changes:
-            with reporter.stage("transport"):
-                model = first_model(scenes, anew, settings)
+            model = modelled(scenes, anew)
     return light_of(model, library)
 
 

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 from btfsep_engine.btf.model import Material
-from btfsep_engine.btf.surfaces import GIVEN
+from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.job.model import Job, JobObject
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings, TransportSettings
@@ -13,7 +13,13 @@ from btfsep_engine.render.homogeneous import homogeneous, pictured
 
 @dataclass(frozen=True)
 class ObjectMaterial:
-    """The material an object is taken to have, and why; ``likely`` as of `recognise.Recognition`."""
+    """The material an object is taken to have, and why.
+
+    Attributes
+    ----------
+    likely : as of `recognise.Recognition`
+    mirror : the Surface by which it mirrors, where ``material`` is a rougher metal in its place (`pipeline.mirrors`)
+    """
 
     name: str
     material: Material
@@ -22,6 +28,7 @@ class ObjectMaterial:
     unknown: bool = False
     unknown_score: float | None = None
     likely: tuple[str, ...] | None = None
+    mirror: Surface | None = None
 
     @property
     def record(self) -> dict:

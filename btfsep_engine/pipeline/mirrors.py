@@ -20,7 +20,8 @@ from scipy.spatial import cKDTree
 from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.job.model import Photo
+from btfsep_engine.job.model import JobObject, Photo
+from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.homogeneous import homogeneous
 from btfsep_engine.render.sampling import thinned
@@ -72,6 +73,7 @@ class Mirror:
 
     Attributes
     ----------
+    index : number of the object
     pixels : (p, 2) int32, that see the sky in it; fine : (p,) int, where; weights : (p,) their solid angles
     reflectance : (p, 3), of the mirror at these
     filled : (CELLS,) int, the cell that stands for each: the nearest that is shown
@@ -79,6 +81,7 @@ class Mirror:
     whole : (n, 2) int32, all pixels of the object; nearest : (n,), the place that stands for each
     """
 
+    index: int
     pixels: np.ndarray
     fine: np.ndarray
     weights: np.ndarray
@@ -107,26 +110,53 @@ def mirror_like(surface: Surface | None) -> bool:
     return surface is not None and surface.image is None and surface.metallic >= METAL and surface.roughness <= SHARP
 
 
-def softened(scene, settings: TransportSettings):
-    """A PreparedScene with the pictures of what mirrors as a rougher metal's; the same where nothing does.
+def softened(scene, materials, settings: TransportSettings):
+    """A scene with the pictures of what mirrors as a rougher metal's, and its objects' materials with these metals.
 
     A photo by an unknown curve stays as it is: what its values add up to is not known. So does one that is fitted by
-    path tracing, in which surfaces light each other.
+    path tracing, in which surfaces light each other, and an object that may be of other materials, too.
+
+    Parameters
+    ----------
+    scene : PreparedScene
+    materials : ObjectMaterial of each object
+
+    Returns
+    -------
+    PreparedScene, list of ObjectMaterial; the same where nothing mirrors
     """
-    job = scene.job
-    if settings.transport != "kernel" or job.image_colorspace == "unknown":
-        return scene
-    found = {i: _mirror(scene, i) for i, o in enumerate(job.objects) if mirror_like(o.surface)}
-    found = {i: mirror for i, mirror in found.items() if mirror is not None}
-    if not found:
+    if settings.transport != "kernel" or scene.job.image_colorspace == "unknown":
+        return scene, materials
+    surfaces = [mirror_surface(o, m) for o, m in zip(scene.job.objects, materials, strict=True)]
+    found = [_mirror(scene, i, surface) for i, surface in enumerate(surfaces) if surface is not None]
+    found = [mirror for mirror in found if mirror is not None]
+    materials = list(materials)
+    for mirror in found:
+        stands_for = materials[mirror.index].material
+        metal = replace(mirror.material, name=stands_for.name, material_class=stands_for.material_class)
+        materials[mirror.index] = replace(materials[mirror.index], material=metal, mirror=surfaces[mirror.index])
+    return with_mirrors(scene, found), materials
+
+
+def mirror_surface(thing: JobObject, made_of: ObjectMaterial) -> Surface | None:
+    """The numbers of what an object mirrors by; None: it does not, or may be of something else."""
+    if made_of.mirror is not None or len(made_of.likely or ()) > 1:
+        return made_of.mirror
+    if made_of.material.mirror_reflectance is not None:
+        return Surface(tuple(made_of.material.mirror_reflectance), roughness=0.0, metallic=1.0)
+    return thing.surface if made_of.name == GIVEN and mirror_like(thing.surface) else None
+
+
+def with_mirrors(scene, mirrors):
+    """A PreparedScene with the pictures of ``mirrors``, of its objects, as a rougher metal's."""
+    if not mirrors:
         return scene
     out = copy.copy(scene)
-    out.mirrors, out.regions, objects = tuple(found.values()), list(scene.regions), list(job.objects)
-    for i, mirror in found.items():
-        out.regions[i] = np.zeros_like(scene.regions[i])
-        out.regions[i][tuple(mirror.places.T)] = True
-        objects[i] = replace(objects[i], surface=rougher(objects[i].surface))
-    out.job = replace(job, objects=tuple(objects), photo=picture(out.mirrors, job.photo))
+    out.mirrors, out.regions = tuple(mirrors), list(scene.regions)
+    for mirror in mirrors:
+        out.regions[mirror.index] = np.zeros_like(scene.regions[mirror.index])
+        out.regions[mirror.index][tuple(mirror.places.T)] = True
+    out.job = replace(scene.job, photo=picture(out.mirrors, scene.job.photo))
     return out
 
 
@@ -153,9 +183,9 @@ def rougher(surface: Surface) -> Surface:
     return replace(surface, roughness=float(np.sqrt(alpha)), metallic=1.0)
 
 
-def _mirror(scene, index: int) -> Mirror | None:
-    """The Mirror of an object; None where it shows too little of the light."""
-    surface, photo, directions = scene.job.objects[index].surface, scene.job.photo, fibonacci_sphere(CELLS)
+def _mirror(scene, index: int, surface: Surface) -> Mirror | None:
+    """The Mirror of an object with a surface's numbers; None where it shows too little of the light."""
+    photo, directions = scene.job.photo, fibonacci_sphere(CELLS)
     points = scene.points(index, textured=False)
     towards = scene.transport(points, directions=1).reflected_directions()
     at, weights = tuple(points.pixels.T), solid_angles(points, towards, photo.usable.shape)
@@ -186,7 +216,7 @@ def _mirror(scene, index: int) -> Mirror | None:
     some = some.take(good)
     nearest = cKDTree(some.pixels).query(points.pixels)[1]
     of_places = some.pixels, scene.transport(some, directions=CELLS), material
-    return Mirror(*parts, *of_places, points.pixels, nearest)
+    return Mirror(index, *parts, *of_places, points.pixels, nearest)
 
 
 @lru_cache(maxsize=1)

@@ -29,7 +29,7 @@ from btfsep_engine.pipeline.estimation import Estimate, found_light
 from btfsep_engine.pipeline.following import CHOSEN, FollowedEstimate, Follower
 from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.mending import mended
-from btfsep_engine.pipeline.mirrors import softened
+from btfsep_engine.pipeline.mirrors import softened, with_mirrors
 from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
@@ -136,13 +136,15 @@ class Frames:
     def _look(self, photo: Photo, reporter: Reporter) -> None:
         """Looks at the scene, where it is not the last frame's; its camera goes where this photo has it."""
         if self._scene is None:
-            scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
-            self._scene = softened(scene, self._settings) if self._material is None else scene
+            self._scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
+            if self.first is not None:
+                self._scene, _ = softened(self._scene, self.first.materials, self._settings)
 
     def _light(self, photo: Photo, reporter: Reporter) -> FollowedEstimate:
         """The Estimate of a photo, and what of it was found for it alone (`following.FollowedEstimate`)."""
         if self._follower is None:
             self.first = found_light(self._scene, self._library, self._settings, material=self._material)
+            self._scene = with_mirrors(self._scene, self.first.scene.mirrors)
             self._follower = Follower(self.first, self._library)
             return FollowedEstimate(self.first, CHOSEN)
         return self._follower.estimate(self._follower.scene_of(self._scene, photo, reporter))

@@ -29,7 +29,13 @@ from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.ground import above
 from scripts.studies.measures import errors
 
-SETS = {"first": 1, "second": 2, "third": 3, "several": 4}  # seeds; no constant was chosen by the last two
+SETS = {
+    "first": 1,
+    "second": 2,
+    "third": 3,
+    "several": 4,
+    "chrome": 5,
+}  # seeds; no constant was chosen by the last three
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
 COLOURS = {
@@ -38,6 +44,13 @@ COLOURS = {
 }  # fmt: skip
 SURFACES = {"matte": (0.9, 0), "satin": (0.5, 0), "gloss": (0.2, 0), "metal": (0.4, 1)}  # roughness, metallic
 OF_SURFACES = (0.35, 0.3, 0.25, 0.1)
+METALS = (
+    (0.55, 0.556, 0.554),
+    (0.97, 0.96, 0.91),
+    (1.0, 0.77, 0.34),
+    (0.95, 0.64, 0.54),
+)  # chrome, silver, gold, copper
+POLISHED = (0.0, 0.1, 0.2)  # roughness
 CURVES = ("srgb", "srgb", "agx", "floats")
 WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
 SUN_COLOUR = np.array([1.05, 1.0, 0.9])
@@ -88,10 +101,21 @@ def several(plates: list[dict]) -> list[dict]:
     return out
 
 
+def mirroring(plates: list[dict]) -> list[dict]:
+    """The plates with polished metal, every second one of a ball."""
+    random, out = np.random.default_rng(SETS["chrome"]), []
+    for i, plate in enumerate(plates):
+        colour, roughness = METALS[random.integers(len(METALS))], float(random.choice(POLISHED))
+        surface = {"colour": colour, "roughness": roughness, "metallic": 1}
+        kinds = [*plate["kinds"][:-1], f"roughness {roughness}", "an object" if i % 2 else "a ball"]
+        out.append(plate | {"object": plate["object"] if i % 2 else "sphere", "surface": surface, "kinds": kinds})
+    return out
+
+
 def of_set(name: str) -> list[dict]:
     """The plates of a set by its name."""
-    plates = drawn(SETS[name])
-    return several(plates) if name == "several" else plates
+    made = {"several": several, "chrome": mirroring}
+    return made.get(name, list)(drawn(SETS[name]))
 
 
 def as_mean(job):

@@ -10,14 +10,19 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.images import write_exr
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline import mirrors
 from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.materials import ObjectMaterial
+from btfsep_engine.pipeline.sequence import Frames
 from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.progress import Reporter
 from btfsep_engine.render.homogeneous import homogeneous
 from scripts.studies.measures import errors
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
 
+CHROME = open_library(None).load("reference/chrome").mirror_reflectance
 TINT = np.array([0.9, 0.7, 0.5])
 LAMPS, WIDE = ([0.3, -0.5, 0.8], [-0.9, 0.1, 0.4], [0.2, 0.9, 0.3]), 5.0  # to them; degrees
 EDGE = np.cos(np.radians(WIDE / 2))
@@ -41,11 +46,20 @@ def truth() -> np.ndarray:
     return sky + sum(lamp.coefficients(9) for lamp in lamps())
 
 
-def mirrored(**surface):
+def given(scene) -> list:
+    """Its objects' materials, by their surfaces."""
+    return [ObjectMaterial(GIVEN, homogeneous(o.surface, GIVEN), True) for o in scene.job.objects]
+
+
+def softened(scene):
+    return mirrors.softened(scene, given(scene), choose("balanced"))
+
+
+def mirrored(tint=TINT, **surface):
     """A mirror ball's scene, its photo in closed form: averages over pixels, of their corners' directions."""
     mesh = as_mesh(trimesh.creation.icosphere(subdivisions=5, radius=0.6))
     job = job_of([mesh], looking_down())
-    job = replace(job, objects=(replace(job.objects[0], surface=Surface(tuple(TINT), metallic=1.0, **surface)),))
+    job = replace(job, objects=(replace(job.objects[0], surface=Surface(tuple(tint), metallic=1.0, **surface)),))
     scene = scene_of(job)
     points = scene.points(0, textured=False)
     total, rays = 0.0, job.camera.rays
@@ -55,34 +69,62 @@ def mirrored(**surface):
         reach = middle - np.sqrt(np.maximum(0.36 - ((origin + middle[:, None] * ray) ** 2).sum(1), 0))
         normal = (origin + reach[:, None] * ray) / 0.6
         cosine = np.clip(-(normal * ray).sum(1, keepdims=True), 0, 1)
-        share = TINT + (1 - TINT) * (1 - cosine) ** 5
+        share = tint + (1 - tint) * (1 - cosine) ** 5
         total = total + share * light(ray + 2 * cosine * normal)
     return scene_of(with_photo(job, picture(points, total / 64)))
 
 
-def test_a_mirror_ball_shows_the_light_with_its_lamps():
+def test_a_mirror_ball_shows_the_light_with_its_lamps(monkeypatch):
     scene = mirrored(roughness=0.0)
     found = estimate(scene, open_library(None), choose("balanced"))
     off = errors(found.lighting.coefficients, truth())
     assert off["order2"] < 0.1 and off["direction"] < 4
     assert "mirrors" in found.choice and "put together" in found.choice["near"]
-    plain = estimate(scene, open_library(None), choose("balanced"), material="reference/chrome")  # as it was taken
+    monkeypatch.setattr(mirrors, "SHARP", -1.0)  # nothing counts as a mirror
+    plain = estimate(scene, open_library(None), choose("balanced"))
     assert errors(plain.lighting.coefficients, truth())["order2"] > 2 * off["order2"]
 
 
+def test_the_librarys_chrome_mirrors_as_one_by_numbers_does():
+    """Named for all objects, or recognised beyond doubt; where it may be something else it stays as it is."""
+    scene, library, settings = mirrored(tint=CHROME, roughness=0.0), open_library(None), choose("balanced")
+    named = estimate(scene, library, settings, material="reference/chrome")
+    off = errors(named.lighting.coefficients, truth())
+    assert off["order2"] < 0.1 and off["direction"] < 4 and "mirrors" in named.choice
+    (said,) = named.materials
+    assert (said.record["material"], said.record["class"]) == ("reference/chrome", "reference")
+    sure = ObjectMaterial("reference/chrome", library.load("reference/chrome"), False, likely=("reference/chrome",))
+    seen, (metal,) = mirrors.softened(scene, [sure], settings)
+    assert seen.mirrors and metal.material.mirror_reflectance is None
+    assert mirrors.mirror_surface(seen.job.objects[0], metal) is metal.mirror  # of a further photo of it
+    unsure = replace(sure, likely=("reference/chrome", "leather-brown-grain"))
+    kept, materials = mirrors.softened(scene, [unsure], settings)
+    assert kept is scene and materials == [unsure]
+
+
+def test_every_frame_of_a_mirror_is_a_picture_of_the_light(tmp_path):
+    scene, library, settings = mirrored(tint=CHROME, roughness=0.0), open_library(None), choose("balanced")
+    frames = Frames(scene.job, library, settings, material="reference/chrome", poses={}, reporter=Reporter())
+    for name, times in (("1.exr", 1.0), ("2.exr", 3.0)):
+        write_exr(tmp_path / name, times * scene.job.photo.radiance)
+        found, _ = frames.estimate(tmp_path / name)
+        light = found.lighting.coefficients[:9] / times
+        assert found.scene.mirrors and np.linalg.norm(light - truth()[:9]) < 0.1 * np.linalg.norm(truth()[:9])
+
+
 def test_what_stands_in_its_place_is_a_rougher_metals_picture():
-    scene = mirrors.softened(mirrored(roughness=0.05), choose("balanced"))
-    (ball,) = scene.job.objects
-    assert ball.surface.roughness == pytest.approx(mirrors.ROUGH, abs=0.01)
+    scene, (ball,) = softened(mirrored(roughness=0.05))
+    assert (ball.name, ball.mirror.roughness) == (GIVEN, 0.05)
     points = scene.points(0, textured=False)
-    shown = scene.sun_radiance(points, homogeneous(ball.surface, GIVEN), *lamps())
+    metal = homogeneous(mirrors.rougher(ball.mirror), GIVEN)
+    assert np.allclose(ball.material.table.angular, metal.table.angular)
+    shown = scene.sun_radiance(points, metal, *lamps())
     sky = mirrors.CellLights(sh.series(positive_light(2), mirrors.fibonacci_sphere(mirrors.CELLS))[:, None])
-    shown = (
-        shown + scene.transport(points, directions=mirrors.CELLS).radiance(homogeneous(ball.surface, GIVEN), sky)[:, 0]
-    )
+    shown = shown + scene.transport(points, directions=mirrors.CELLS).radiance(metal, sky)[:, 0]
     values = scene.job.photo.radiance[tuple(points.pixels.T)]
     assert np.median(np.abs(values / shown - 1)) < 0.1
-    assert mirrors.softened(scene, choose("balanced")) is scene  # it is no mirror any more
+    dull = mirrored(roughness=0.4)
+    assert mirrors.softened(dull, known := given(dull), choose("balanced")) == (dull, known)
 
 
 def test_lamps_that_are_clipped_are_bounds():
@@ -92,7 +134,7 @@ def test_lamps_that_are_clipped_are_bounds():
     clipped = photo.radiance >= most
     photo = replace(photo, radiance=np.minimum(photo.radiance, most), clipped=clipped, usable=~clipped.any(-1))
     scene.job = replace(scene.job, photo=photo)
-    bounds = mirrors.softened(scene, choose("balanced")).job.photo.clipped
+    bounds = softened(scene)[0].job.photo.clipped
     region = scene.regions[0]
     assert 0.02 < bounds[region].mean() < 0.9 and not bounds[~region].any()
 
