@@ -21,7 +21,6 @@ from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 
-MISSHAPEN = "the mesh's shape or pose may be wrong, or there is paint that the job does not say"
 IN_ITS_PLACE = 45.0  # degrees between a lamp whose direction is given and the one that a photo has in its place
 
 
@@ -44,8 +43,8 @@ def all_doubts(estimate) -> list[str]:
 
 
 def misshapen_doubts(estimate) -> list[str]:
-    """That whole parts of the objects are not as the light makes them (`refine.misshapen`)."""
-    return [f"{estimate.choice[UNEXPLAINED]}; {MISSHAPEN}"] if UNEXPLAINED in estimate.choice else []
+    """That objects are of another shape than their mesh, or painted (`refine.misshapen`)."""
+    return [estimate.choice[UNEXPLAINED]] if UNEXPLAINED in estimate.choice else []
 
 
 def in_front_doubts(estimate) -> list[str]:

@@ -10,7 +10,7 @@ import trimesh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import estimation
-from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED, misshapen, patch_misfit
+from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED, lean, misshapen, patch_misfit
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
 
@@ -60,3 +60,20 @@ def test_noise_is_not_of_patches(jobs):
     parted = replace(problem, measured=np.where(half[:, None], 0.5 * b, b))
     expected = np.sqrt(np.square(0.5 * b[half]).sum() / np.square(parted.radiance()).sum())
     np.testing.assert_allclose(patch_misfit([parted], answer.light), expected, rtol=0.15)
+
+
+def test_a_coarse_mesh_that_is_shaded_smoothly_is_said_and_counted():
+
+    def waves(level):
+        ball = trimesh.creation.icosphere(level, 1.0)
+        ball.vertices *= 0.55 + 0.08 * np.sin(7 * ball.vertices).sum(1, keepdims=True)
+        return scene_of(job_of([as_mesh(ball)], looking_down()))
+
+    fine, coarse = waves(5), waves(1)
+    points = fine.points(0, region=fine.view.mesh == 0, textured=False)
+    seen = fine.radiance(points, open_library(None).load(WHITE), SHLighting(positive_light(2)), directions=1024)[:, 0]
+    good, bad = (found(with_photo(scene.job, picture(points, seen))) for scene in (fine, coarse))
+    assert "coarse" not in good.choice.get(UNEXPLAINED, "")
+    assert "the mesh is coarse" in bad.choice[UNEXPLAINED] and bad.choice[UNEXPLAINED] in bad.scene.reporter.warnings
+    assert lean(good.model.problems) < 0.03 < 0.15 < lean(bad.model.problems)
+    assert bad.lighting.stddev.mean() > 1.25 * good.lighting.stddev.mean()
