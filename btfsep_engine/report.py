@@ -212,7 +212,7 @@ def rough_rendering(estimate, scene, part: Part, lights) -> np.ndarray:
     suns = scene.sun_radiance(points, material, *estimate.light.suns)
     out = part.filled(points, np.concatenate([seen, suns], 1), stride)
     between = scene.indirect(model.problems[0].materials, lights, model.modelled, bounces=model.bounces)
-    if between is not None:
+    if between is not None and all(mirror.index != part.index for mirror in scene.mirrors):
         few = points.take(spread(points, max(FEW, FEW_PIXELS * int(part.whole.sum()) // part.total)))
         sent = between.reflected(scene.transport(few, directions=BETWEEN), material).reshape(len(few), 6)
         out[..., :6] += part.filled(few, sent, float(np.sqrt(part.whole.sum() / len(few))), soft=1.0)

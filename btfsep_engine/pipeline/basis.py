@@ -33,7 +33,8 @@ def basis_images(scene, materials, chosen, lights, settings: TransportSettings) 
     indirect = scene.indirect(materials, lights, settings, bounces=settings.reflections)
     basis = []
     for i, (points, material) in enumerate(zip(chosen, materials, strict=True)):
-        basis.append(scene.radiance(points, material, lights, directions=directions, indirect=indirect))
+        straight = scene.radiance(points, material, lights, directions=directions)
+        basis.append(straight if indirect is None else straight + scene.received(i, points, material, indirect))
         scene.reporter.progress("transport", (i + 1) / len(chosen), material.name)
     return basis, {"by": "kernel", "directions": directions, "bounces": settings.reflections}
 

@@ -19,7 +19,6 @@ from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
 from btfsep_engine.pipeline.mending import mended
-from btfsep_engine.pipeline.mirrors import WORDS as MIRRORED
 from btfsep_engine.pipeline.mirrors import softened
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.record import result_record
@@ -30,6 +29,7 @@ from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.left_out import left_out
+from btfsep_engine.pipeline.refine.mirrored import mirrored
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
@@ -134,8 +134,6 @@ def left_as_it_is(model: Model, light: SolvedLight):
     words = {} if model.untried is None else {"appearance": model.untried}
     if any(unseen_meshes(problem.scene.job) for problem in model.problems):
         words["geometry"] = UNSEEN
-    if any(problem.scene.mirrors for problem in model.problems):
-        words["mirrors"] = MIRRORED
     return model, light, words
 
 
@@ -152,6 +150,7 @@ REFINEMENTS = (
     key_lights,
     other_curves,
     surroundings,
+    mirrored,
     left_out,
     misshapen,
     misplaced,

@@ -19,7 +19,7 @@ from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.model import Photo
 from btfsep_engine.pipeline.alternatives import alternatives
 from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of
-from btfsep_engine.pipeline.mirrors import picture
+from btfsep_engine.pipeline.mirrors import with_picture
 from btfsep_engine.pipeline.model import Model, first_model
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
@@ -60,10 +60,8 @@ class Follower:
 
     def scene_of(self, scene: PreparedScene, photo: Photo, reporter) -> PreparedScene:
         """A scene with another photo, read by the curve that was chosen."""
-        out = copy.copy(scene)
-        photo = picture(scene.mirrors, photo)
-        out.job, out.reporter, out.greys = replace(scene.job, photo=photo), reporter, None
-        out.curves, known = None, self._curves
+        out = with_picture(scene, photo)
+        out.reporter, out.greys, out.curves, known = reporter, None, None, self._curves
         if known is None or photo.bits is None:
             return out
         return read_by(out, Curves(codes_of(out.job), known.curves, known.shares))

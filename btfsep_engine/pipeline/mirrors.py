@@ -17,12 +17,13 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from btfsep_engine import sh
 from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import JobObject, Photo
 from btfsep_engine.pipeline.materials import ObjectMaterial
-from btfsep_engine.pipeline.settings import TransportSettings
+from btfsep_engine.pipeline.settings import LARGEST_ORDER, TransportSettings
 from btfsep_engine.render.homogeneous import homogeneous
 from btfsep_engine.render.sampling import thinned
 from btfsep_engine.render.surface import SurfacePoints
@@ -39,12 +40,11 @@ LACKING = 0.2  # of what a place would show: where more of it is unknown, the pl
 PLACES = 3000  # of an object
 LEAST = 100  # of them: fewer tell nothing, and the object stays as it is
 LEAST_REFLECTED = 0.01  # a black mirror shows noise
-CLIPPED = 0.1  # of what a place shows, clipped: it shows at least so much
-
-WORDS = (
-    "what mirrors shows the light itself: all that it shows was put together, and the light is the one that goes with "
-    "what a rougher metal would show in its place"
-)
+CLIPPED = 0.01  # of what a place shows, clipped: it shows at least so much, for a lamp may be a hundred times as bright
+# What is clipped lacks light, over all light there is, that grows with the share of all directions that it takes, as
+# exp(LACKS[0]) share**LACKS[1], give or take a factor exp(GUESS): by seven measured maps, each at nine exposures.
+LACKS, GUESS = (2.1, 0.7), 1.7
+OFF = 1.0  # pixels that the mesh is off, give or take: edges of a mirror show much of the light in few pixels
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Mirror:
 
     Attributes
     ----------
-    index : number of the object
+    index : number of the object; alone : whether all objects mirror, so that no other tells what is clipped in it
     pixels : (p, 2) int32, that see the sky in it; fine : (p,) int, where; weights : (p,) their solid angles
     reflectance : (p, 3), of the mirror at these
     filled : (CELLS,) int, the cell that stands for each: the nearest that is shown
@@ -82,6 +82,7 @@ class Mirror:
     """
 
     index: int
+    alone: bool
     pixels: np.ndarray
     fine: np.ndarray
     weights: np.ndarray
@@ -100,9 +101,33 @@ class Mirror:
         there = np.bincount(self.fine, self.weights, FINE)
         return (mean_kernel() @ total / np.maximum(mean_kernel() @ there, 1e-300)[:, None])[self.filled]
 
+    def coefficients(self, light) -> np.ndarray:
+        """((LARGEST_ORDER + 1)**2, 3), of a light (CELLS, 3)."""
+        return sh.evaluate(LARGEST_ORDER, fibonacci_sphere(CELLS)).T @ light * (4 * np.pi / CELLS)
+
     def shown(self, *lights) -> np.ndarray:
         """(q, lights, 3), at the places, under lights (CELLS, 3)."""
         return self.transport.radiance(self.material, CellLights(np.stack(lights, 1)))
+
+
+@dataclass(frozen=True)
+class LeftOpen:
+    """What a mirror's picture leaves open of the light: coefficients (terms, 3).
+
+    Attributes
+    ----------
+    clipped : of what was added for clipped pixels: by a factor exp(GUESS) more or less
+    right, down : by how much the light changes if the mesh is off by `OFF` pixels
+    """
+
+    clipped: np.ndarray
+    right: np.ndarray
+    down: np.ndarray
+
+    def spread(self, count: int, random) -> np.ndarray:
+        """(count, terms, 3), by what lights that are as probable differ."""
+        brighter, right, down = random.normal(size=(3, count, 1, 1))
+        return np.expm1(GUESS * brighter) * self.clipped + right * self.right + down * self.down
 
 
 def mirror_like(surface: Surface | None) -> bool:
@@ -128,7 +153,8 @@ def softened(scene, materials, settings: TransportSettings):
     if settings.transport != "kernel" or scene.job.image_colorspace == "unknown":
         return scene, materials
     surfaces = [mirror_surface(o, m) for o, m in zip(scene.job.objects, materials, strict=True)]
-    found = [_mirror(scene, i, surface) for i, surface in enumerate(surfaces) if surface is not None]
+    alone = None not in surfaces
+    found = [_mirror(scene, i, surface, alone) for i, surface in enumerate(surfaces) if surface is not None]
     found = [mirror for mirror in found if mirror is not None]
     materials = list(materials)
     for mirror in found:
@@ -156,25 +182,54 @@ def with_mirrors(scene, mirrors):
     for mirror in mirrors:
         out.regions[mirror.index] = np.zeros_like(scene.regions[mirror.index])
         out.regions[mirror.index][tuple(mirror.places.T)] = True
-    out.job = replace(scene.job, photo=picture(out.mirrors, scene.job.photo))
+    return with_picture(out, scene.job.photo)
+
+
+def with_picture(scene, photo: Photo):
+    """A copy of a PreparedScene with another photo, in it the pictures of its mirrors as a rougher metal's."""
+    out = copy.copy(scene)
+    photo, out.left_open = picture(scene.mirrors, photo)
+    out.job = replace(scene.job, photo=photo)
     return out
 
 
-def picture(mirrors, photo: Photo) -> Photo:
-    """A photo with the pictures of ``mirrors`` as a rougher metal's."""
+def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[LeftOpen, ...]]:
+    """A photo with the pictures of ``mirrors`` as a rougher metal's, and what these leave open of the light."""
     if not mirrors:
-        return photo
-    radiance, usable = photo.radiance.copy(), photo.usable.copy()
+        return photo, ()
+    radiance, usable, left_open = photo.radiance.copy(), photo.usable.copy(), []
     clipped = np.zeros(radiance.shape, bool) if photo.clipped is None else photo.clipped.copy()
     for mirror in mirrors:
         at, to = tuple(mirror.pixels.T), tuple(mirror.whole.T)
         values = photo.radiance[at].astype(np.float64)
-        lost = np.zeros_like(values) if photo.clipped is None else values * photo.clipped[at]
-        shown, at_least = np.moveaxis(mirror.shown(mirror.light(values), mirror.light(lost)), 1, 0)
-        radiance[to], clipped[to] = shown[mirror.nearest], (at_least > CLIPPED * shown)[mirror.nearest]
+        over = clipped[at]
+        light, lost = mirror.light(values), mirror.light(values * over)
+        share = float((mirror.weights @ over).mean()) / (4 * np.pi) if mirror.alone else 0.0
+        more = lacking(share, light, lost) * lost
+        shown, at_least = np.moveaxis(mirror.shown(light + more, lost), 1, 0)
+        radiance[to] = shown[mirror.nearest]
+        clipped[to] = (not mirror.alone) & (at_least > CLIPPED * shown)[mirror.nearest]
         usable[to] = ~clipped[to].any(-1)
+        moved = [OFF * _slope(photo.radiance, mirror.pixels, step) for step in ((0, 1), (1, 0))]
+        left_open.append(LeftOpen(*map(mirror.coefficients, (more, *map(mirror.light, moved)))))
     # sums of light are no codes: no curve is sought by them
-    return replace(photo, radiance=radiance, usable=usable, clipped=clipped if clipped.any() else None, bits=None)
+    clipped = clipped if clipped.any() else None
+    return replace(photo, radiance=radiance, usable=usable, clipped=clipped, bits=None), tuple(left_open)
+
+
+def lacking(share: float, light, clipped) -> float:
+    """How often the light of clipped pixels (CELLS, 3) is to be added to the ``light`` that is seen, as a rule.
+
+    ``share`` : of all directions, that they take
+    """
+    lacks = np.exp(LACKS[0] + LACKS[1] * np.log(share)) if share > 0 else 0.0
+    return float(lacks * light.sum() / max(clipped.sum(), 1e-300))
+
+
+def _slope(radiance, pixels, step) -> np.ndarray:
+    """(p, 3) float64, by how much values change from a pixel to the next, a ``step`` of rows and columns away."""
+    ahead, behind = ((pixels + sign * np.array(step)).clip(0, np.array(radiance.shape[:2]) - 1) for sign in (1, -1))
+    return (radiance[tuple(ahead.T)].astype(np.float64) - radiance[tuple(behind.T)]) / 2
 
 
 def rougher(surface: Surface) -> Surface:
@@ -183,7 +238,7 @@ def rougher(surface: Surface) -> Surface:
     return replace(surface, roughness=float(np.sqrt(alpha)), metallic=1.0)
 
 
-def _mirror(scene, index: int, surface: Surface) -> Mirror | None:
+def _mirror(scene, index: int, surface: Surface, alone: bool) -> Mirror | None:
     """The Mirror of an object with a surface's numbers; None where it shows too little of the light."""
     photo, directions = scene.job.photo, fibonacci_sphere(CELLS)
     points = scene.points(index, textured=False)
@@ -216,7 +271,7 @@ def _mirror(scene, index: int, surface: Surface) -> Mirror | None:
     some = some.take(good)
     nearest = cKDTree(some.pixels).query(points.pixels)[1]
     of_places = some.pixels, scene.transport(some, directions=CELLS), material
-    return Mirror(index, *parts, *of_places, points.pixels, nearest)
+    return Mirror(index, alone, *parts, *of_places, points.pixels, nearest)
 
 
 @lru_cache(maxsize=1)

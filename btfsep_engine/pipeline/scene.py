@@ -59,6 +59,7 @@ class PreparedScene:
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
         self.greys = None  # surroundings.Greys, where occluders were of an unknown grey and it is chosen
         self.mirrors = ()  # mirrors.Mirror, of objects whose pictures in the photo are a rougher metal's
+        self.left_open = ()  # mirrors.LeftOpen, by these pictures
         self.mended_by = None  # alignment.Alignment, where the camera is not the job's
         self.colours = {}  # number of an occluder -> (3,), of which the job does not say it and the photo does
         self.grey = GREY  # what occluders reflect of which the job does not say it
@@ -211,6 +212,15 @@ class PreparedScene:
         if indirect is None:
             return out
         return out + indirect.reflected(self.transport(points, directions=INDIRECT_DIRECTIONS), material)
+
+    def received(self, index: int, points: SurfacePoints, material, indirect: Indirect) -> np.ndarray:
+        """Radiance (p, M, 3) or (p, 1, 3) float32 of points of an object by what surfaces send each other.
+
+        None of an object whose picture was put together of what it mirrors of the sky.
+        """
+        if any(mirror.index == index for mirror in self.mirrors):
+            return np.zeros((len(points), 1, 3), np.float32)
+        return indirect.reflected(self.transport(points, directions=INDIRECT_DIRECTIONS), material)
 
     def sun_radiance(self, points: SurfacePoints, material, *suns: Sun) -> np.ndarray:
         """Radiance (p, 3) float32 of points under suns alone, with their own shadows, without interreflections."""

@@ -11,6 +11,7 @@ from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.images import write_exr
+from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline import mirrors
 from btfsep_engine.pipeline.estimation import estimate
@@ -127,16 +128,61 @@ def test_what_stands_in_its_place_is_a_rougher_metals_picture():
     assert mirrors.softened(dull, known := given(dull), choose("balanced")) == (dull, known)
 
 
-def test_lamps_that_are_clipped_are_bounds():
-    scene = mirrored(roughness=0.0)
+def cut(scene, share=0.02):
+    """The scene with the brightest of its pixels clipped."""
     photo = scene.job.photo
-    most = np.quantile(photo.radiance[scene.regions[0]], 0.98)
+    most = np.quantile(photo.radiance[scene.regions[0]], 1 - share)
     clipped = photo.radiance >= most
     photo = replace(photo, radiance=np.minimum(photo.radiance, most), clipped=clipped, usable=~clipped.any(-1))
     scene.job = replace(scene.job, photo=photo)
-    bounds = softened(scene)[0].job.photo.clipped
+    return scene
+
+
+def test_how_bright_clipped_lamps_are_is_guessed_and_stated():
+    """The truth is inside what is stated, and much is: the whole picture tells no more."""
+    library, settings = open_library(None), choose("balanced")
+    whole = estimate(mirrored(roughness=0.0), library, settings)
+    found = estimate(cut(mirrored(roughness=0.0)), library, settings)
+    assert any("lamps are clipped" in said for said in found.scene.reporter.warnings)
+    assert not any("lamps are clipped" in said for said in whole.scene.reporter.warnings)
+    (low, high), true = found.lighting.interval[:, :9], truth()[:9]
+    assert ((low <= true) & (true <= high)).mean() > 0.9
+    assert found.lighting.stddev[:9].mean() > 5 * whole.lighting.stddev[:9].mean()
+    assert found.scene.job.photo.clipped is None  # of a sum nothing is a bound
+
+
+def test_clipped_lamps_are_bounds_beside_an_object_that_tells_more():
+    scene = cut(mirrored(roughness=0.0))
+    (ball,) = mirrors.softened(scene, given(scene), choose("balanced"))[0].mirrors
+    bounds = mirrors.picture([replace(ball, alone=False)], scene.job.photo)[0].clipped
     region = scene.regions[0]
-    assert 0.02 < bounds[region].mean() < 0.9 and not bounds[~region].any()
+    assert 0.02 < bounds[region].mean() and not bounds[~region].any()
+
+
+def test_a_mesh_that_may_be_a_pixel_off_is_in_what_is_stated():
+    """Of the light that the same mirror would show where it stands a pixel farther to either side."""
+    scene = mirrored(roughness=0.0)
+    seen, _ = softened(scene)
+    (ball,), (open_to,) = seen.mirrors, seen.left_open
+
+    def aside(columns):
+        moved = np.roll(scene.job.photo.radiance, columns, axis=1)
+        return ball.coefficients(ball.light(moved[tuple(ball.pixels.T)].astype(np.float64)))
+
+    np.testing.assert_allclose(open_to.right, (aside(-1) - aside(1)) / 2, atol=1e-9)
+    assert not open_to.clipped.any()
+    answer = estimate(scene, open_library(None), choose("balanced"))
+    assert (answer.lighting.stddev[:9] > 0.8 * np.abs(open_to.right[:9])).all()
+
+
+def test_what_a_table_sends_is_in_neither():
+    """Light by way of another surface is left out of the picture, and so of its basis images."""
+    scene, (metal,) = softened(mirrored(roughness=0.0))
+    points = scene.points(0, textured=False)
+    indirect = scene.indirect([metal.material], SHBasis(2), choose("balanced"), bounces=8)
+    assert not scene.received(0, points, metal.material, indirect).any()
+    plain = mirrored(roughness=0.0)
+    assert plain.received(0, points, metal.material, indirect).shape == (len(points), 9, 3)
 
 
 @pytest.mark.parametrize("surface", [{"roughness": 0.4}, {"roughness": 0.0, "coat": 0.0, "image": np.ones((2, 2, 3))}])

@@ -20,7 +20,7 @@ from btfsep_engine.pipeline.basis import USUAL
 from btfsep_engine.pipeline.model import solve_model
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine.surroundings import by_photo
-from btfsep_engine.pipeline.scene import BRIGHTEST, INDIRECT_DIRECTIONS, PreparedScene
+from btfsep_engine.pipeline.scene import BRIGHTEST, PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
@@ -150,9 +150,9 @@ def own_light(model, light, *, bounces: int) -> OwnLight:
     lighting, added = SHLighting(np.asarray(fit.shown)), []
     for problem, few in zip(problems, probes, strict=True):
         indirect = problem.scene.indirect(problem.materials, lighting, model.settings, bounces=bounces)
-        for material, points, probe in zip(problem.materials, problem.points, few, strict=True):
-            transport = problem.scene.transport(probe, directions=INDIRECT_DIRECTIONS)
-            added.append(carried_over(probe, indirect.reflected(transport, material)[:, 0], points))
+        for i, (material, points, probe) in enumerate(zip(problem.materials, problem.points, few, strict=True)):
+            received = problem.scene.received(i, probe, material, indirect)
+            added.append(carried_over(probe, received[:, 0], points))
     added, measured = np.concatenate(added).astype(np.float64), light.radiance(problems)
     share = float(np.linalg.norm(added) / max(np.linalg.norm(measured), 1e-300))
     rest = measured - added
@@ -179,8 +179,10 @@ def with_own_light(problem: Problem, settings: Settings) -> Problem:
     scene = problem.scene
     indirect = scene.indirect(problem.materials, SHBasis(settings.fit_order), settings, bounces=settings.bounces)
     basis = [
-        straight + indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), material)
-        for straight, material, points in zip(problem.basis, problem.materials, problem.points, strict=True)
+        straight + scene.received(i, points, material, indirect)
+        for i, (straight, material, points) in enumerate(
+            zip(problem.basis, problem.materials, problem.points, strict=True)
+        )
     ]
     return replace(problem, basis=basis, transport={**problem.transport, "bounces": settings.bounces})
 

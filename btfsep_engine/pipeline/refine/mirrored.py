@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is stated of the light by the picture of a mirror: how bright what is clipped in it is, and where it stands.
+
+The fit knows nothing of either: the picture that it gets is put together of the mirror's, smooth and without a gap.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine.fit.stated import restated
+
+WORDS = (
+    "what mirrors shows the light itself: all that it shows was put together, and the light is the one that goes with "
+    "what a rougher metal would show in its place"
+)
+CLIPPED = (
+    "lamps are clipped in what mirrors: how bright they are is guessed by what natural light is like; give a photo "
+    "that is exposed for them"
+)
+
+
+def mirrored(model, light):
+    """The refinement: wider ranges by what is left open of the light that mirrors show."""
+    left_open = [each for problem in model.problems for each in problem.scene.left_open]
+    if not left_open:
+        return model, light, {}
+    if any(each.clipped.any() for each in left_open):
+        model.reporter.warn(CLIPPED)
+    if light.fit.samples is None:
+        return model, light, {"mirrors": WORDS}
+    samples, random = light.fit.samples.copy(), np.random.default_rng(model.settings.seed)
+    for each in left_open:  # of several mirrors each says as much of the light
+        samples += each.spread(len(samples), random)[:, : samples.shape[1]] / np.sqrt(len(left_open))
+    return model, replace(light, fit=restated(light.fit, samples)), {"mirrors": WORDS}
