@@ -98,7 +98,7 @@ def assemble(name: str, polygons: Polygons, *, to_world=None) -> tuple[TriangleM
         corner_normals /= np.where(missing[..., None], 1, length)
     if corner_normals is None or missing.any() or disagree(corner_normals, normals):
         place = places_of(vertices)
-        turned = turned_over(place[faces], len(vertices))
+        turned = turned_over(place[faces], len(vertices), normals)
         if turned.any():
             faces, triangles = (np.where(turned[:, None], each[:, ::-1], each) for each in (faces, triangles))
             normals = np.where(turned[:, None], -normals, normals)

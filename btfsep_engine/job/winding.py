@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-OWN = np.cos(np.radians(1.0))  # cosine between corners' normals and their face's, of a face that is shaded flat
+OWN = np.cos(np.radians(1.0))  # cosine between normals that are the same: a flat face's and its corners', two faces'
 ALIKE = 1e-3  # normals of corners that belong together
 
 
@@ -47,16 +47,21 @@ def disagree(corner_normals, normals) -> bool:
     return bool((own > 0).any() and (own < 0).any())
 
 
-def turned_over(corners, count: int) -> np.ndarray:
+def turned_over(corners, count: int, normals) -> np.ndarray:
     """Which faces are to be turned so that all neighbours agree: (f,) bool, the fewer of what hangs together.
+
+    Faces that lie upon each other, as those of a copy at the same place do, are no neighbours that disagree, though
+    they run along an outer edge of theirs in the same direction.
 
     Parameters
     ----------
     corners : (f, 3) int, the place of each corner; count : of places
+    normals : (f, 3), unit, of the faces
     """
     one, two = neighbours(corners, count)
     flat, faces = corners.ravel(), len(corners)
-    against = flat[one] == flat[two]
+    upon = np.einsum("ni,ni->n", normals[one // 3], normals[two // 3]) > OWN
+    against = (flat[one] == flat[two]) & ~upon
     out = np.zeros(faces, bool)
     if not against.any():
         return out

@@ -334,6 +334,22 @@ def test_faces_turned_over_beside_their_neighbours(tmp_path, normals):
     assert np.abs(mesh.vertices[mesh.faces] - ball.vertices[faces]).min() == 0
 
 
+def test_a_surface_that_lies_twice_at_the_same_place_stays_as_it_is(tmp_path):
+    """Along its outer edge the two run in the same direction, and yet neither is turned over beside the other."""
+    n = 12
+    x, y = np.meshgrid(np.arange(n) / n, np.arange(n) / n)
+    points = np.stack([x, y, 0.3 * x * y], -1).reshape(-1, 3)
+    first = np.arange(n * n).reshape(n, n)[:-1, :-1].ravel()
+    quads = np.stack([first, first + 1, first + n + 1, first + n], -1)
+    normals = np.stack([-0.3 * y, -0.3 * x, np.ones_like(x)], -1).reshape(-1, 3)
+    normals[first[0]] *= -1  # what makes anybody look
+    vertices = np.tile(np.concatenate([points, normals], 1), (2, 1))
+    both = np.concatenate([quads, quads + n * n])
+    mesh = load(tmp_path, ply("ascii", vertices, both, properties=("x", "y", "z", "nx", "ny", "nz"), kind="double"))
+    assert (geometric_normals(mesh)[:, 2] > 0).all()
+    assert np.mean(mesh.corner_normals[..., 2] > 0.9) > 0.98
+
+
 def test_a_band_with_one_side_stays_as_it_is(tmp_path):
     n = 40
     t = np.linspace(0, 2 * np.pi, n, endpoint=False)
