@@ -50,6 +50,7 @@ KNOWN = (
         "Shape, pose or paint of {0} is not what the photo shows",
         level="AMBER",
     ),
+    Advice("left out of what the objects are made of", "Not all of what {0} is made of is followed", level="AMBER"),
     Advice("are saturated or transparent", "Much of {0} is overexposed or transparent in the photo"),
     Advice("pixels are transparent", "Transparent pixels of the photo are left out"),
     Advice("pixels are saturated", "Overexposed pixels are left out"),

@@ -89,6 +89,8 @@ def export_job(
         shadowing = meshes.render_occluders(view_layer, depsgraph, objects) if occluders is None else list(occluders)
         shadowing = [thing for thing in shadowing if thing not in objects]
         gathered = meshes.gather(depsgraph, objects + shadowing)
+        others = meshes.rendered_objects(view_layer) if occluders is None else set(occluders)
+        bare = meshes.without_faces(depsgraph, objects, others)
         called = dict(zip(meshes.names_of(objects), objects, strict=True))
         baked = own_surface.bakes(called, gathered, surfaces, depsgraph)
 
@@ -100,6 +102,9 @@ def export_job(
         told = {"mapping": mapping, "baked": baked.get(name), "warn": warn}
         surface, uv = own_surface.of(name, part, surfaces, folder, **told)
         part = part if uv is None else {**part, "uv": uv}
+        left = [bare.pop(called[name])] if called.get(name) in bare else []
+        left += ["displacement"] if part and surroundings.displaced(part["areas"]) else []
+        surface = _without(name, surface, left, warn)
         fitted.append(
             {
                 "name": name,
@@ -114,6 +119,8 @@ def export_job(
     corners = [gathered[thing.name_full]["positions"] for thing in objects if thing.name_full in gathered]
     around = [np.array(lens["to_world"])[:3, 3], *([np.concatenate(corners).mean((0, 1))] if corners else [])]
     shadowing = {thing: gathered[thing.name_full] for thing in shadowing if thing.name_full in gathered}
+    for thing, words in bare.items():
+        warn(f"left out, as it has no faces: the {words} of '{thing.name}'")
     units = scene.unit_settings
     job = {
         "format": "btfsep-job",
@@ -146,6 +153,15 @@ def _check(camera, objects, depth) -> None:
         if not meshes.has_surface(thing):
             got = "it has no surface, nor has what it instances"
             raise InputError(f"object '{thing.name}'", got, "choose objects with a surface")
+
+
+def _without(name: str, surface: dict | None, left: list, warn) -> dict | None:
+    """The ``surface`` of an object that is exported without what ``left`` says; where it has none, that is said."""
+    if surface is not None and left:
+        return {**surface, "left_out": [*surface.get("left_out", ()), *(f"its {what}" for what in left)]}
+    for what in left:
+        warn(f"object '{name}': its {what} is left out")
+    return surface
 
 
 def _occluders(parts: dict, folder: Path, names, *, around, warn) -> list:

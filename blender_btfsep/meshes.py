@@ -7,6 +7,8 @@ import bpy
 import numpy as np
 
 SURFACE_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+STRANDS = {"CURVES": "hair", "POINTCLOUD": "points", "VOLUME": "volume"}  # what a render shows that has no faces
+FINE, FINEST = 100_000, 6  # faces that take the place of those of a pixel's size, and the levels that make them
 VIEWPORT = ("hide_viewport", "show_instancer_for_viewport", "show_viewport", ".levels")  # what a render has of its own
 
 
@@ -180,6 +182,39 @@ def not_as_rendered(things) -> list:
     ]
 
 
+def without_faces(depsgraph, owners, others) -> dict:
+    """What a render shows of ``owners``, or grows on them, and of ``others``, that has no faces.
+
+    Gives {original object: words}.
+    """
+    wanted, found = {*owners, *others}, {}
+    for instance in depsgraph.object_instances:
+        owner = (instance.parent if instance.is_instance else instance.object).original
+        words = STRANDS.get(instance.object.type)
+        if words and owner in wanted:
+            grown_on = owner.data.surface if owner.type == "CURVES" else None
+            found[grown_on if grown_on in owners else owner] = words
+    for owner in wanted:
+        for modifier in owner.modifiers:
+            grown = modifier.particle_system.settings if modifier.type == "PARTICLE_SYSTEM" else None
+            if grown and modifier.show_render and (grown.type, grown.render_type) == ("HAIR", "PATH") and grown.count:
+                found[owner] = STRANDS["CURVES"]
+    return found
+
+
+def _levels_in_render(thing, modifier, scene) -> int:
+    """How often a render subdivides; where Cycles does down to a pixel's size, as often as is fine enough here."""
+    adaptive = getattr(modifier, "use_adaptive_subdivision", False) or (
+        getattr(getattr(thing, "cycles", None), "use_adaptive_subdivision", False)
+        and scene.cycles.feature_set == "EXPERIMENTAL"
+    )
+    last = thing.modifiers[-1] == modifier
+    if not (adaptive and last and scene.render.engine == "CYCLES" and thing.type == "MESH"):
+        return modifier.render_levels
+    finer = int(np.log2(max(FINE / max(len(thing.data.polygons), 1), 1)) / 2)
+    return max(modifier.render_levels, min(finer, FINEST))
+
+
 _changing = 0
 
 
@@ -237,7 +272,9 @@ def as_rendered(view_layer, objects, *, chosen=()):
                 put(modifier, "show_viewport", modifier.show_render)
                 if edited:
                     put(modifier, "show_in_editmode", modifier.show_render)
-                if isinstance(modifier, bpy.types.SubsurfModifier | bpy.types.MultiresModifier):
+                if isinstance(modifier, bpy.types.SubsurfModifier):
+                    put(modifier, "levels", _levels_in_render(thing, modifier, view_layer.id_data))
+                elif isinstance(modifier, bpy.types.MultiresModifier):
                     put(modifier, "levels", modifier.render_levels)
             data = thing.data
             for finer in ("resolution", "resolution_u", "resolution_v"):  # of metaballs; of curves, where 0 is the same

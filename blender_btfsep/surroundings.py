@@ -117,6 +117,17 @@ def _numbers(material, warn) -> dict | None:
     return {"base_color": np.clip(base, 0, 1), "roughness": float(np.clip(roughness, 0, 1)), **more}
 
 
+def displaced(areas: dict) -> bool:
+    """Whether a render moves the surface by what one of its materials says (as a bump alone does not)."""
+    for material in areas:
+        if material is None or material.displacement_method == "BUMP":
+            continue
+        output = material.node_tree.get_output_node("CYCLES") if material.use_nodes and material.node_tree else None
+        if output is not None and source_of(output.inputs["Displacement"]) is not None:
+            return True
+    return False
+
+
 def _layers(node) -> dict:
     """Coat and sheen of a Principled BSDF."""
 

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a render shows of a scene, and the triangles of its objects do not: said, or made up for."""
+
+import json
+
+import bpy
+import pytest
+
+from blender_btfsep import export, meshes
+from scripts.cycles import materials
+from tests.blender.test_export import add_cube, make_photo
+
+GREY = {"base_color": [0.5, 0.5, 0.5], "roughness": 0.5, "metallic": 0}
+
+
+@pytest.fixture
+def exported(scene, tmp_path, add_camera):
+    """exported(thing, **more) -> (the job's first object, warnings)."""
+    camera, photo = add_camera(scene, (0, -6, 2)), make_photo(tmp_path)
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+
+    def run(thing, **more):
+        warnings = []
+        bpy.context.view_layer.update()
+        given = {"image_path": photo, "camera": camera, "objects": [thing], "warn": warnings.append, **more}
+        job = json.loads(export.export_job(scene, tmp_path / "job", **given).read_text())
+        return job["objects"][0], warnings
+
+    return run
+
+
+def grow(thing, render_type="PATH"):
+    system = thing.modifiers.new("Fur", "PARTICLE_SYSTEM")
+    system.particle_system.settings.type = "HAIR"
+    system.particle_system.settings.render_type = render_type
+    return system
+
+
+def curves(scene, surface=None):
+    data = bpy.data.hair_curves.new("Strands")
+    data.add_curves([2] * 3)
+    data.surface = surface
+    thing = bpy.data.objects.new("Strands", data)
+    scene.collection.objects.link(thing)
+    return thing
+
+
+@pytest.mark.parametrize("kind", ["particles", "curves"])
+def test_hair_of_an_object_is_left_out_in_words(scene, exported, kind):
+    thing = add_cube()
+    hair = grow(thing) if kind == "particles" else curves(scene, thing)
+    fitted, warnings = exported(thing)
+    assert fitted["surface"] is None and warnings == ["object 'Thing': its hair is left out"]
+    fitted, warnings = exported(thing, surfaces={"Thing": GREY})
+    assert fitted["surface"] == GREY | {"left_out": ["its hair"]} and not warnings  # the engine says it
+    if kind == "particles":
+        hair.show_render = False
+    else:
+        hair.hide_render = True
+    fitted, warnings = exported(thing, surfaces={"Thing": GREY})
+    assert fitted["surface"] == GREY and not warnings
+
+
+def test_what_stands_around_and_has_no_faces_is_named(scene, exported):
+    thing = add_cube()
+    curves(scene)
+    scene.collection.objects.link(bpy.data.objects.new("Smoke", bpy.data.volumes.new("Smoke")))
+    assert sorted(exported(thing)[1]) == [
+        "left out, as it has no faces: the hair of 'Strands'",
+        "left out, as it has no faces: the volume of 'Smoke'",
+    ]
+    assert not exported(thing, occluders=[])[1]
+    grow(thing, "OBJECT")  # what is instanced is triangles
+    assert len(exported(thing)[1]) == 2
+
+
+def test_a_material_that_moves_the_surface_is_said(exported):
+    thing = add_cube()
+    material, _ = materials.shaded("Rock", "ShaderNodeBsdfDiffuse")
+    thing.data.materials.append(material)
+    tree = material.node_tree
+    node = tree.nodes.new("ShaderNodeDisplacement")
+    tree.links.new(node.outputs[0], tree.get_output_node("CYCLES").inputs["Displacement"])
+    surface = {"Thing": export.own_surface.BLENDER}
+    for method, left in (("DISPLACEMENT", ["its displacement"]), ("BOTH", ["its displacement"]), ("BUMP", None)):
+        material.displacement_method = method
+        fitted, warnings = exported(thing, surfaces=surface)
+        assert fitted["surface"].get("left_out") == left and not warnings
+    material.displacement_method = "BOTH"
+    assert exported(thing)[1] == ["object 'Thing': its displacement is left out"]
+
+
+@pytest.mark.skipif(bpy.app.version >= (5, 0, 0), reason="adaptive subdivision is the modifier's own there")
+def test_adaptive_subdivision_is_as_smooth_as_the_render(scene):
+    thing = add_cube()
+    smooth = thing.modifiers.new("Smooth", "SUBSURF")
+    smooth.levels, smooth.render_levels = 0, 1
+
+    def faces():
+        with meshes.as_rendered(bpy.context.view_layer, {thing}):
+            bpy.context.view_layer.update()
+            return len(meshes.gather(bpy.context.view_layer.depsgraph, [thing])["Thing"]["positions"]) // 2
+
+    thing.cycles.use_adaptive_subdivision = True
+    assert faces() == 24  # it is switched off for the whole scene
+    scene.cycles.feature_set = "EXPERIMENTAL"
+    assert faces() == 6 * 4**6 <= meshes.FINE and smooth.levels == 0
+    thing.modifiers.new("Bevel", "BEVEL").show_render = False
+    assert faces() == 24  # a render does so only where the modifier is the last
