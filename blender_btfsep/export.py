@@ -172,11 +172,12 @@ def _occluders(parts: dict, folder: Path, names, *, around, warn) -> list:
         if surroundings.encloses(part["positions"], *around):
             warn(f"{what} stands around objects and camera, as a sky or a room does: it is left out")
             continue
-        try:
-            surface = surroundings.surface_of(part["areas"], lambda text, what=what: warn(f"{what}: {text}"))
-        except surroundings.Clear as error:
-            warn(f"{what}: {error}: it is left out")
+        for material, why in surroundings.left_out(part["areas"]).items():
+            part = meshes.without(part, material)
+            warn(f"{what if part is None else f'part of {what}'} is left out, as {why}")
+        if part is None:
             continue
+        surface = surroundings.surface_of(part["areas"], lambda text, what=what: warn(f"{what}: {text}"))
         given = {} if surface is None else {"surface": surface}
         if getattr(thing, "btfsep_evidence", False):  # an export alone knows no panel
             given["evidence"] = True

@@ -110,6 +110,16 @@ def _materials(positions, mesh, slots) -> dict:
     return {"materials": own[slot], "areas": areas}
 
 
+def without(part: dict, material) -> dict | None:
+    """Triangles of `gather` without those of ``material`` (or None: of no material); None where no others are left."""
+    areas = {each: area for each, area in part["areas"].items() if each != material}
+    if not areas:
+        return None
+    kept, arrays = part["materials"] != material, ("positions", "normals", "vertex", "materials", "uv")
+    left = {key: part[key] if part[key] is None else part[key][kept] for key in arrays}
+    return {**left, "areas": areas}
+
+
 def gather(depsgraph, owners) -> dict:
     """The triangles of each object in ``owners`` (original objects), with all that it instances.
 

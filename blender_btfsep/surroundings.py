@@ -13,6 +13,8 @@ DEFAULT = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0, "metallic": 0.0, "sp
 LAYERS = {"coat": 0.0, "coat_roughness": 0.03, "sheen": [0.0, 0.0, 0.0], "sheen_roughness": 0.5}  # of Principled
 BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
 CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"}
+SENDS = 1.0  # radiance of what is a lamp: as much as the whitest things send under a sky of brightness one
+SHINING = "material '{}' shines: its light is found as the World's, and a render that shows both has it twice"
 LITTLE = 0.01  # of an input: no more than that is nothing
 MOST_OF = 0.9  # of the upper hemisphere: what hides so much of it from objects and camera is a dome or a room
 RAYS = 256
@@ -64,6 +66,20 @@ def surface_of(areas: dict, warn) -> dict | None:
     return mean | ({"left_out": left} if left else {})
 
 
+def left_out(areas: dict) -> dict:
+    """{material: why, in words} of those of ``areas`` that are no occluder, but clear, or a lamp."""
+    out = {}
+    for material in areas:
+        try:
+            numbers = _numbers(material, lambda sentence: None)
+        except Clear as error:
+            out[material] = str(error)
+            continue
+        if numbers is not None and numbers.get("sends", 0.0) >= SENDS:
+            out[material] = SHINING.format(material.name)
+    return out
+
+
 def read_alone(material) -> dict | None:
     """The ``surface`` of one material (or None: of no material); None where it cannot be read or light goes through."""
     try:
@@ -91,7 +107,7 @@ def _numbers(material, warn) -> dict | None:
         raise Clear(f"light goes through {what}")
     if node.type == "EMISSION":
         warn(f"{what} shines, which is left out")
-        return BLACK
+        return BLACK | {"sends": _up_to(node.inputs["Strength"]) * _up_to(node.inputs["Color"])}
     if node.type == "BSDF_PRINCIPLED":
         if _up_to(node.inputs["Transmission Weight"]) > LITTLE or _up_to(node.inputs["Alpha"], least=True) < 1 - LITTLE:
             raise Clear(f"light goes through {what}")
@@ -100,7 +116,7 @@ def _numbers(material, warn) -> dict | None:
         ior = _mean(node.inputs["IOR"], 1.5)
         f0 = ((ior - 1) / (ior + 1)) ** 2 * 2 * _mean(node.inputs["Specular IOR Level"], 0.5)
         more = {"metallic": _mean(node.inputs["Metallic"], 0.0), "specular": min(f0 / 0.08, 1.0)} | _layers(node)
-        more["left_out"] = _left_out(node)
+        more |= {"left_out": _left_out(node), "sends": _shines(node)}
         colour, roughness = node.inputs["Base Color"], _mean(node.inputs["Roughness"], 0.5)
     elif node.type == "BSDF_DIFFUSE":
         colour, roughness, more = node.inputs["Color"], 1.0, {"metallic": 0.0, "specular": 0.0}
@@ -157,8 +173,9 @@ def _left_out(node) -> list[str]:
     return found
 
 
-def _shines(node) -> bool:
-    return _up_to(node.inputs["Emission Strength"]) > 0 and _up_to(node.inputs["Emission Color"]) > 0
+def _shines(node) -> float:
+    """The radiance that a Principled BSDF sends, at most; what feeds its inputs may be anything: one."""
+    return _up_to(node.inputs["Emission Strength"]) * _up_to(node.inputs["Emission Color"])
 
 
 def _up_to(socket, *, least: bool = False) -> float:

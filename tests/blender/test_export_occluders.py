@@ -116,7 +116,7 @@ def test_the_render_decides_what_casts_shadows_not_the_viewport(scene, tmp_path,
     world.use_nodes = True
     world.node_tree.nodes["Background"].inputs["Color"].default_value = (0, 0, 0, 1)
     scene.world = world
-    material, _ = materials.shaded("Emits", "ShaderNodeEmission")
+    material, _ = materials.shaded("Emits", "ShaderNodeEmission", Strength=0.9)  # less than a lamp
     for way in ways:
         bpy.data.objects[way].data.materials.append(material)
     before = visibility(view_layer)

@@ -6,6 +6,7 @@ import json
 import bpy
 import numpy as np
 import pytest
+import trimesh
 
 from blender_btfsep import export, surroundings
 from scripts.cycles import materials
@@ -85,21 +86,37 @@ def test_several_materials_are_weighed_by_area(exported):
     assert surfaces["Floor.ply"]["base_color"] == pytest.approx([0.8 * 0.8 + 0.2 * 0.4, 0.08, 0.08])
 
 
-def test_what_shines_is_clear_or_is_not_understood_is_named(exported):
-    lamp = material("Lamp", Emission_Strength=5.0, Base_Color=(0.5, 0.5, 0.5, 1), Emission_Color=(1, 1, 1, 1))
-    floor(lamp, name="Shining")
-    floor(material("Tube", "ShaderNodeEmission"), name="Tube", location=(0, 3, 0))
+def test_what_is_clear_or_is_not_understood_is_named(exported):
     floor(material("Pane", "ShaderNodeBsdfGlass"), name="Window", location=(3, 0, 0))
     floor(material("Clear", Transmission_Weight=1.0), name="Bottle", location=(-3, 0, 0))
     floor(material("Hair", "ShaderNodeBsdfHair"), name="Wig", location=(0, 0, 3))
     surfaces, warnings = exported()
-    assert sorted(surfaces) == ["Shining.ply", "Tube.ply", "Wig.ply"]  # light goes through the others
-    assert surfaces["Wig.ply"] is None  # not known, not guessed
-    assert surfaces["Shining.ply"]["base_color"] == pytest.approx([0.5] * 3)
-    assert surfaces["Tube.ply"]["base_color"] == [0, 0, 0]
-    for name, word in (("Shining", "shines"), ("Tube", "shines"), ("Window", "left out"), ("Bottle", "left out")):
-        assert any(f"'{name}'" in w and word in w for w in warnings), (name, warnings)
-    assert any("'Wig'" in w and "not known" in w for w in warnings) and len(warnings) == 5
+    assert surfaces == {"Wig.ply": None}  # not known, not guessed
+    for name, made_of in (("Window", "Pane"), ("Bottle", "Clear")):
+        assert f"occluder '{name}' is left out, as light goes through material '{made_of}'" in warnings
+    assert any("'Wig'" in w and "not known" in w for w in warnings) and len(warnings) == 3
+
+
+def test_what_is_a_lamp_hides_no_light_and_what_glows_a_little_does(exported):
+    """The light of a lamp comes from where it stands: the World has to have it there."""
+    colours = {"Base_Color": (0.5, 0.5, 0.5, 1), "Emission_Color": (1, 0.5, 0.5, 1)}
+    floor(material("Bright", Emission_Strength=5.0, **colours), name="Screen")
+    floor(material("Tube", "ShaderNodeEmission"), name="Tube", location=(0, 3, 0))
+    floor(material("Faint", Emission_Strength=0.2, **colours), name="Sign", location=(3, 0, 0))
+    surfaces, warnings = exported()
+    assert list(surfaces) == ["Sign.ply"] and surfaces["Sign.ply"]["base_color"] == pytest.approx([0.5] * 3)
+    for name, made_of in (("Screen", "Bright"), ("Tube", "Tube")):
+        assert any(w.startswith(f"occluder '{name}' is left out, as material '{made_of}' shines") for w in warnings)
+    assert "occluder 'Sign': material 'Faint' shines, which is left out" in warnings and len(warnings) == 3
+
+
+def test_panes_and_bulbs_of_what_stands_around_hide_no_light(exported, tmp_path):
+    house = floor(material("Wall"), material("Pane", "ShaderNodeBsdfGlass"), material("Bulb", "ShaderNodeEmission"))
+    house.data.polygons[0].material_index, house.data.polygons[1].material_index = 1, 2
+    surfaces, warnings = exported()
+    assert surfaces["Floor.ply"]["base_color"] == pytest.approx([0.8] * 3)
+    assert len(warnings) == 2 and all(w.startswith("part of occluder 'Floor' is left out, as ") for w in warnings)
+    assert len(trimesh.load(tmp_path / "job" / "Floor.ply").faces) == 8
 
 
 def test_a_dome_and_a_room_are_left_out_and_a_floor_and_a_box_beside_stay(exported):
