@@ -94,7 +94,7 @@ def export_job(
         called = dict(zip(meshes.names_of(objects), objects, strict=True))
         baked = own_surface.bakes(called, gathered, surfaces, depsgraph)
 
-    names, parts, fitted = _FileNames(), {SURFACE: None}, []
+    names, parts, fitted, aside = _FileNames(), {SURFACE: None}, [], []
     if depth is None:
         parts = {name: _mapped(gathered.get(thing.name_full), mapping, name) for name, thing in called.items()}
     for name, part in parts.items():
@@ -102,6 +102,9 @@ def export_job(
         told = {"mapping": mapping, "baked": baked.get(name), "warn": warn}
         surface, uv = own_surface.of(name, part, surfaces, folder, **told)
         part = part if uv is None else {**part, "uv": uv}
+        if (surfaces or {}).get(name) == own_surface.BLENDER:  # else it is all of what the user says
+            part, clear = _told_apart(name, part)
+            aside += [] if clear is None else [_dark(_write(folder, names.of(f"{name} aside"), clear))]
         left = [bare.pop(called[name])] if called.get(name) in bare else []
         left += ["displacement"] if part and surroundings.displaced(part["areas"]) else []
         surface = _without(name, surface, left, warn)
@@ -131,7 +134,7 @@ def export_job(
         "exposure_ev": float(exposure_ev),
         "camera": lens,
         "objects": fitted,
-        "occluders": _occluders(shadowing, folder, names, around=around, warn=warn),
+        "occluders": [*_occluders(shadowing, folder, names, around=around, warn=warn), *aside],
         "depth": None if depth is None else photo.put_depth(depth, folder),
         **({} if depth is None or not any(depth_shift) else {"depth_shift": [float(s) for s in depth_shift]}),
         "metres_per_unit": 1.0 if units.system == "NONE" else units.scale_length,
@@ -155,6 +158,29 @@ def _check(camera, objects, depth) -> None:
             raise InputError(f"object '{thing.name}'", got, "choose objects with a surface")
 
 
+def _told_apart(name: str, part: dict) -> tuple:
+    """An object's triangles without those that the photo shows otherwise than lit, and these (or None).
+
+    What light goes through, and what shines, tells nothing of the light by how bright it is, and yet hides what is
+    behind it. Raises InputError where nothing else is left.
+    """
+    kept, gone = part, list(surroundings.left_out(part["areas"]))
+    for material in gone:
+        kept = meshes.without(kept, material)
+    if kept is None:
+        raise InputError(f"object '{name}'", "all of it shines", "choose an object that is lit, or say its colour")
+    if not gone:
+        return part, None
+    for material in kept["areas"]:
+        part = meshes.without(part, material)
+    return kept, part
+
+
+def _dark(mesh: str) -> dict:
+    """An occluder that sends no light."""
+    return {"mesh": mesh, "to_world": None, "surface": surroundings.BLACK}
+
+
 def _without(name: str, surface: dict | None, left: list, warn) -> dict | None:
     """The ``surface`` of an object that is exported without what ``left`` says; where it has none, that is said."""
     if surface is not None and left:
@@ -170,7 +196,8 @@ def _occluders(parts: dict, folder: Path, names, *, around, warn) -> list:
     for thing, part in parts.items():
         what = f"occluder '{thing.name}'"
         if surroundings.encloses(part["positions"], *around):
-            warn(f"{what} stands around objects and camera, as a sky or a room does: it is left out")
+            found = "the light found is the one inside it; hide it from renders, or it keeps the World's light out"
+            warn(f"{what} is left out, as it stands around objects and camera like a sky or a room: {found}")
             continue
         for material, why in surroundings.left_out(part["areas"]).items():
             part = meshes.without(part, material)

@@ -5,8 +5,11 @@ import json
 
 import bpy
 import pytest
+import trimesh
 
 from blender_btfsep import export, meshes
+from blender_btfsep.errors import InputError
+from btfsep_engine.job.load import load_job
 from scripts.cycles import materials
 from tests.blender.test_export import add_cube, make_photo
 
@@ -88,6 +91,34 @@ def test_a_material_that_moves_the_surface_is_said(exported):
         assert fitted["surface"].get("left_out") == left and not warnings
     material.displacement_method = "BOTH"
     assert exported(thing)[1] == ["object 'Thing': its displacement is left out"]
+
+
+def test_panes_and_lights_of_an_object_hide_what_is_behind_them_and_are_not_fitted(exported, tmp_path):
+    """Whatever the rest of it is made of, by numbers or by images."""
+    thing = add_cube()
+    colours = [materials.shaded(name, "ShaderNodeBsdfDiffuse")[0] for name in ("Paint", "Rust")]
+    colours[1].node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (0.3, 0.1, 0.05, 1)
+    pane, lamp = (
+        materials.shaded(name, f"ShaderNode{kind}")[0] for name, kind in (("Pane", "BsdfGlass"), ("Lamp", "Emission"))
+    )
+    for each in (*colours, pane, lamp):
+        thing.data.materials.append(each)
+    for face, number in zip(thing.data.polygons, (0, 0, 1, 1, 2, 3), strict=True):
+        face.material_index = number
+    fitted, warnings = exported(thing, surfaces={"Thing": export.own_surface.BLENDER})
+    job = json.loads((tmp_path / "job" / "job.json").read_text())
+    assert isinstance(fitted["surface"]["base_color"], str) and len(warnings) == 2
+    assert [o["surface"]["base_color"] for o in job["occluders"]] == [[0, 0, 0]]
+    load_job(tmp_path / "job")
+    faces = [len(trimesh.load(tmp_path / "job" / each["mesh"]).faces) for each in (fitted, job["occluders"][0])]
+    assert faces == [8, 4]
+    thing.data.materials.clear()
+    thing.data.materials.append(lamp)
+    with pytest.raises(InputError, match="all of it shines"):
+        exported(thing, surfaces={"Thing": export.own_surface.BLENDER})
+    exported(thing, surfaces={"Thing": GREY})  # all of it is grey, as the user says
+    job = json.loads((tmp_path / "job" / "job.json").read_text())
+    assert job["occluders"] == [] and len(trimesh.load(tmp_path / "job" / "Thing.ply").faces) == 12
 
 
 @pytest.mark.skipif(bpy.app.version >= (5, 0, 0), reason="adaptive subdivision is the modifier's own there")
