@@ -16,7 +16,7 @@ CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"
 SENDS = 1.0  # radiance of what is a lamp: as much as the whitest things send under a sky of brightness one
 SHINING = "material '{}' shines: its light is found as the World's, and a render that shows both has it twice"
 LITTLE = 0.01  # of an input: no more than that is nothing
-MOST_OF = 0.9  # of the upper hemisphere: what hides so much of it from objects and camera is a dome or a room
+MOST_OF = 0.85  # of the upper hemisphere: what hides so much of it from objects and camera is a dome or a room
 RAYS = 256
 
 

@@ -134,6 +134,28 @@ def test_a_dome_and_a_room_are_left_out_and_a_floor_and_a_box_beside_stay(export
     assert len(warnings) == 2 and all("'Room'" in w or "'Dome'" in w for w in warnings)
 
 
+@pytest.mark.parametrize(("width", "left"), [(0.4, True), (1.0, False)])
+def test_a_room_with_windows_is_one_and_a_stage_is_not(width, left):
+    """A box around everything; of the wall behind the camera a part is open, or all of it."""
+    panes = []
+    for axis in range(3):
+        for side in (-1, 1):
+            low, high = np.array([-3.0, -3.0, -1.0]), np.array([3.0, 3.0, 3.0])
+            low[axis] = high[axis] = (low if side < 0 else high)[axis]
+            a, b = (axis + 1) % 3, (axis + 2) % 3
+            corners = np.tile(low, (4, 1))
+            corners[1:3, a], corners[2:4, b] = high[a], high[b]
+            if (axis, side) != (1, -1):
+                panes.append(corners)
+                continue
+            for begin, end in ((-3, -3 * width), (3 * width, 3)):  # what is left of it beside the opening
+                part = corners.copy()
+                part[:, 0] = np.where(corners[:, 0] < 0, begin, end)
+                panes.append(part)
+    room = np.concatenate([pane[[[0, 1, 2], [0, 2, 3]]] for pane in panes])
+    assert surroundings.encloses(room, (0, 0, 0), (0.3, -1, 0.5)) == left
+
+
 def test_a_roof_over_the_objects_alone_is_no_room():
     roof = np.array([[[-9, -9, 2], [9, -9, 2], [9, 9, 2]], [[-9, -9, 2], [9, 9, 2], [-9, 9, 2]]], float)
     walls = np.concatenate([roof, roof - [0, 0, 4]])
