@@ -61,9 +61,10 @@ class Model:
         """The settings with what is modelled where "auto" was asked for; the order stays."""
         return replace(self.settings, appearance=self.appearance, bounces=self.bounces)
 
-    def changed(self, change) -> "Model":
-        """The same with ``change`` (Problem -> Problem) of every problem."""
-        return replace(self, looks={k: [change(p) for p in problems] for k, problems in self.looks.items()})
+    def changed(self, change, *of_each) -> "Model":
+        """The same with ``change`` (Problem, its part of each of ``of_each``) -> Problem of every problem."""
+        looks = {k: [change(*each) for each in zip(v, *of_each, strict=True)] for k, v in self.looks.items()}
+        return replace(self, looks=looks)
 
 
 def stand_ins(materials: list[Material], appearance: str) -> list[Material]:

@@ -93,16 +93,10 @@ def without_things_in_front(model, light):
         lost, rings = ~np.concatenate(kept), np.concatenate([p.rings for p in problems])
         if not 0 < lost.mean() < MOST or (rings[lost] > RIM).mean() < WITHIN:
             return model, light, {}
-        looks = {
-            look: [replace(p, left_out=int((~k).sum())).subset(k) for p, k in zip(each, kept, strict=True)]
-            for look, each in model.looks.items()
-        }
-        freed = replace(model, looks=looks)
+        freed = model.changed(lambda p, some: replace(p, left_out=int((~some).sum())).subset(some), kept)
         answer = fit_together(freed.problems, replace(settings, order=light.order))
     if answer.fit.residual > EXPLAINED * light.fit.residual:
         return model, light, {}
     words = {"robust": left_out_words(freed.problems)}
-    if model.bounces > 1:
-        return freed, answer, words
     freed, answer, more = light_between_surfaces(freed, answer)
     return freed, answer, words | more

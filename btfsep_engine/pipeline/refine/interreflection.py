@@ -69,11 +69,11 @@ class OwnLight:
 
 
 def light_between_surfaces(model, light):
-    """The refinement: light between surfaces, where it was left open whether it is followed.
+    """The refinement: light between surfaces, where it was left open whether it is followed, and it is not yet.
 
     What was chosen beside the light without it, is chosen anew.
     """
-    if model.settings.bounces != "auto" or model.settings.transport != "kernel":
+    if model.settings.bounces != "auto" or model.settings.transport != "kernel" or model.bounces > 1:
         return model, light, {}
     with model.reporter.stage("transport"):
         own = own_light(model, light, bounces=MODELLED_BOUNCES)

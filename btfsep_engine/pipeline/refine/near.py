@@ -241,12 +241,9 @@ def nearer(scene: Photographed, model, light, places):
     fit = max(scene.solve(last.correction, None), last.fit, key=lambda f: f.evidence)
     parts = np.split(last.correction, np.cumsum([len(p.pixels) for p in model.problems])[:-1])
     parts = [part * e for part, e in zip(parts, light.exposures, strict=True)]
-    looks = {
-        appearance: [replace(p, correction=part) for p, part in zip(problems, parts, strict=True)]
-        for appearance, problems in model.looks.items()
-    }
+    model = model.changed(lambda p, part: replace(p, correction=part), parts)
     metres = model.problems[0].scene.job.metres_per_unit
     each = [f"{metres * n.distance:.2g} m ({metres * n.low:.2g} to {metres * n.high:.2g} m)" for _, n in lamps]
     what = f"{'a lamp stands' if len(each) == 1 else f'{len(each)} lamps stand'} {' and '.join(each)}"
     why = f"{what} from the objects' middle, for which the light is stated (by evidence)"
-    return replace(model, looks=looks), replace(light, fit=fit, near=tuple(lamps)), {"near": why}
+    return model, replace(light, fit=fit, near=tuple(lamps)), {"near": why}

@@ -74,11 +74,7 @@ def by_own_pixels(direct, model, light, with_reflections) -> Read | None:
 
 def with_colours(model, colours):
     """The model with occluders of the ``colours`` of each photograph, {number: (3,)}."""
-    looks = {
-        name: [replace(p, scene=p.scene.with_colours(own)) for p, own in zip(problems, colours, strict=True)]
-        for name, problems in model.looks.items()
-    }
-    return replace(model, looks=looks)
+    return model.changed(lambda p, own: replace(p, scene=p.scene.with_colours(own)), colours)
 
 
 def seen_places(scene) -> dict:

@@ -131,11 +131,7 @@ def model_beside(model, light, lamp, irradiance, weights):
                 "slopes": np.concatenate([*own, departures[part]], 1),
             }
         )
-    looks = {
-        look: [replace(p, **change) for p, change in zip(problems, changes, strict=True)]
-        for look, problems in model.looks.items()
-    }
-    return replace(model, looks=looks)
+    return model.changed(lambda p, change: replace(p, **change), changes)
 
 
 def irradiance_around(fit, direction) -> np.ndarray:

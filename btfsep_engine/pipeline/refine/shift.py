@@ -33,11 +33,7 @@ def shifted(model, light):
         slopes = [p.as_measured(differences(p)) / e for p, e in zip(model.problems, light.exposures, strict=True)]
         if max(_moved(model.problems, slopes, light)) < SPEAKS:
             return model, light, {}
-        looks = {
-            look: [replace(p, slopes=USUAL * s) for p, s in zip(problems, slopes, strict=True)]
-            for look, problems in model.looks.items()
-        }
-        free = replace(model, looks=looks)
+        free = model.changed(lambda p, s: replace(p, slopes=USUAL * s), slopes)
         answer = fit_together(free.problems, replace(model.settings, order=light.order), beside=light.fit)
     if answer.fit.evidence < light.fit.evidence + CLEARLY:
         return model, light, {}

@@ -33,30 +33,19 @@ def veiled(model, light):
         even = [np.broadcast_to(m, (len(p.pixels), 3)) for p, m in zip(model.problems, means, strict=True)]
         if _speaks(model.problems, light, np.concatenate(even)) < SPEAKS:
             return model, light, {}
-        looks = {
-            look: [
-                replace(p, slopes=np.concatenate([*_own(p), USUAL * m[:, None]], 1))
-                for p, m in zip(problems, even, strict=True)
-            ]
-            for look, problems in model.looks.items()
-        }
-        free, settings = replace(model, looks=looks), replace(model.settings, order=light.order)
+        free = model.changed(lambda p, m: replace(p, slopes=np.concatenate([*_own(p), USUAL * m[:, None]], 1)), even)
+        settings = replace(model.settings, order=light.order)
         answer = fit_together(free.problems, settings, beside=light.fit)
         if answer.fit.evidence < light.fit.evidence + CLEARLY:
             return model, light, {}
         veils = _veils(free.problems, answer)
         if min(v.mean() / p.radiance().mean() for p, v in zip(free.problems, veils, strict=True)) < LEAST:
             return model, light, {}
-        looks = {
-            look: [replace(p, veil=v) for p, v in zip(problems, veils, strict=True)] for look, problems in looks.items()
-        }
-        bare = replace(free, looks=looks)
+        bare = free.changed(lambda p, v: replace(p, veil=v), veils)
         answer = fit_together(bare.problems, settings, beside=light.fit)
         if _left(bare.problems, answer) > FALLS * _left(model.problems, light):
             return model, light, {}
     words = {"veil": veil_words(bare.problems)}
-    if model.bounces > 1:
-        return bare, answer, words
     bare, answer, more = light_between_surfaces(bare, answer)
     return bare, answer, words | more
 
