@@ -23,30 +23,23 @@ _LARGEST_PROFILE = 2**22  # bytes
 _MOST_PARTS = 2**17  # segments or chunks that are looked through: pictures have fewer, files that lie may have millions
 _KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
 _DEVELOP = "develop it, without a tone curve if you can, and save it as EXR or as 16-bit TIFF"
-_OTHERS = (  # what files that are not read begin with, what they are, and what to do
-    (0, b"FUJIFILMCCD-RAW", "a camera's raw file", _DEVELOP),
-    (0, b"IIRO", "a camera's raw file", _DEVELOP),
-    (0, b"IIRS", "a camera's raw file", _DEVELOP),
-    (0, b"IIU\0", "a camera's raw file", _DEVELOP),
-    (0, b"\0MRM", "a camera's raw file", _DEVELOP),
-    (4, b"ftypcrx", "a camera's raw file", _DEVELOP),
-    (4, b"ftyphei", "a HEIC picture", "export it as JPEG, or as 16-bit TIFF"),
-    (4, b"ftyphev", "a HEIC picture", "export it as JPEG, or as 16-bit TIFF"),
-    (4, b"ftypmif", "a HEIC or AVIF picture", "export it as JPEG, or as 16-bit TIFF"),
-    (4, b"ftypmsf", "a HEIC or AVIF picture", "export it as JPEG, or as 16-bit TIFF"),
-    (4, b"ftypavi", "an AVIF picture", "export it as JPEG, PNG or 16-bit TIFF"),
-    (4, b"ftyp", "a movie", "save its frames as PNG, EXR or 16-bit TIFF"),
-    (0, b"\x1aE\xdf\xa3", "a movie", "save its frames as PNG, EXR or 16-bit TIFF"),
-    (0, b"\xff\x0a", "a JPEG XL picture", "export it as JPEG, PNG or 16-bit TIFF"),
-    (4, b"JXL ", "a JPEG XL picture", "export it as JPEG, PNG or 16-bit TIFF"),
-    (0, b"SDPX", "a DPX picture", "convert it to scene-linear and save it as EXR"),
-    (0, b"XPDS", "a DPX picture", "convert it to scene-linear and save it as EXR"),
-    (0, b"\x80\x2a\x5f\xd7", "a Cineon picture", "convert it to scene-linear and save it as EXR"),
-    (0, b"8BPS", "a Photoshop document", _KINDS),
-    (0, b"gimp xcf", "a GIMP document", _KINDS),
-    (0, b"GIF8", "a GIF", "save what it was made from as PNG: a GIF has 256 colours"),
-    (0, b"%PDF", "a PDF", _KINDS),
-    (0, b"<svg", "a drawing", _KINDS),
+_TO_TIFF = "export it as JPEG, or as 16-bit TIFF"
+_TO_PNG = "export it as JPEG, PNG or 16-bit TIFF"
+_TO_EXR = "convert it to scene-linear and save it as EXR"
+_OTHERS = (  # files that are not read: what they are, what to do, and how they begin, or go on from the fifth byte
+    ("a camera's raw file", _DEVELOP, (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"IIU\0", b"\0MRM"), b"ftypcrx"),
+    ("a HEIC picture", _TO_TIFF, (), (b"ftyphei", b"ftyphev")),
+    ("a HEIC or AVIF picture", _TO_TIFF, (), (b"ftypmif", b"ftypmsf")),
+    ("an AVIF picture", _TO_PNG, (), b"ftypavi"),
+    ("a movie", "save its frames as PNG, EXR or 16-bit TIFF", b"\x1aE\xdf\xa3", b"ftyp"),
+    ("a JPEG XL picture", _TO_PNG, b"\xff\x0a", b"JXL "),
+    ("a DPX picture", _TO_EXR, (b"SDPX", b"XPDS"), ()),
+    ("a Cineon picture", _TO_EXR, b"\x80\x2a\x5f\xd7", ()),
+    ("a Photoshop document", _KINDS, b"8BPS", ()),
+    ("a GIMP document", _KINDS, b"gimp xcf", ()),
+    ("a GIF", "save what it was made from as PNG: a GIF has 256 colours", b"GIF8", ()),
+    ("a PDF", _KINDS, b"%PDF", ()),
+    ("a drawing", _KINDS, b"<svg", ()),
 )
 
 
@@ -119,8 +112,8 @@ def is_tiff(data: bytes) -> bool:
 def refused(data: bytes) -> tuple[str, str] | None:
     """Why a file is not read though it may be decodable, or what it is that is not, and what to do; else None."""
     with contextlib.suppress(struct.error, IndexError):
-        for at, begin, what, do in _OTHERS:
-            if data[at : at + len(begin)] == begin:
+        for what, do, begins, goes_on in _OTHERS:
+            if data.startswith(begins) or data[4:12].startswith(goes_on):
                 return f"it is {what}", do
         if data[:4] in _TIFF:
             tags = _tags(data)
