@@ -10,16 +10,18 @@ import numpy as np
 import trimesh
 
 from btfsep_engine import sh
+from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import Camera, Job, Photo, TriangleMesh
+from btfsep_engine.light.lightings import SHLighting
 from scripts.studies import stage
 from scripts.studies.estimates import scene_of
 from scripts.studies.stage import as_mesh, ball, bowl, plate, positive_light
 
 __all__ = (
-    "answer", "as_mesh", "ball", "bowl", "edited", "egg_and_pebble", "job_of", "looking_down", "off_as_seen",
-    "picture", "plate", "positive_light", "scene_of", "with_photo",
+    "answer", "as_mesh", "ball", "bowl", "edited", "egg_and_pebble", "in_white", "job_of", "looking_down",
+    "off_as_seen", "picture", "plate", "positive_light", "scene_of", "with_photo",
 )  # fmt: skip
 job_of = partial(stage.job_of, metres_per_unit=0.05)
 
@@ -42,6 +44,17 @@ def picture(points, values, *, size: int = 96, noise: float = 0.0, seed: int = 0
     image = np.zeros((size, size, 3), np.float32)
     image[tuple(points.pixels.T)] = values * np.random.default_rng(seed).normal(1, noise, np.shape(values))
     return image
+
+
+def in_white(mesh, *, noise: float = 0.02):
+    """A mesh of white under light from above and a side: its scene, photo with a camera's noise, and light (9, 3)."""
+    scene = scene_of(job_of([mesh], looking_down()))
+    truth = np.zeros((9, 3))
+    truth[0], truth[1], truth[2], truth[3], truth[6] = 3.0, 0.9, 1.2, -1.1, 0.5
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    white = open_library(None).load("reference/white-diffuse")
+    image = picture(points, scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0])
+    return scene, image * np.random.default_rng(0).normal(1, noise, image.shape).astype(np.float32), truth
 
 
 def with_photo(job: Job, image, usable=None, **more) -> Job:

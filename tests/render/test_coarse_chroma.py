@@ -10,12 +10,11 @@ import trimesh
 
 from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.coarse_chroma import BESIDE, KAPPA, NEXT, chroma_weights
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.settings import choose
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, scene_of
+from tests.render.scenes import as_mesh, in_white, off_as_seen, scene_of
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=1024)
@@ -24,16 +23,11 @@ RED, LAWN = np.array([0.6, 0.04, 0.03]), np.array([0.05, 0.3, 0.05])
 
 @pytest.fixture(scope="module")
 def photographed():
-    """An egg under light from a side, its radiance as if white, and the light's coefficients."""
+    """An egg, its radiance as if white, no number beside it, and the light's coefficients."""
     egg = trimesh.creation.icosphere(4, 1.0)
     egg.apply_scale([0.6, 0.75, 0.5])
-    scene = scene_of(job_of([as_mesh(egg)], looking_down()))
-    truth = np.zeros((9, 3))
-    truth[0], truth[1], truth[2], truth[3], truth[6] = 3.0, 0.9, 1.2, -1.1, 0.5
-    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
-    image = np.full((96, 96, 3), np.nan, np.float32)
-    white = open_library(None).load(WHITE)
-    image[tuple(points.pixels.T)] = scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0]
+    scene, image, truth = in_white(as_mesh(egg), noise=0.0)
+    image[scene.view.mesh != 0] = np.nan
     return scene, image, truth
 
 

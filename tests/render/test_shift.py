@@ -8,12 +8,11 @@ import pytest
 import trimesh
 
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.refine.shift import INNER, _moved, differences, shifted
 from btfsep_engine.pipeline.settings import choose
-from tests.render.scenes import as_mesh, egg_and_pebble, job_of, looking_down, off_as_seen, picture, scene_of
+from tests.render.scenes import as_mesh, egg_and_pebble, in_white, job_of, looking_down, off_as_seen, scene_of
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=1024)
@@ -21,14 +20,8 @@ SETTINGS = choose("draft", bounces=1, directions=1024)
 
 @pytest.fixture(scope="module")
 def photographed():
-    """An egg and a pebble under light from above and a side, their photo with a camera's noise, and the light."""
-    scene = scene_of(job_of([egg_and_pebble()], looking_down()))
-    truth = np.zeros((9, 3))
-    truth[0], truth[1], truth[2], truth[3], truth[6] = 3.0, 0.9, 1.2, -1.1, 0.5
-    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
-    white = open_library(None).load(WHITE)
-    image = picture(points, scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0])
-    return scene, image * np.random.default_rng(0).normal(1, 0.02, image.shape).astype(np.float32), truth
+    """An egg and a pebble, their photo with a camera's noise, and the light."""
+    return in_white(egg_and_pebble())
 
 
 def found_of(scene, image, right=0, down=0):

@@ -8,10 +8,9 @@ import pytest
 import trimesh
 
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.settings import choose
-from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, picture, scene_of, with_photo
+from tests.render.scenes import as_mesh, in_white, off_as_seen, scene_of, with_photo
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=1024)
@@ -24,13 +23,7 @@ def photographed():
     parts = [trimesh.creation.icosphere(4, radius) for radius in (0.5, 0.3, 0.25)]
     for part, place in zip(parts, ((0, 0, 0), (0.5, 0.35, 0.35), (-0.45, 0.3, 0.4)), strict=True):
         part.apply_translation(place)
-    scene = scene_of(job_of([as_mesh(trimesh.util.concatenate(parts))], looking_down()))
-    truth = np.zeros((9, 3))
-    truth[0], truth[1], truth[2], truth[3], truth[6] = 3.0, 0.9, 1.2, -1.1, 0.5
-    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
-    white = open_library(None).load(WHITE)
-    image = picture(points, scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0])
-    return scene, image * np.random.default_rng(0).normal(1, 0.02, image.shape).astype(np.float32), truth
+    return in_white(as_mesh(trimesh.util.concatenate(parts)))
 
 
 def found_of(scene, image):
