@@ -17,10 +17,6 @@ class _OfSun(runs.Greyed, runs.AtOnce):
     bl_options = {"REGISTER", "UNDO"}
     name: StringProperty(name="Sun", description="A Sun lamp; empty: the active object", options={"SKIP_SAVE"})
 
-    @staticmethod
-    def reason(context) -> str:
-        return runs.RUNNING if runs.is_running() else ""
-
     def sun(self, context):
         """The lamp that is meant. Raises InputError."""
         lamp = context.scene.objects.get(self.name) if self.name else context.object

@@ -30,10 +30,6 @@ class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     def description(cls, context, properties):
         return next(about for name, _, about in MENDS if name == properties.how)
 
-    @staticmethod
-    def reason(context) -> str:
-        return runs.RUNNING if runs.is_running() else ""
-
     def do(self, context):
         settings = context.scene.btfsep
         if self.how in READ_AS:

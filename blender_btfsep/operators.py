@@ -94,10 +94,6 @@ class BTFSEP_OT_clear_cache(runs.Greyed, runs.EngineOperator, bpy.types.Operator
     bl_label = "Clear Cache"
     task = "Clearing the cache"
 
-    @staticmethod
-    def reason(context) -> str:
-        return runs.RUNNING if runs.is_running() else ""
-
     def begin(self, context):
         return ["cache", "--clear"]
 
@@ -112,10 +108,6 @@ class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operato
     bl_idname = "btfsep.read_library"
     bl_label = "Read Library"
     task = "Reading the library"
-
-    @staticmethod
-    def reason(context) -> str:
-        return runs.RUNNING if runs.is_running() else ""
 
     def begin(self, context):
         return library.arguments()

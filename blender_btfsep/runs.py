@@ -89,6 +89,11 @@ def start_engine(arguments, engine: str = "", *, stays: bool = True) -> engine_p
 class Greyed:
     """An operator that is greyed out while ``reason(context)`` says why; the sentence is its tooltip's."""
 
+    @staticmethod
+    def reason(context) -> str:
+        """As a rule, that the engine runs."""
+        return RUNNING if is_running() else ""
+
     @classmethod
     def poll(cls, context):
         reason = "" if adopted is not None else cls.reason(context)
