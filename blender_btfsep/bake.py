@@ -16,6 +16,7 @@ from . import colour, pixels
 from .errors import InputError
 from .scratch import save_exr, scratch
 
+NAME = "BTFsep bake"
 SAMPLES = 16  # within a pixel, against jagged edges
 NOT_MEASURED = ("Transmission Weight", "Subsurface Weight", "Coat Weight", "Sheen Weight")
 OF_THE_OBJECT = {"ATTRIBUTE", "VERTEX_COLOR", "OBJECT_INFO", "AMBIENT_OCCLUSION"}  # nodes that a bare square lacks
@@ -116,11 +117,13 @@ def write_maps(maps: BakedMaps, folder, *, millimetres: float, height_mm: float 
 
 
 class _Stage:
-    """A square with a copy of a material, and an emission that shows what is put to it."""
+    """A square with a copy of a material, and an emission that shows what is put to it.
 
-    def __init__(self, scene, thing, material, image):
-        self.scene, self.thing, self.material, self.image = scene, thing, material, image
-        self.tree = material.node_tree
+    ``shown`` : of :func:`on_stage`
+    """
+
+    def __init__(self, name: str, tree, image, shown: dict):
+        self.name, self.tree, self.image, self.shown = name, tree, image, shown
         self.output = self.tree.get_output_node("CYCLES")
         self.emission = self.tree.nodes.new("ShaderNodeEmission")
         target = self.tree.nodes.new("ShaderNodeTexImage")
@@ -143,10 +146,7 @@ class _Stage:
         links = self.tree.links
         links.new(source, self.emission.inputs["Color"])
         links.new(self.emission.outputs[0], self.output.inputs["Surface"])
-        layer = self.scene.view_layers[0]
-        shown = {"scene": self.scene, "view_layer": layer, "active_object": self.thing, "object": self.thing}
-        shown |= {"selected_objects": [self.thing], "selected_editable_objects": [self.thing]}
-        with bpy.context.temp_override(**shown):
+        with bpy.context.temp_override(**self.shown):
             bpy.ops.object.bake(type="EMIT", margin=0, use_clear=True, target="IMAGE_TEXTURES", save_mode="INTERNAL")
         return pixels.read(self.image)
 
@@ -166,33 +166,37 @@ class _Stage:
         return node.outputs[0]
 
 
+def on_stage(own, mesh, samples: int) -> dict:
+    """A scene of Cycles whose one object is ``mesh``; gives what ``temp_override`` needs for it to be baked."""
+    scene, thing = own(bpy.data.scenes.new(NAME)), own(bpy.data.objects.new(NAME, mesh))
+    scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", samples
+    scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
+    scene.render.bake.use_selected_to_active = False
+    scene.collection.objects.link(thing)
+    layer = scene.view_layers[0]
+    layer.objects.active = thing
+    thing.select_set(True, view_layer=layer)
+    shown = {"scene": scene, "view_layer": layer, "active_object": thing, "object": thing}
+    return shown | {"selected_objects": [thing], "selected_editable_objects": [thing]}
+
+
 @contextmanager
 def _stage(material, size: float, resolution: int, uv_names):
     if material.node_tree is None:
         raise InputError(f"material '{material.name}'", "it has no nodes", DO)
     with scratch() as own:
-        scene = own(bpy.data.scenes.new("BTFsep bake"))
-        scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", SAMPLES
-        scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
-        scene.render.bake.use_selected_to_active = False
-        mesh = own(bpy.data.meshes.new("BTFsep bake"))
+        mesh = own(bpy.data.meshes.new(NAME))
         half = size / 2
         mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
         for name in uv_names or ("UVMap",):
             mesh.uv_layers.new(name=name).data.foreach_set("uv", [0, 0, 1, 0, 1, 1, 0, 1])
-        thing = own(bpy.data.objects.new("BTFsep bake", mesh))
-        scene.collection.objects.link(thing)
-        scene.view_layers[0].objects.active = thing
-        thing.select_set(True, view_layer=scene.view_layers[0])
         copy = own(material.copy())
         copy.displacement_method = "BUMP"
         mesh.materials.append(copy)
-        image = own(bpy.data.images.new("BTFsep bake", resolution, resolution, float_buffer=True, is_data=True))
+        image = own(bpy.data.images.new(NAME, resolution, resolution, float_buffer=True, is_data=True))
         if copy.node_tree.get_output_node("CYCLES") is None:
             raise InputError(f"material '{material.name}'", "it has no Material Output", DO)
-        stage = _Stage(scene, thing, copy, image)
-        stage.name = material.name
-        yield stage
+        yield _Stage(material.name, copy.node_tree, image, on_stage(own, mesh, SAMPLES))
 
 
 def source_of(socket):

@@ -12,7 +12,8 @@ import bpy
 import numpy as np
 
 from . import meshes, pixels
-from .bake import source_of
+from .bake import NAME as TARGET
+from .bake import on_stage, source_of
 from .scratch import scratch
 
 SIDE, SAMPLES, MARGIN = 512, 4, 4  # pixels; of a pixel; pixels beyond a chart's edge
@@ -22,7 +23,6 @@ MOST_FACES = 300_000  # more take minutes to lay flat
 KINDS, ALIKE = 4, 0.05  # of gloss that a job gets of a baked object; numbers that differ by less are one
 PLACES = 20_000  # at which is looked what an object has
 ROUNDS = 10  # in which the kinds are found
-TARGET = "BTFsep bake"
 
 
 @dataclass
@@ -74,23 +74,14 @@ def bake_object(thing, depsgraph) -> BakedSurface | None:
         mesh = own(bpy.data.meshes.new_from_object(thing.evaluated_get(depsgraph), depsgraph=depsgraph))
         if not mesh.polygons or len(mesh.polygons) > MOST_FACES:
             return None
-        scene = own(bpy.data.scenes.new(TARGET))
-        copy = own(bpy.data.objects.new(TARGET, mesh))
-        copy.matrix_world = thing.matrix_world
-        scene.collection.objects.link(copy)
-        layer = scene.view_layers[0]
-        layer.objects.active = copy
-        copy.select_set(True, view_layer=layer)
         try:
-            scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", SAMPLES
-            scene.cycles.use_adaptive_sampling = scene.cycles.use_denoising = False
-            scene.render.bake.use_selected_to_active = False
+            shown = on_stage(own, mesh, SAMPLES)
+            copy = shown["object"]
+            copy.matrix_world = thing.matrix_world
             was = next((each.name for each in mesh.uv_layers if each.active_render), None)
             if (charts := mesh.uv_layers.new(name=TARGET)) is None:  # there are eight already
                 return None
             charts.active = charts.active_render = True
-            shown = {"scene": scene, "view_layer": layer, "active_object": copy, "object": copy}
-            shown |= {"selected_objects": [copy], "selected_editable_objects": [copy]}
             with bpy.context.temp_override(**shown, edit_object=copy):
                 bpy.ops.object.mode_set(mode="EDIT")
                 bpy.ops.mesh.select_all(action="SELECT")
