@@ -187,23 +187,12 @@ def put_mask(image, folder, name: str, size) -> str:
             f"it has {width} x {height} pixels, the photo {size[0]} x {size[1]}",
             "make the mask from the photo, at its size",
         )
-    pixels = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(-1, 4)
-    inside = (pixels[:, :3] != 0).any(1) & (pixels[:, 3] != 0)
+    shown = pixels.read(image)
+    inside = (shown[..., :3] != 0).any(-1) & (shown[..., 3:] != 0).all(-1)
     if not inside.any():
         raise InputError(f"the mask '{image.name}'", "it is black everywhere", "paint it white where the object is")
-    copy = bpy.data.images.new("BTFsep mask", width, height, alpha=False, is_data=True)
-    try:
-        pixels[:] = inside[:, None]
-        pixels[:, 3] = 1
-        copy.pixels.foreach_set(pixels.ravel())
-        with replacing(Path(folder) / name) as file:
-            copy.filepath_raw, copy.file_format = str(file), "PNG"
-            copy.save()
-    finally:
-        bpy.data.images.remove(copy)
-    return name
+    with scratch() as own:
+        return _save_png(own(pixels.new("BTFsep mask", inside, floats=False)), Path(folder) / name)
 
 
 def put_depth(image, folder) -> str:
@@ -247,10 +236,15 @@ def _save_codes(image, folder: Path, stem: str) -> str:
     with scratch() as own:
         copy = own(bpy.data.images.new("BTFsep photo", *image.size, alpha=True))
         copy.pixels.foreach_set(stored)
-        with replacing(folder / f"{stem}.png") as file:
-            copy.filepath_raw, copy.file_format = str(file), "PNG"
-            copy.save()
-    return f"{stem}.png"
+        return _save_png(copy, folder / f"{stem}.png")
+
+
+def _save_png(image, path: Path) -> str:
+    """Saves an image's own codes; gives the file's name."""
+    with replacing(path) as file:
+        image.filepath_raw, image.file_format = str(file), "PNG"
+        image.save()
+    return path.name
 
 
 def _save(image, folder: Path, stem: str = "photo") -> str:
