@@ -55,10 +55,10 @@ def _sync(path, flags: int) -> None:
         os.close(handle)
 
 
-def sweep(folder, pattern: str = ".writing-*") -> None:
+def sweep(folder) -> None:
     """Takes away scratch files that killed processes have left; what is younger than a day may be in use."""
     with suppress(OSError):
-        for path in Path(folder).glob(pattern):
+        for path in Path(folder).glob(".writing-*"):
             with suppress(OSError):
                 if time.time() - path.lstat().st_mtime > ABANDONED:
                     path.unlink()

@@ -61,14 +61,12 @@ class Judged:
     Attributes
     ----------
     probabilities : (n,), and ``none`` : float; they add up to 1
-    p_values : (n,)
-    likely : (n,) bool, those that are not ruled out
+    likely : (n,) bool, those that are not ruled out, whose p value is above `LEVEL`
     strangeness : of the likeliest, over that at which nothing is left; above 1: none of them
     """
 
     probabilities: np.ndarray
     none: float
-    p_values: np.ndarray
     likely: np.ndarray
     strangeness: float
 
@@ -90,7 +88,6 @@ def judged(utility, none: float, strangeness) -> Judged:
     return Judged(
         np.exp(logs[:-1]),
         float(np.exp(logs[-1])),
-        p_values,
         p_values > LEVEL,
         float(strange.min() / max(allowed, 1e-9)),
     )

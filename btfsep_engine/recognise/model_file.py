@@ -91,13 +91,13 @@ def cached(key: str, make: Callable[[], Recogniser], *, view: str = "", folder=N
     return kept.recalled("recogniser", [str(path)], lambda: _read_or_made(path, make, folder / "locks" / name[:2]))
 
 
-def known_materials(view: str, contents: dict, *, folder=None) -> dict:
+def known_materials(view: str, contents: dict) -> dict:
     """Material -> its training vectors, of the latest recognisers of a ``view``, as of :func:`cached`.
 
     ``contents`` : material -> text; what is known of it is of use where it was the same
     """
     known: dict = {}
-    for entry in _latest(Path(folder or cache.cache_folder()) / "recognisers", _of_view(view)):
+    for entry in _latest(cache.cache_folder() / "recognisers", _of_view(view)):
         missing = {name: content for name, content in contents.items() if name not in known}
         if missing and (found := _found(entry)) is not None:
             with suppress(ValueError):  # whole, but of other sizes

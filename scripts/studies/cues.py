@@ -78,7 +78,6 @@ class Seen:
     """
 
     photograph: Photograph
-    flaw: str
     known: dict
     left_out: dict | None
     spoilt: bool = False
@@ -136,7 +135,7 @@ def cues_of(
             kept = {"key": key, "known": known, "left_out": left_out}
             kept["spoilt"] = spoilt(radiance[view.window], view.region[view.window])
             write_text(path, json.dumps(kept))
-        out.append(Seen(photograph, flaw, kept["known"], kept["left_out"], kept["spoilt"]))
+        out.append(Seen(photograph, kept["known"], kept["left_out"], kept["spoilt"]))
     return out
 
 

@@ -58,7 +58,7 @@ def _short(answers) -> str:
     """What the figures say, in words."""
     lines = []
     if "ours" in answers.methods:
-        felt = {name: _felt(answers, name, "ours") for name in answers.names}
+        felt = {name: _felt(answers, name) for name in answers.names}
         unmoved = [n for n, i in felt.items() if i == NEVER]
         early = [f"{n} (from {AXES[n].values[i - 1]:g})" for n, i in felt.items() if i in (1, 2)]
         if unmoved:
@@ -84,12 +84,12 @@ def _short(answers) -> str:
     return "\n".join(lines)
 
 
-def _felt(answers, axis, method):
-    """The first severity from which on the median error exceeds WORSE times the undisturbed one.
+def _felt(answers, axis):
+    """The first severity from which on the median error of ours exceeds WORSE times the undisturbed one.
 
     NEVER where it does not; None where estimates are missing.
     """
-    zero, *e = answers.series(axis, method, "order2")
+    zero, *e = answers.series(axis, "ours", "order2")
     if not np.isfinite([zero, *e]).all():
         return None
     return next((i for i, error in enumerate(e, 1) if error > WORSE * zero), NEVER)
@@ -173,7 +173,7 @@ def _words(answers, name: str) -> str:
     axis, out = AXES[name], []
     errors = {m: answers.series(name, m, "order2") for m in answers.methods}
     if "ours" in errors and np.isfinite(errors["ours"]).all():
-        felt, ours = _felt(answers, name, "ours"), errors["ours"]
+        felt, ours = _felt(answers, name), errors["ours"]
         if felt == NEVER:
             out.append(
                 f"Ours is not moved beyond {WORSE:g} times its error ({_number(ours[0])} to {_number(max(ours))})."
