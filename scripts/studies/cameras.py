@@ -18,6 +18,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from tqdm import tqdm
 
+from btfsep_engine.atomic import write_json
 from btfsep_engine.images import linear_to_srgb, read_linear, write_exr
 from btfsep_engine.job.load import load_job
 from scripts.studies import parser, tables
@@ -89,7 +90,7 @@ def main(arguments) -> int:
         rows.append(study(plate, folder, FLOATS, AS_STORED))
         rows += [study(plate, folder, coded, way) for coded in (camera, SRGB) for way in READ if way != AS_STORED]
     if given.numbers:
-        given.numbers.write_text(json.dumps(rows, default=lambda a: np.asarray(a).tolist()))
+        write_json(given.numbers, rows)
     print(tables.summary(("saved", "read"), COLUMNS, groups(rows)))
     return 0
 

@@ -32,9 +32,8 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.cycles.lights import studio_lights
-from scripts.studies import parser, photos, tables
+from scripts.studies import parser, photos, plates, tables
 from scripts.studies.estimates import estimated, kept, worth
-from scripts.studies.plates import SUN_COLOUR, SUNNY, truth
 from scripts.studies.stability.axes import smoothed
 from scripts.studies.stage import as_mesh
 
@@ -68,7 +67,9 @@ def drawn(name: str) -> list[dict]:
                 "surface": {"colour": COLOURS[k], "roughness": roughness, "metallic": 0},
                 "light": light,
                 "turn": random.uniform(0, 360),
-                "sun": {"direction": towards, "irradiance": list(SUNNY * SUN_COLOUR)} if i % 3 == 2 else None,
+                "sun": {"direction": towards, "irradiance": list(plates.SUNNY * plates.SUN_COLOUR)}
+                if i % 3 == 2
+                else None,
             }
         )
     return out
@@ -320,18 +321,16 @@ def judged(plate, folder: Path, case: str, settings) -> dict:
         found = estimated(scene, preset=settings.preset, robust=settings.robust)
     except InputError as error:
         return row | {"failed": str(error)}
-    row |= worth(found, truth(plate), free_scale=True) | {"choice": found.choice, "said": list(reporter.warnings)}
+    row |= worth(found, plates.truth(plate), free_scale=True) | {
+        "choice": found.choice,
+        "said": list(reporter.warnings),
+    }
     row |= {"residual": float(found.fit.residual), "over": row["order2"] / row["stated2"]}
     return row | {"unsaid": row["over"] > SURE and not any(not said.startswith(OF_ALL) for said in row["said"])}
 
 
 COLUMNS = (
-    ("plates", lambda rows: len(rows)),
-    ("error", tables.spread_of("order2")),
-    ("direction", tables.spread_of("direction", "{:.1f}°")),
-    ("stated", tables.median_of("stated2")),
-    ("over stated", tables.spread_of("over")),
-    ("95 % range", tables.percent_of("inside")),
+    *plates.COLUMNS[:-1],
     ("said", lambda rows: tables.percent([any(not s.startswith(OF_ALL) for s in r["said"]) for r in rows])),
     ("unsaid", lambda rows: sum(r["unsaid"] for r in rows)),
 )
@@ -349,11 +348,11 @@ def main(arguments) -> int:
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
     given = options.parse_args(arguments)
     for name in given.sets if given.make else ():
-        plates = drawn(name)
-        for plate in plates:
+        taken = drawn(name)
+        for plate in taken:
             if plate["object"].endswith(".obj"):
                 plate["object"] = str(given.meshes.resolve() / plate["object"])
-        photos.in_blender("scripts.cycles.shapes", {"plates": plates, "folder": str(given.folder.resolve() / name)})
+        photos.in_blender("scripts.cycles.shapes", {"plates": taken, "folder": str(given.folder.resolve() / name)})
     if given.make:
         return 0
     settings = choose("balanced", robust=given.robust)
