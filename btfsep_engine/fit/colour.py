@@ -14,6 +14,7 @@ much again for lamps (their log R/B scatters by 0.13, their green by 0.07).
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import softmax
 
 from btfsep_engine.light.log_field import CHROMA
 
@@ -63,9 +64,7 @@ def split(level) -> Tint:
         total = LIGHT**2 + spread**2
         log = np.log(probability) - 0.5 * float((tint**2 / total + np.log(total)).sum())
         hypotheses.append((log, tint * LIGHT**2 / total, LIGHT**2 * spread**2 / total))
-    logs = np.array([h[0] for h in hypotheses])
-    share = np.exp(logs - logs.max())
-    share /= share.sum()
+    share = softmax([h[0] for h in hypotheses])
     mean = sum(s * h[1] for s, h in zip(share, hypotheses, strict=True))
     covariance = sum(
         s * (np.diag(h[2]) + np.outer(h[1] - mean, h[1] - mean)) for s, h in zip(share, hypotheses, strict=True)

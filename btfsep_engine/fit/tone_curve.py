@@ -167,9 +167,3 @@ def log_probability(fit, log_slopes, weights) -> float:
     floor = 0.5 * float((photo.count * (np.log(over) + 1 / over - 1)).sum())
     # the number of independent channels is each fit's own: the sum has to be tempered alike under all curves
     return (fit.evidence * photo.coarsening + slopes + floor) / (photo.coarsening * photo.effective * DOUBT)
-
-
-def probabilities(logs) -> np.ndarray:
-    """Of alternatives, from the logarithms of what they are in proportion to."""
-    share = np.exp(np.asarray(logs) - np.max(logs))
-    return share / share.sum()

@@ -9,6 +9,7 @@ import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import softmax
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.tone_curve import (
@@ -24,7 +25,6 @@ from btfsep_engine.fit.tone_curve import (
     darkest_offset,
     importance,
     log_probability,
-    probabilities,
 )
 from btfsep_engine.images import linear_to_srgb
 from btfsep_engine.pipeline.settings import FitSettings
@@ -111,7 +111,7 @@ def with_curves(problems, settings: FitSettings) -> list:
             curves.append(ToneCurve(near.steepness, offset))
             logs.append(_log_of(curves[-1], problems, codes, settings))
     order = np.argsort(-np.array(logs))
-    ranked, shares = tuple(curves[i] for i in order), probabilities(np.array(logs)[order])
+    ranked, shares = tuple(curves[i] for i in order), softmax(np.array(logs)[order])
     return [
         p if c is None else replace(p, scene=read_by(p.scene, Curves(c, ranked, shares)))
         for p, c in zip(problems, codes, strict=True)

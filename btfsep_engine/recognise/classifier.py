@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 from scipy.linalg.blas import ssyrk
 from scipy.optimize import minimize_scalar
+from scipy.special import softmax
 
 C_GRID = (1.0, 10.0, 100.0)
 GAMMA_GRID = (0.25, 0.5, 1.0, 2.0, 4.0)  # in units of 1 / median squared distance
@@ -136,13 +137,10 @@ class Nearest:
 def pair_votes(decisions, class_count: int) -> np.ndarray:
     """From decisions of pairs (n, pairs) to votes (n, classes): the mean, over the rivals, of the clipped decision."""
     votes = np.zeros((len(decisions), class_count))
-    column = 0
-    for i in range(class_count):
-        for j in range(i + 1, class_count):
-            clipped = np.clip(decisions[:, column], -1, 1)
-            votes[:, i] += clipped
-            votes[:, j] -= clipped
-            column += 1
+    for column, (i, j) in enumerate(combinations(range(class_count), 2)):
+        clipped = np.clip(decisions[:, column], -1, 1)
+        votes[:, i] += clipped
+        votes[:, j] -= clipped
     return votes / max(class_count - 1, 1)
 
 
@@ -157,9 +155,7 @@ def nearest_votes(squared, labels, class_count: int) -> np.ndarray:
 
 def scores(votes, sharpness: float) -> np.ndarray:
     """Softmax of ``sharpness * votes`` over the last axis; sums to 1."""
-    z = sharpness * np.asarray(votes, np.float64)
-    e = np.exp(z - z.max(-1, keepdims=True))
-    return e / e.sum(-1, keepdims=True)
+    return softmax(sharpness * np.asarray(votes, np.float64), axis=-1)
 
 
 def _fit_pairs(kernel, labels, c, class_count):
@@ -174,22 +170,16 @@ def _fit_pairs(kernel, labels, c, class_count):
 
     machine = SVC(C=c, kernel="precomputed", cache_size=SVM_CACHE_MB).fit(kernel, labels)
     # libsvm keeps for a support vector of class i the coefficient against class j in row j - (j > i)
-    column_of = {}
-    for i in range(class_count):
-        for j in range(i + 1, class_count):
-            column_of[i, j] = len(column_of)
+    column_of = {pair: number for number, pair in enumerate(combinations(range(class_count), 2))}
     support, dual = machine.support_, machine.dual_coef_
     own = np.searchsorted(present, labels[support])
-    number = 0
-    for a in range(len(present)):
-        for b in range(a + 1, len(present)):
-            column = column_of[present[a], present[b]]
-            first, second = own == a, own == b
-            sign = -1.0 if len(present) == 2 else 1.0  # scikit-learn turns the sign of the two-class case
-            weights[support[first], column] = sign * dual[b - 1, first]
-            weights[support[second], column] = sign * dual[a, second]
-            bias[column] = sign * machine.intercept_[number]
-            number += 1
+    sign = -1.0 if len(present) == 2 else 1.0  # scikit-learn turns the sign of the two-class case
+    for number, (a, b) in enumerate(combinations(range(len(present)), 2)):
+        column = column_of[present[a], present[b]]
+        first, second = own == a, own == b
+        weights[support[first], column] = sign * dual[b - 1, first]
+        weights[support[second], column] = sign * dual[a, second]
+        bias[column] = sign * machine.intercept_[number]
     return weights, bias
 
 

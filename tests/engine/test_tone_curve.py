@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import softmax
 
 from btfsep_engine import images, sh
 from btfsep_engine.fit.log_normal import LightSolver
@@ -15,7 +16,6 @@ from btfsep_engine.fit.tone_curve import (
     darkest_offset,
     importance,
     log_probability,
-    probabilities,
 )
 from tests.engine.half_sphere import half_sphere
 
@@ -80,7 +80,8 @@ def test_a_photo_finds_the_curve_that_coded_it_or_the_next(true, lamp):
     logs = logs_of(basis, normals, coded(b, CANDIDATES[true]), CANDIDATES)
     assert abs(int(logs.argmax()) - true) <= 1
     near = np.abs(np.arange(len(CANDIDATES)) - true) <= 1
-    assert probabilities(logs)[near].mean() > (2 if lamp else 1.2) * probabilities(logs)[~near].mean()
+    shares = softmax(logs)
+    assert shares[near].mean() > (2 if lamp else 1.2) * shares[~near].mean()
 
 
 @pytest.mark.parametrize("true", [SRGB, *CAMERAS])
