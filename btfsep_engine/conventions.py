@@ -80,6 +80,13 @@ def local_direction(theta, phi):
     return np.stack([s * np.cos(phi), s * np.sin(phi), np.cos(theta)], -1)
 
 
+def across(direction) -> np.ndarray:
+    """Two unit vectors across a unit direction (3,) and each other: (2, 3)."""
+    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
 def fibonacci_sphere(n: int):
     """n well-spread directions over the sphere, each standing for the solid angle 4 pi / n.
 

@@ -28,6 +28,11 @@ def order_of(terms: int) -> int:
     return order
 
 
+def degrees(order: int) -> np.ndarray:
+    """The degree of every term: ((order + 1)^2,) int."""
+    return np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+
+
 def evaluate(order: int, directions) -> np.ndarray:
     """All basis functions up to ``order``.
 
@@ -87,7 +92,7 @@ def _polynomials(order: int) -> tuple[np.ndarray, np.ndarray]:
         if l > 1:
             p[l, : l - 1] -= before_last[l, : l - 1, None] * p[l - 2, : l - 1]
         p[l, :l] *= step[l, :l, None]
-    l = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    l = degrees(order)
     m = np.arange(term_count(order)) - l * l - l
     return p[l, np.abs(m)], np.where(m < 0, order + 1 - m, m)
 
@@ -156,7 +161,7 @@ def _on_map(x, order: int, directions):
     m = np.arange(-order, order + 1)
     turns = columns ** np.abs(m)[:, None]
     turns = np.where(m[:, None] < 0, turns.imag, turns.real)
-    l = np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    l = degrees(order)
     of = np.arange(len(x)) - l * l - l
     upright = along[l * l + l + np.abs(of)]
     by_turn = np.stack([upright[of == k].T @ x[of == k] for k in m], -1)  # (h, n, 2 L + 1)
@@ -213,5 +218,4 @@ def irradiance(coefficients, normals) -> np.ndarray:
     """Unshadowed irradiance (..., 3) at ``normals : (..., 3)`` under ``coefficients : ((L + 1)^2, 3)``."""
     coefficients = np.asarray(coefficients, np.float64)
     order = order_of(len(coefficients))
-    per_term = np.repeat(cosine_lobe(order), 2 * np.arange(order + 1) + 1)
-    return series(per_term[:, None] * coefficients, normals)
+    return series(cosine_lobe(order)[degrees(order), None] * coefficients, normals)

@@ -209,10 +209,9 @@ def spheres(coefficients, *, size: int = 128, view=FRONT) -> dict[str, np.ndarra
     eye = -np.asarray(view, np.float64) / np.linalg.norm(view)
     mirrored = 2 * (n @ eye)[:, None] * n - eye
     basis = sh.evaluate(order, mirrored)
-    rough = np.repeat(silver_factors(order), 2 * np.arange(order + 1) + 1)
     seen = {
         "diffuse": GREY / np.pi * sh.irradiance(x, n),
-        "silver": basis @ (rough[:, None] * x),
+        "silver": basis @ (silver_factors(order)[sh.degrees(order), None] * x),
         "mirror": basis @ x,
     }
     out = {}

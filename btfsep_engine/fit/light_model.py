@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from btfsep_engine.conventions import across
 from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, LogField
 
 OF_LAMP = 5  # unknowns
@@ -21,13 +22,6 @@ DIRECTION = np.radians(10)  # s
 BRIGHTNESS, TINT, GREEN = 2.0, 0.3, 0.1
 BY_CHANNEL = np.array([BRIGHTNESS, TINT, GREEN])[:, None] * CHROMA.T  # (q3 to q5, channels)
 STEP = 1e-3  # of a numerical derivative by the direction
-
-
-def across(direction) -> np.ndarray:
-    """Two unit vectors across a unit direction (3,) and each other: (2, 3)."""
-    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
 
 
 @dataclass(frozen=True, eq=False)

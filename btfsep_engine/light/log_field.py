@@ -181,17 +181,12 @@ def _channels_last_but_one(each) -> np.ndarray:
     return each if each.ndim == 2 else np.moveaxis(each, 0, -2)
 
 
-def degrees(order: int) -> np.ndarray:
-    """The degree of every term: ((order + 1)^2,) int."""
-    return np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
-
-
 def build(table: dict, *, order: int = FIELD_ORDER, chroma_order: int = CHROMA_ORDER) -> LogField:
     """The prior of a table of `learn`."""
     sizes = (order, chroma_order, chroma_order)
     deviation, mean = [], []
     for name, largest in zip(("luminance", "red_blue", "green"), sizes, strict=True):
-        l = degrees(largest)
+        l = sh.degrees(largest)
         s = table[name]["at_degree_1"] * np.maximum(l, 1.0) ** -table[name]["decline"]
         s[0] = table[name]["level"]
         m = np.zeros(len(l))
@@ -227,7 +222,7 @@ def natural_spread() -> np.ndarray:
     field = natural_field()
     x = field.coefficients(field.radiance(np.random.default_rng(0).standard_normal((DRAWS, field.unknowns))))
     low, high = np.percentile(x / x[..., :1], (16, 84), axis=(0, 1))
-    degree = degrees(sh.order_of(field.terms))
+    degree = sh.degrees(sh.order_of(field.terms))
     return (np.bincount(degree, (high - low) / 2) / np.bincount(degree))[degree]
 
 

@@ -89,8 +89,8 @@ def positive_share(coefficients) -> tuple[float, float]:
 def _both(x, directions):
     """The series, and the series blurred: (..., 3) each."""
     order = sh.order_of(len(x))
-    per_term = np.repeat(positive_window(order), 2 * np.arange(order + 1) + 1)
-    both = sh.series(np.concatenate([x, per_term[:, None] * x], 1), directions)
+    windowed = positive_window(order)[sh.degrees(order), None] * x
+    both = sh.series(np.concatenate([x, windowed], 1), directions)
     return both[..., :3], both[..., 3:]
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
+from btfsep_engine.conventions import across, pixel_directions, pixel_solid_angles
 from btfsep_engine.light.lightings import cap_factors
 
 NARROWEST = 3.0  # pixels of a map: a sun is no narrower in it
@@ -91,15 +91,13 @@ class Sun:
 def beam_shape(direction, order: int, *, size_degrees: float = 0.0) -> np.ndarray:
     """The spherical harmonics ((order + 1)^2,) of a disc of unit irradiance about a direction."""
     cap = cap_factors(order, 2 * np.pi * (1 - np.cos(np.radians(size_degrees) / 2)))
-    return sh.evaluate(order, np.asarray(direction, np.float64)) * np.repeat(cap, 2 * np.arange(order + 1) + 1)
+    return sh.evaluate(order, np.asarray(direction, np.float64)) * cap[sh.degrees(order)]
 
 
 def cap_around(direction, half_angle: float, count: int) -> np.ndarray:
     """``count`` directions spread evenly over the cap of ``half_angle`` radians about a unit direction: (count, 3)."""
     direction = np.asarray(direction, np.float64)
-    a = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
-    a /= np.linalg.norm(a)
-    b = np.cross(direction, a)
+    a, b = across(direction)
     i = np.arange(count) + 0.5
     cosine = 1 - (1 - np.cos(half_angle)) * i / count
     azimuth = 2 * np.pi * i / ((1 + np.sqrt(5)) / 2)

@@ -166,7 +166,7 @@ def cheap_basis(normal, to_eye) -> np.ndarray:
     diffuse = sh.cosine_lobe(order) / np.pi
     lobe = np.exp(-0.5 * l * (l + 1) * LOBE_WIDTH**2)
     mirrored = 2 * (normal * to_eye).sum(1, keepdims=True) * normal - to_eye
-    terms = np.repeat(l, 2 * l + 1)
+    terms = sh.degrees(order)
     return np.sqrt(4 * np.pi) * (
         (1 - LOBE_SHARE) * diffuse[terms] * sh.evaluate(order, normal)
         + LOBE_SHARE * lobe[terms] * sh.evaluate(order, mirrored)

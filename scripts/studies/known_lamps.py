@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine.fit.light_model import across
+from btfsep_engine.conventions import across
 from btfsep_engine.job.load import known_lamps, load_job
 from btfsep_engine.pipeline.checks import known_lamp_doubts
 from scripts.studies import parser, photos, tables

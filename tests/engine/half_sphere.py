@@ -18,7 +18,7 @@ def half_sphere(rng, pixels=1500, albedo=(0.7, 0.5, 0.3), gloss=0.3):
     n[:, 1] = -np.abs(n[:, 1])
     eye = np.array([0.0, -1.0, 0.0])
     mirrored = 2 * (n @ eye)[:, None] * n - eye
-    l = np.repeat(np.arange(ORDER + 1), 2 * np.arange(ORDER + 1) + 1)
+    l = sh.degrees(ORDER)
     matte = sh.evaluate(ORDER, n) * sh.cosine_lobe(ORDER)[l] / np.pi
     shine = gloss * sh.evaluate(ORDER, mirrored) * np.exp(-l * (l + 1) * 0.03)
     blocks = np.unique((n[:, 0] // 0.25) * 100 + n[:, 2] // 0.25, return_inverse=True)[1].reshape(-1)

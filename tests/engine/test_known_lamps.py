@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from btfsep_engine import sh
-from btfsep_engine.fit.light_model import LightModel, across
+from btfsep_engine.conventions import across
+from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.log_normal import Lamp, LightSolver
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import LAMP_COST, solve

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from btfsep_engine.conventions import across
 from btfsep_engine.fit.diagnose import effect
-from btfsep_engine.fit.light_model import across
 from btfsep_engine.fit.near_lamp import nearness
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Near

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.conventions import across
 from btfsep_engine.fit.diagnose import effect
-from btfsep_engine.fit.light_model import across
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.basis import USUAL
 from btfsep_engine.pipeline.together import all_weights, fit_together, stacked

@@ -42,7 +42,7 @@ def expansions(radiance) -> np.ndarray:
 def learn(found) -> dict:
     """The table of maps' expansions (maps, 3, terms)."""
     found = np.asarray(found)
-    l = log_field.degrees(ORDER)
+    l = sh.degrees(ORDER)
     zonal = [float(found[:, 0, d * d + d].mean()) for d in range(1, log_field.ZONAL + 1)]
     centred = np.array(found)
     for d, value in enumerate(zonal, 1):

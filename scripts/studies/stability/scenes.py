@@ -128,7 +128,7 @@ def lamp_radiance(lamp) -> float:
 def lamp_coefficients(lamp) -> np.ndarray:
     """The light (terms, 3) of a lamp, a ball of even radiance, as it is at the object's centre."""
     solid_angle = 2 * np.pi * (1 - np.cos(lamp_angle(lamp)))
-    factors = np.repeat(cap_factors(ORDER, solid_angle), 2 * np.arange(ORDER + 1) + 1)
+    factors = cap_factors(ORDER, solid_angle)[sh.degrees(ORDER)]
     x = lamp_radiance(lamp) * solid_angle * factors * sh.evaluate(ORDER, unit(lamp[1]))
     return np.repeat(x[:, None], 3, 1)
 
