@@ -137,15 +137,7 @@ class Tabulated(Material):
 
     def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
         """3 x 3 directions and 2 x 2 texels are blended: (n, 3) float32."""
-        h, w, _ = self.texels.shape
-        x, y = (np.asarray(position_mm, np.float64) / self.texel_mm - 0.5).T
-        column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-        fx, fy = (x - column).astype(np.float32)[:, None], (y - row).astype(np.float32)[:, None]
-        low, high = (
-            self.texels[r % h, column % w] * (1 - fx) + self.texels[r % h, (column + 1) % w] * fx
-            for r in (row, row + 1)
-        )
-        texel = low * (1 - fy) + high * fy
+        texel = blended(self.texels, *(np.asarray(position_mm, np.float64) / self.texel_mm - 0.5).T)
         views, view_share = interpolator(self.views).weights(to_eye)
         lights, light_share = interpolator(self.lights).weights(to_light)
         total = np.zeros((len(texel), 3), np.float32)
@@ -169,6 +161,15 @@ class Tabulated(Material):
 
     def truncated(self, components: int | None) -> "Tabulated":
         return replace(self, texels=self.texels[..., :components], angular=self.angular[..., :components])
+
+
+def blended(texels, x, y) -> np.ndarray:
+    """Periodic bilinear look-up of texels (h, w, k) at places x, y (n,) between their centres: (n, k)."""
+    h, w = texels.shape[:2]
+    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
+    low, high = (texels[r % h, x0 % w] * (1 - fx) + texels[r % h, (x0 + 1) % w] * fx for r in (y0, y0 + 1))
+    return low * (1 - fy) + high * fy
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ table over the light list; a light direction then costs three taps, whatever the
 import numpy as np
 
 from btfsep_engine.btf.directions import interpolator
-from btfsep_engine.btf.model import Tabulated
+from btfsep_engine.btf.model import Tabulated, blended
 from btfsep_engine.render.arrays import DirectionTaps, aligned, dr, mi
 from btfsep_engine.render.surface import SurfacePoints
 
@@ -20,13 +20,7 @@ CHUNK = 1 << 14  # pixels averaged at once
 def _bilinear(level, uv):
     """Periodic bilinear look-up of (h, w, k) at texture coordinates (n, 2), 1 being the whole tile."""
     h, w = level.shape[:2]
-    x, y = uv[:, 0] * w - 0.5, uv[:, 1] * h - 0.5
-    x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    fx, fy = (x - x0).astype(np.float32)[:, None], (y - y0).astype(np.float32)[:, None]
-    x0, y0, x1, y1 = x0 % w, y0 % h, (x0 + 1) % w, (y0 + 1) % h
-    return (level[y0, x0] * (1 - fx) + level[y0, x1] * fx) * (1 - fy) + (
-        level[y1, x0] * (1 - fx) + level[y1, x1] * fx
-    ) * fy
+    return blended(level, uv[:, 0] * w - 0.5, uv[:, 1] * h - 0.5)
 
 
 def _trilinear(levels, at, level) -> np.ndarray:
