@@ -87,8 +87,12 @@ class LightSolver:
             self.basis = Basis(basis, normals)
         self.order, self.seed, self.coarsening = order, seed, coarsening
         self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
-        self._held = {"lamps": tuple(d for d, _ in self.given), "given": (0.0,) * len(self.given)}
         self.slopes = None
+
+    @property
+    def _held(self) -> dict:
+        """The lamps that are given, as models have them."""
+        return {"lamps": tuple(d for d, _ in self.given), "given": (0.0,) * len(self.given)}
 
     def with_slopes(self, slopes) -> "LightSolver":
         """The same for photographs that may differ by ``slopes`` (p, k, 3) beside noise (`fit.products.Photograph`)."""
@@ -100,7 +104,6 @@ class LightSolver:
         """The same of the same basis images with no lamp given; ``number`` : of the one to leave out alone."""
         out = copy.copy(self)
         out.given = () if number is None else (*self.given[:number], *self.given[number + 1 :])
-        out._held = {"lamps": tuple(d for d, _ in out.given), "given": (0.0,) * len(out.given)}
         return out
 
     def solve(self, radiance, *, weights=None, start: Fit | None = None, beside: Fit | None = None) -> Fit:
@@ -240,12 +243,9 @@ class LightSolver:
         """The same fit with fewer orders reported."""
         return replace(fit, order=order, condition=self.basis.condition(order))
 
+    @one_thread()
     def _stated(self, best: Solution, rival: Solution | None, unit, tint, photo) -> Stated:
         """What samples of the light's posterior say of it and of its lamps."""
-        with one_thread():
-            return self._sampled(best, rival, unit, tint, photo)
-
-    def _sampled(self, best: Solution, rival: Solution | None, unit, tint, photo) -> Stated:
         random = np.random.default_rng(self.seed)
         model = self._loose(best.model)
         whites, lights = posterior_samples(best, SAMPLES, random, model=model)

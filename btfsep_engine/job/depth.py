@@ -243,7 +243,7 @@ def _smoothed(inverse, valid, across, down, *, passes: int):
 
     Neighbours count in opposite pairs: a mean of two that lie on a line with the pixel is right on a slope, too.
     """
-    ways = [(i, j) for i, j in ((1, 0), (0, 1), (1, 1), (1, -1))]
+    ways = (1, 0), (0, 1), (1, 1), (1, -1)
     pairs = [_reached(valid, across, down, i, j) & _reached(valid, across, down, -i, -j) for i, j in ways]
     for _ in range(passes):
         total, count = inverse.copy(), np.ones_like(inverse)

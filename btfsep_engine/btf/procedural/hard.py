@@ -129,7 +129,7 @@ def _figure(u, v, rng, *, rings: int, waves: float, stretch: int):
 def _pores(u, v, rng, *, columns: int, rows: int, width: float):
     """Vessels cut lengthwise: thin dashes along v, in [0, 1]."""
     points = jittered_points(columns, rows, rng)
-    _, _, offset = nearest(u, v, points, k=1 + 1, stretch=columns / rows)
+    _, _, offset = nearest(u, v, points, stretch=columns / rows)
     long = smoothstep(0.55, 0.30, np.abs(offset[..., 1]) * rows)
     return smoothstep(width, 0.3 * width, np.abs(offset[..., 0]) * columns) * long
 
