@@ -53,9 +53,7 @@ def reciprocity_error(values, views, lights) -> float:
 
 def _resample(wanted, given) -> np.ndarray:
     """(wanted, given): weights that interpolate values at ``given`` to ``wanted``; exact where they coincide."""
-    index, weight = interpolator(given).weights(wanted)
-    matrix = np.zeros((len(wanted), len(given)))
-    np.add.at(matrix, (np.arange(len(wanted))[:, None], index), weight)
+    matrix = interpolator(given).hats(wanted).T.toarray()
     near = np.asarray(wanted) @ np.asarray(given).T
     same = near.max(1) > np.cos(1e-4)
     matrix[same] = 0

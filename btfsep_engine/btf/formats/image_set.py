@@ -28,7 +28,8 @@ SUFFIXES = (*images.SUFFIXES, *RADIANCE)
 RADIANCE_COLUMNS_FIRST = re.compile(rb"\n\+X (\d{1,6}) -Y (\d{1,6})\n")
 MAX_PIXELS = 1024 * 1024  # of one image
 BLOCK = 16 << 20  # values factorised at once
-COUNT = 81
+ANGLES = [(theta, i * 360 // count) for theta, count, _ in zip(*UBO2003_RINGS, strict=True) for i in range(count)]
+COUNT = len(ANGLES)  # 81
 
 
 @dataclass(frozen=True)
@@ -53,13 +54,8 @@ class Imported:
 
 def direction_index(theta: int, phi: int) -> int | None:
     """The place of a direction (degrees) in the list of 81, None where it is not in it."""
-    start = 0
-    for ring, count in zip(*UBO2003_RINGS[:2], strict=True):
-        if theta == ring:
-            step, rest = divmod(phi % 360, 360 // count)
-            return 0 if count == 1 else (start + step if rest == 0 else None)
-        start += count
-    return None
+    angles = theta, phi % 360 if theta else 0
+    return ANGLES.index(angles) if angles in ANGLES else None
 
 
 def find_images(members: Members) -> dict:
@@ -89,21 +85,13 @@ def find_images(members: Members) -> dict:
     missing = COUNT * COUNT - len(found)
     if missing:
         v, l = next((v, l) for v in range(COUNT) for l in range(COUNT) if (v, l) not in found)
-        angles = [f"{t:03.0f} p{s}{p:03.0f}" for s, (t, p) in zip("vl", (_degrees(v), _degrees(l)), strict=True)]
+        angles = [f"{t:03.0f} p{s}{p:03.0f}" for s, (t, p) in zip("vl", (ANGLES[v], ANGLES[l]), strict=True)]
         raise InputError(
             str(members.source),
             f"{missing} of {COUNT * COUNT} images are missing, the first of them tv{angles[0]} tl{angles[1]}",
             "give the folder or zip of one whole material (names with tl… pl… tv… pv…)",
         )
     return found
-
-
-def _degrees(index: int):
-    for ring, count in zip(*UBO2003_RINGS[:2], strict=True):
-        if index < count:
-            return ring, index * 360 // count
-        index -= count
-    raise IndexError(index)
 
 
 def import_images(
