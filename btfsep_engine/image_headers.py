@@ -64,7 +64,7 @@ def size(data: bytes) -> tuple[int, int] | None:
     with contextlib.suppress(struct.error, IndexError):
         if data[:8] == _PNG:
             return struct.unpack(">II", data[16:24])
-        if data[:2] == b"\xff\xd8":
+        if data[:2] == _JPEG:
             return _size_of_jpeg(data)
         if data[:4] in _TIFF:
             return _size_of_tiff(data)
@@ -79,7 +79,7 @@ def size(data: bytes) -> tuple[int, int] | None:
 def has_coarse_chroma(data: bytes) -> bool:
     """Whether a file stores colours at less resolution than brightness; a PNG, whether EXIF says that of its source."""
     with contextlib.suppress(struct.error, IndexError):
-        if data[:2] == b"\xff\xd8":
+        if data[:2] == _JPEG:
             at = _jpeg_frame(data)
             if at is None or data[at + 5] < 3:
                 return False
@@ -256,11 +256,11 @@ def _exif(data: bytes) -> bytes | None:
     """The block of EXIF of a file, which is a TIFF without a picture; None where it has none."""
     if data[:4] in _TIFF:
         return data
-    if data[:2] == b"\xff\xd8":
+    if data[:2] == _JPEG:
         for marker, at, length in _jpeg_segments(data):
             if marker == 0xE1 and data[at : at + 6] == b"Exif\0\0":
                 return data[at + 6 : at + length]
-    elif data[:8] == b"\x89PNG\r\n\x1a\n":
+    elif data[:8] == _PNG:
         return _chunk(data, 8, b"eXIf", ">", before_kind=True, tail=4)
     elif data[:4] == b"RIFF":
         found = _chunk(data, 12, b"EXIF", "<", before_kind=False, tail=0)
