@@ -44,11 +44,11 @@ def _plain(coefficients) -> dict:
 
 
 def _read_map(path: Path) -> np.ndarray:
-    try:
-        image = bpy.data.images.load(str(path), check_existing=False)
-    except RuntimeError as error:
-        raise InputError(path.name, error, "choose an EXR or HDR that can be read") from None
-    try:
+    with scratch() as own:
+        try:
+            image = own(bpy.data.images.load(str(path), check_existing=False))
+        except RuntimeError as error:
+            raise InputError(path.name, error, "choose an EXR or HDR that can be read") from None
         image.colorspace_settings.name = "Linear Rec.709"  # which files do not say, and other working spaces are not
         width, height = image.size
         if not width or width != 2 * height:
@@ -58,8 +58,6 @@ def _read_map(path: Path) -> np.ndarray:
         if not np.isfinite(radiance).all():
             raise InputError(path.name, "it has pixels that are no numbers", "export it again")
         return np.maximum(colour.to_rec709(radiance), 0)
-    finally:
-        bpy.data.images.remove(image)
 
 
 def _read_text(path: Path) -> np.ndarray:

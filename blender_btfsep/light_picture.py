@@ -10,6 +10,7 @@ from mathutils import Vector
 
 from . import harmonics, photo, pixels
 from .light_words import irradiance
+from .scratch import scratch
 
 HALF = 128  # pixels of the ball and of the map's height
 GREY = 0.5  # albedo of the ball
@@ -57,12 +58,10 @@ def _ball(sky, lamps, to_world) -> tuple[np.ndarray, np.ndarray]:
 
 def _map_of(file) -> np.ndarray:
     """(HALF, 2 HALF, 3) of a map in a file, averaged."""
-    image = bpy.data.images.load(str(file), check_existing=False)
-    try:
+    with scratch() as own:
+        image = own(bpy.data.images.load(str(file), check_existing=False))
         image.scale(2 * HALF, HALF)
         return np.maximum(pixels.colours(image)[::-1], 0).astype(float)
-    finally:
-        bpy.data.images.remove(image)
 
 
 def _map(sky, lamps) -> np.ndarray:

@@ -51,17 +51,15 @@ def put(source, folder, *, file=None) -> Put:
     path = Path(bpy.path.abspath(str(source)))
     if not path.is_file():
         raise InputError(f"the photo {path.name}", "there is no such file", "choose the photo again")
-    try:
-        image = bpy.data.images.load(str(path), check_existing=False)
-    except RuntimeError as error:
-        raise InputError(f"the photo {path.name}", error, "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
-    try:
+    with scratch() as own:
+        try:
+            image = own(bpy.data.images.load(str(path), check_existing=False))
+        except RuntimeError as error:
+            raise InputError(f"the photo {path.name}", error, "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
         if path.suffix.lower() in SUFFIXES:
             _only_one(image)
             return Put(_copy(path, Path(folder)), "auto", _size(image))
         return _put_image(image, Path(folder))
-    finally:
-        bpy.data.images.remove(image)
 
 
 def file_of(image) -> Path | None:
@@ -167,12 +165,10 @@ def _put_one_of(sequence, folder: Path, path: Path | None):
     if path is None or not path.is_file():
         name = sequence.name if path is None else path.name
         raise InputError(f"the photo {name}", "there is no such file", "choose the photos again, or another frame")
-    image = bpy.data.images.load(str(path), check_existing=False)
-    try:
+    with scratch() as own:
+        image = own(bpy.data.images.load(str(path), check_existing=False))
         image.colorspace_settings.name = sequence.colorspace_settings.name
         return _put_image(image, folder)
-    finally:
-        bpy.data.images.remove(image)
 
 
 def put_mask(image, folder, name: str, size) -> str:
