@@ -23,6 +23,7 @@ from btfsep_engine.atomic import write_json
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.job.load import load_job
+from btfsep_engine.pipeline.mirrors import SHARP
 from scripts.cycles.lights import studio_lights, true_lighting
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
@@ -55,6 +56,7 @@ CURVES = ("srgb", "srgb", "agx", "floats")
 WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
 SUN_COLOUR = np.array([1.05, 1.0, 0.9])
 AS_IS, IN_LINE, AS_SRGB, AS_MEAN = "as it is", "in line", "taken for sRGB", "as their mean"
+NO_MIRROR = "as no mirror"
 
 
 def drawn(seed: int) -> list[dict]:
@@ -130,6 +132,12 @@ def as_mean(job):
     return replace(job, objects=(replace(first, surface=Surface(tuple(colour), *map(float, numbers))), *others))
 
 
+def as_no_mirror(job):
+    """A job whose first object's surface is a little rougher than what counts as a mirror."""
+    first, *others = job.objects
+    return replace(job, objects=(replace(first, surface=replace(first.surface, roughness=SHARP + 0.01)), *others))
+
+
 def truth(plate) -> np.ndarray:
     """The light's coefficients (100, 3)."""
     c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
@@ -157,7 +165,8 @@ def study(plate, folder: Path, way: str) -> dict:
     """One estimate."""
     where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
     job = load_job(where, colorspace="auto" if way == AS_SRGB else None)
-    return {"way": way} | judged(plate, as_mean(job) if way == AS_MEAN else job)
+    made = {AS_MEAN: as_mean, NO_MIRROR: as_no_mirror}
+    return {"way": way} | judged(plate, made[way](job) if way in made else job)
 
 
 COLUMNS = (
@@ -195,10 +204,11 @@ def main(arguments) -> int:
         (plate, folder, way)
         for folder, plates in places
         for plate in plates
-        for way in (AS_IS, IN_LINE, AS_SRGB, AS_MEAN)
+        for way in (AS_IS, IN_LINE, AS_SRGB, AS_MEAN, NO_MIRROR)
     ]
     todo = [t for t in todo if t[2] != AS_SRGB or t[0]["curve"] == "agx"]
     todo = [t for t in todo if t[2] != AS_MEAN or "more" in t[0]]
+    todo = [t for t in todo if t[2] != NO_MIRROR or t[1].name == "chrome"]
     todo = [t for t in todo if t[2] != IN_LINE or any(t[0]["off"])]
     rows = [study(*each) for each in tqdm(todo)]
     if given.numbers:
