@@ -98,8 +98,15 @@ class Estimate:
 
     @property
     def radiance(self):
-        """The sky's own radiance (`light_account.sky_radiance`); None where its series is all that is known."""
-        return None if self.fit.election is None else sky_radiance(self.fit, self.lighting)
+        """The sky's own radiance (`light_account.sky_radiance`), and what mirrors show of it.
+
+        None where its series is all that is known.
+        """
+        if self.fit.election is None:
+            return None
+        sky, shown = sky_radiance(self.fit, self.lighting), self.scene.mirror_lights
+        most = max(shown, key=lambda mirror: mirror.shares.mean(), default=None)
+        return sky if most is None else most.seen_in(sky, self.lighting.suns)
 
     @cached_property
     def lighting(self) -> Lighting:

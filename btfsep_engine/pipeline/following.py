@@ -109,6 +109,7 @@ class Follower:
         (problem,), light = elected.model.problems, elected.light
         seen = copy.copy(problem.scene)
         seen.job, seen.reporter, seen.curves = scene.job, scene.reporter, scene.curves
+        seen.mirror_lights = scene.mirror_lights
         if light.alone or (problem := problem.again(seen)) is None:
             return None
         with scene.reporter.stage("fit"):

@@ -11,7 +11,7 @@ low orders lose nothing by it. Light that comes by way of another surface is lef
 
 import copy
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -33,8 +33,9 @@ SHARP = 0.25  # roughness: metals up to it are mirrors, their lobes narrower tha
 ROUGH = 0.7  # of what stands for them: its lobe is about as wide as a series of order 9 can tell
 METAL = 0.9  # of its share: what is left shows little
 CELLS = 2048  # directions, 4 degrees apart
-FINE = 16384  # directions, by which pixels are sorted
+FINE = 65536  # directions, by which pixels are sorted: 0.8 degrees apart
 WIDE, REACH = np.radians(4.0), np.radians(8.0)  # of the mean in a cell: of a few pixels, it would not keep their light
+AROUND = 19  # cells: one and the next two rings
 SHOWN = 0.25  # of what is in a cell's reach: where less is, another cell stands for it
 LACKING = 0.2  # of what a place would show: where more of it is unknown, the place is left out
 PLACES = 3000  # of an object
@@ -105,24 +106,59 @@ class Mirror:
         """((LARGEST_ORDER + 1)**2, 3), of a light (CELLS, 3)."""
         return sh.evaluate(LARGEST_ORDER, fibonacci_sphere(CELLS)).T @ light * (4 * np.pi / CELLS)
 
+    def fine_light(self, values) -> np.ndarray:
+        """(FINE, 3), what ``values`` (p, 3) are in each direction, or in the nearest that pixels show."""
+        total = np.stack([np.bincount(self.fine, self.weights * v, FINE) for v in (values / self.reflectance).T], -1)
+        there = np.bincount(self.fine, self.weights, FINE)
+        seen = np.flatnonzero(there)
+        nearest = seen[cKDTree(fibonacci_sphere(FINE)[seen]).query(fibonacci_sphere(FINE))[1]]
+        return total[nearest] / there[nearest, None]
+
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """(CELLS,), how much of what lies around each cell is shown."""
+        near = tree_of(CELLS).query(fibonacci_sphere(CELLS), k=AROUND)[1]
+        return (self.filled == np.arange(CELLS))[near].mean(1)
+
     def shown(self, *lights) -> np.ndarray:
         """(q, lights, 3), at the places, under lights (CELLS, 3)."""
         return self.transport.radiance(self.material, CellLights(np.stack(lights, 1)))
 
 
 @dataclass(frozen=True)
-class LeftOpen:
-    """What a mirror's picture leaves open of the light: coefficients (terms, 3).
+class MirrorLight:
+    """What a mirror's picture says of the light, and what it leaves open.
 
     Attributes
     ----------
-    clipped : of what was added for clipped pixels: by a factor exp(GUESS) more or less
-    right, down : by how much the light changes if the mesh is off by `OFF` pixels
+    radiance : (FINE, 3), from directions as near to each other as pixels tell apart; shares : (CELLS,), how far they
+        are known around each: 1 where all is shown
+    clipped : (terms, 3), coefficients of what was added for clipped pixels: by a factor exp(GUESS) more or less
+    right, down : (terms, 3), by how much the light changes if the mesh is off by `OFF` pixels
     """
 
+    radiance: np.ndarray
+    shares: np.ndarray
     clipped: np.ndarray
     right: np.ndarray
     down: np.ndarray
+
+    def seen_in(self, radiance, suns=()):
+        """The positive ``radiance`` (directions (…, 3) -> (…, 3)) with what the mirror shows where it does.
+
+        ``suns`` : light.sun.Sun that are no part of it
+        """
+
+        def detailed(directions):
+            directions = np.asarray(directions)
+            share = np.clip(2 * self.shares[tree_of(CELLS).query(directions)[1]] - 1, 0, 1)
+            for sun in suns:
+                beside = np.radians(sun.size_degrees / 2) + REACH
+                share = np.where(directions @ sun.direction > np.cos(beside), 0.0, share)
+            fine = self.radiance[tree_of(FINE).query(directions)[1]]
+            return radiance(directions) * (1 - share[..., None]) + fine * share[..., None]
+
+        return detailed
 
     def spread(self, count: int, random) -> np.ndarray:
         """(count, terms, 3), by what lights that are as probable differ."""
@@ -188,16 +224,16 @@ def with_mirrors(scene, mirrors):
 def with_picture(scene, photo: Photo):
     """A copy of a PreparedScene with another photo, in it the pictures of its mirrors as a rougher metal's."""
     out = copy.copy(scene)
-    photo, out.left_open = picture(scene.mirrors, photo)
+    photo, out.mirror_lights = picture(scene.mirrors, photo)
     out.job = replace(scene.job, photo=photo)
     return out
 
 
-def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[LeftOpen, ...]]:
-    """A photo with the pictures of ``mirrors`` as a rougher metal's, and what these leave open of the light."""
+def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[MirrorLight, ...]]:
+    """A photo with the pictures of ``mirrors`` as a rougher metal's, and what each says of the light."""
     if not mirrors:
         return photo, ()
-    radiance, usable, left_open = photo.radiance.copy(), photo.usable.copy(), []
+    radiance, usable, mirror_lights = photo.radiance.copy(), photo.usable.copy(), []
     clipped = np.zeros(radiance.shape, bool) if photo.clipped is None else photo.clipped.copy()
     for mirror in mirrors:
         at, to = tuple(mirror.pixels.T), tuple(mirror.whole.T)
@@ -205,16 +241,18 @@ def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[LeftOpen, ...]]:
         over = clipped[at]
         light, lost = mirror.light(values), mirror.light(values * over)
         share = float((mirror.weights @ over).mean()) / (4 * np.pi) if mirror.alone else 0.0
-        more = lacking(share, light, lost) * lost
-        shown, at_least = np.moveaxis(mirror.shown(light + more, lost), 1, 0)
+        times = lacking(share, light, lost)
+        shown, at_least = np.moveaxis(mirror.shown(light + times * lost, lost), 1, 0)
         radiance[to] = shown[mirror.nearest]
         clipped[to] = (not mirror.alone) & (at_least > CLIPPED * shown)[mirror.nearest]
         usable[to] = ~clipped[to].any(-1)
         moved = [OFF * _slope(photo.radiance, mirror.pixels, step) for step in ((0, 1), (1, 0))]
-        left_open.append(LeftOpen(*map(mirror.coefficients, (more, *map(mirror.light, moved)))))
+        fine = mirror.fine_light(values * (1 + times * over))
+        open_to = map(mirror.coefficients, (times * lost, *map(mirror.light, moved)))
+        mirror_lights.append(MirrorLight(fine, mirror.shares, *open_to))
     # sums of light are no codes: no curve is sought by them
     clipped = clipped if clipped.any() else None
-    return replace(photo, radiance=radiance, usable=usable, clipped=clipped, bits=None), tuple(left_open)
+    return replace(photo, radiance=radiance, usable=usable, clipped=clipped, bits=None), tuple(mirror_lights)
 
 
 def lacking(share: float, light, clipped) -> float:
@@ -248,7 +286,7 @@ def _mirror(scene, index: int, surface: Surface, alone: bool) -> Mirror | None:
     use &= (weights > 0) & scene.tracer.sees_sky(points.position, points.flat_normal, towards)
     if not use.any():
         return None
-    fine = cKDTree(fibonacci_sphere(FINE)).query(towards[use])[1]
+    fine = tree_of(FINE).query(towards[use])[1]
     there = mean_kernel() @ np.bincount(fine, weights[use], FINE)
     shown = there > SHOWN * np.asarray(mean_kernel().sum(1)).ravel() * (4 * np.pi / FINE)
     if not shown.any():
@@ -274,10 +312,16 @@ def _mirror(scene, index: int, surface: Surface, alone: bool) -> Mirror | None:
     return Mirror(index, alone, *parts, *of_places, points.pixels, nearest)
 
 
+@lru_cache(maxsize=2)
+def tree_of(count: int) -> cKDTree:
+    """Of ``count`` directions that share out the sphere."""
+    return cKDTree(fibonacci_sphere(count))
+
+
 @lru_cache(maxsize=1)
 def mean_kernel() -> csr_matrix:
     """(CELLS, FINE), what directions count in the mean of a cell."""
-    coarse, fine = (cKDTree(fibonacci_sphere(n)) for n in (CELLS, FINE))
+    coarse, fine = tree_of(CELLS), tree_of(FINE)
     apart = coarse.sparse_distance_matrix(fine, 2 * np.sin(REACH / 2), output_type="coo_matrix").tocsr()
     apart.data = np.exp(-0.5 * np.square(apart.data / WIDE))
     return apart

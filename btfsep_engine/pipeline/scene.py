@@ -59,7 +59,7 @@ class PreparedScene:
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
         self.greys = None  # surroundings.Greys, where occluders were of an unknown grey and it is chosen
         self.mirrors = ()  # mirrors.Mirror, of objects whose pictures in the photo are a rougher metal's
-        self.left_open = ()  # mirrors.LeftOpen, by these pictures
+        self.mirror_lights = ()  # mirrors.MirrorLight, by these pictures
         self.mended_by = None  # alignment.Alignment, where the camera is not the job's
         self.colours = {}  # number of an occluder -> (3,), of which the job does not say it and the photo does
         self.grey = GREY  # what occluders reflect of which the job does not say it

@@ -10,6 +10,7 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.images import write_exr
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.sun import Sun
@@ -128,6 +129,21 @@ def test_what_stands_in_its_place_is_a_rougher_metals_picture():
     assert mirrors.softened(dull, known := given(dull), choose("balanced")) == (dull, known)
 
 
+def test_the_map_shows_what_the_mirror_shows():
+    """Far finer than a series: the lamps of five degrees are there, and as bright as they are."""
+    found = estimate(mirrored(roughness=0.0), open_library(None), choose("balanced", key_light="never"))
+    directions = pixel_directions(*found.map.shape[:2])
+    shown = directions @ np.array([0.0, 0.0, -1.0]) < 0.8  # what lies behind the ball, it hides
+    true, smooth = light(directions.reshape(-1, 3)).reshape(found.map.shape), found.fit.election.radiance(directions)
+    off, plain = (np.median(np.abs(image - true)[shown]) for image in (found.map, smooth))
+    assert off < 0.2 * plain
+    for lamp in lamps():
+        near = directions @ lamp.direction > np.cos(np.radians(2 * WIDE))
+        area = np.gradient(-np.cos(np.linspace(0, np.pi, len(near))))[:, None] * (2 * np.pi / near.shape[1])
+        power = [(image.mean(-1) * area)[near].sum() for image in (found.map, true)]
+        assert power[0] == pytest.approx(power[1], rel=0.3)
+
+
 def cut(scene, share=0.02):
     """The scene with the brightest of its pixels clipped."""
     photo = scene.job.photo
@@ -163,7 +179,7 @@ def test_a_mesh_that_may_be_a_pixel_off_is_in_what_is_stated():
     """Of the light that the same mirror would show where it stands a pixel farther to either side."""
     scene = mirrored(roughness=0.0)
     seen, _ = softened(scene)
-    (ball,), (open_to,) = seen.mirrors, seen.left_open
+    (ball,), (open_to,) = seen.mirrors, seen.mirror_lights
 
     def aside(columns):
         moved = np.roll(scene.job.photo.radiance, columns, axis=1)

@@ -22,14 +22,14 @@ CLIPPED = (
 
 def mirrored(model, light):
     """The refinement: wider ranges by what is left open of the light that mirrors show."""
-    left_open = [each for problem in model.problems for each in problem.scene.left_open]
-    if not left_open:
+    mirror_lights = [each for problem in model.problems for each in problem.scene.mirror_lights]
+    if not mirror_lights:
         return model, light, {}
-    if any(each.clipped.any() for each in left_open):
+    if any(each.clipped.any() for each in mirror_lights):
         model.reporter.warn(CLIPPED)
     if light.fit.samples is None:
         return model, light, {"mirrors": WORDS}
     samples, random = light.fit.samples.copy(), np.random.default_rng(model.settings.seed)
-    for each in left_open:  # of several mirrors each says as much of the light
-        samples += each.spread(len(samples), random)[:, : samples.shape[1]] / np.sqrt(len(left_open))
+    for each in mirror_lights:  # of several mirrors each says as much of the light
+        samples += each.spread(len(samples), random)[:, : samples.shape[1]] / np.sqrt(len(mirror_lights))
     return model, replace(light, fit=restated(light.fit, samples)), {"mirrors": WORDS}
