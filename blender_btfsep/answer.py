@@ -44,6 +44,7 @@ def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lam
     found = kept_light.card(scene.btfsep.light)
     sentences += [f"{label}: {words}".removeprefix(": ") for label, words in found["lines"]]
     if (mode or scene.btfsep.world_mode) != "NONE":
+        lighting = kept_light.lighting_of(scene.btfsep.light)
         sentences.append(apply_light(scene, lighting, mode=mode, lamp=lamp))
     return [*sentences, "", *found["details"]]
 
@@ -60,12 +61,16 @@ def take_light(scene, path) -> None:
 
 
 def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool | None = None, lamp=None) -> str:
-    """Makes a lighting the World, as the panel says where the others are None; gives a sentence about it."""
+    """Makes a lighting the World, as the panel says where the others are None; gives a sentence about it.
+
+    What a mirror shows (``lighting`` has a "map") is no node group: that would be as smooth as harmonics are.
+    """
     settings = scene.btfsep
+    chosen = "TEXTURE" if "map" in lighting and settings.world_mode == "NODES" else settings.world_mode
     world.apply_lighting(
         scene,
         lighting,
-        mode=mode or settings.world_mode,
+        mode=mode or chosen,
         clamp=settings.clamp if clamp is None else clamp,
         lamp=settings.sun_lamp if lamp is None else lamp,
     )

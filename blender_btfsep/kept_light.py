@@ -9,14 +9,17 @@ from functools import lru_cache
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from . import camera as pinhole
-from . import light_picture, lighting_file, pixels
+from . import light_files, light_picture, lighting_file, pixels
 from .card import card_of
 from .errors import InputError
 
 REPORT = "BTFsep Report"
 PICTURE = "BTFsep Light"
+SKY = "BTFsep Sky"
+PICTURES = ("picture", "report", "sky")
 
 
 def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> None:
@@ -41,13 +44,15 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
     picture.pack()
     _replace(light, "picture", picture)
     _replace(light, "report", report and _packed(report))
+    mirrored = sky is not None and "mirrors" in ((result or {}).get("choice") or {})
+    _replace(light, "sky", _sky(sky, lighting) if mirrored else None)
 
 
 def put_with_world(scene) -> None:
     """Gives the scene's World a copy of what is kept of the light that was made its own."""
     here, there = scene.btfsep.light, scene.world.btfsep_kept
     there.text = here.text
-    for name in ("picture", "report"):
+    for name in PICTURES:
         _replace(there, name, getattr(here, name))
 
 
@@ -56,8 +61,8 @@ def forget(scene) -> None:
     for light in (scene.btfsep.light, scene.world and scene.world.btfsep_kept):
         if light:
             light.text = ""
-            _replace(light, "picture", None)
-            _replace(light, "report", None)
+            for name in PICTURES:
+                _replace(light, name, None)
 
 
 def kept(scene):
@@ -67,8 +72,12 @@ def kept(scene):
 
 
 def lighting_of(light) -> dict:
-    """The lighting that is kept, as lighting_file.read gives it. Raises InputError where the file was tampered with."""
-    return lighting_file.validate(_content(light.text).get("lighting"), "the light kept in this file")
+    """The lighting that is kept, as lighting_file.read gives it; of a mirror with "map", the sky as that shows it.
+
+    Raises InputError where the file was tampered with.
+    """
+    lighting = lighting_file.validate(_content(light.text).get("lighting"), "the light kept in this file")
+    return lighting if light.sky is None else lighting | {"map": pixels.colours(light.sky)[::-1]}
 
 
 def card(light) -> dict:
@@ -97,6 +106,15 @@ def _replace(light, name: str, image) -> None:
     setattr(light, name, image)
     if old is not None and old != image and old.users == 0:
         bpy.data.images.remove(old)
+
+
+def _sky(file: Path, lighting: dict):
+    """A packed image of the engine's map, without the key lights that are drawn in it."""
+    radiance = light_files.read_map(file)
+    lamps = lighting["suns"]["lamps"] if lighting["suns"] else []
+    image = pixels.new(SKY, np.maximum(light_files.without_lamps(radiance, lamps), 0)[::-1])
+    image.pack()
+    return image
 
 
 def _packed(path: Path):

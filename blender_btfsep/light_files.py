@@ -33,7 +33,7 @@ def read(path, order: int = 4) -> dict:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix in MAPS:
-        radiance = _read_map(path)
+        radiance = read_map(path)
         return _plain(project(radiance, order)) | {"map": radiance}
     return _plain(_read_text(path)) if suffix in TEXT else lighting_file.read(path)
 
@@ -43,7 +43,8 @@ def _plain(coefficients) -> dict:
     return lighting_file.validate(lighting_file.as_data(data))
 
 
-def _read_map(path: Path) -> np.ndarray:
+def read_map(path: Path) -> np.ndarray:
+    """(h, 2 h, 3) float, linear Rec.709, >= 0, row 0 up, of an environment map. Raises InputError."""
     with scratch() as own:
         try:
             image = own(bpy.data.images.load(str(path), check_existing=False))
@@ -165,6 +166,11 @@ def with_lamps(radiance, lamps) -> np.ndarray:
         received = (disc * np.clip(cosine, 0, 1) * area).sum()
         out += disc[..., None] * (np.array(lamp["irradiance"]) / received)
     return out
+
+
+def without_lamps(radiance, lamps) -> np.ndarray:
+    """The map without the discs that :func:`with_lamps` draws."""
+    return radiance - with_lamps(np.zeros_like(radiance), lamps)
 
 
 def beam(lamp: dict, order: int) -> np.ndarray:

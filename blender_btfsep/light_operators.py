@@ -23,10 +23,8 @@ class BTFSEP_OT_apply(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         return "" if there else "Estimate the light first, or import a lighting (File > Import)"
 
     def do(self, context):
-        settings = context.scene.btfsep
-        mode = self.mode
-        if not self.properties.is_property_set("mode") and settings.world_mode != "NONE":
-            mode = settings.world_mode
+        told = self.properties.is_property_set("mode") or context.scene.btfsep.world_mode == "NONE"
+        mode = self.mode if told else None
         return apply_light(context.scene, kept_light.lighting_of(kept_light.kept(context.scene)), mode=mode)
 
 

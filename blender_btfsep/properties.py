@@ -18,7 +18,12 @@ from .animation import INTERPOLATIONS
 from .meshes import has_surface
 
 WORLD_MODES = (
-    ("NODES", "Nodes", "An editable node group that evaluates the spherical harmonics, coefficients as its inputs"),
+    (
+        "NODES",
+        "Nodes",
+        "An editable node group that evaluates the spherical harmonics, coefficients as its inputs. The light that a "
+        "mirror shows is sharper, and becomes a texture",
+    ),
     ("TEXTURE", "Texture", "An environment texture, packed into the .blend file"),
     ("NONE", "Do Not Apply", "Estimate only; the World stays as it is"),
 )
@@ -136,6 +141,9 @@ class BTFSEP_PG_kept(bpy.types.PropertyGroup):
     text: StringProperty(name="Light", description="Lighting and card, as JSON")
     picture: PointerProperty(name="Picture", description="The light, to look at", type=bpy.types.Image)
     report: PointerProperty(name="Report", description="Photo, re-rendering, difference", type=bpy.types.Image)
+    sky: PointerProperty(
+        name="Sky", description="The map without key lights, of a mirror's light", type=bpy.types.Image
+    )
 
 
 class BTFSEP_PG_known_sun(bpy.types.PropertyGroup):

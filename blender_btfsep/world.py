@@ -37,7 +37,8 @@ def apply_lighting(
     Parameters
     ----------
     scene : bpy.types.Scene
-    lighting : dict, as lighting_file.read returns it; "coefficients" are ((L + 1)^2, 3), linear Rec.709 radiance
+    lighting : dict, as lighting_file.read returns it; "coefficients" are ((L + 1)^2, 3), linear Rec.709 radiance;
+        a "map" (h, 2 h, 3) of the light without its lamps, row 0 up, is the texture
     mode : "NODES" (a node group with the coefficients as inputs; up to order 9) or "TEXTURE" (a packed map)
     clamp : a light that is negative somewhere is made positive (`harmonics.positive_map`)
     lamp : whether key lights become Sun lamps, and the World the rest; else the World is all of the light
@@ -66,9 +67,8 @@ def apply_lighting(
             _put_group(node, sh_nodes.build_group(order))
         _write_coefficients(node, colour.to_working(coefficients), order, clamp)
     else:
-        given = lighting.get("map")
-        radiance = given
-        if given is None:
+        radiance = lighting.get("map") if lamp or not lighting.get("suns") else None
+        if radiance is None:
             radiance = (harmonics.positive_map if clamp else harmonics.to_map)(coefficients, MAP_HEIGHT, 2 * MAP_HEIGHT)
         _put_group(node, sh_nodes.build_map_group(_image_of(colour.to_working(radiance))))
     _remove_orphans()

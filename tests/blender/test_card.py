@@ -7,8 +7,23 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import advice, answer, card, kept_light, light_picture, light_words, lighting_file
+from blender_btfsep import (
+    advice,
+    answer,
+    card,
+    colour,
+    kept_light,
+    light_files,
+    light_picture,
+    light_words,
+    lighting_file,
+    pixels,
+    sh_nodes,
+    sun_lamp,
+    world,
+)
 from btfsep_engine import sh
+from btfsep_engine.images import write_exr
 from tests.blender.lit import LIGHTING
 
 SAID = {
@@ -299,3 +314,26 @@ def test_a_first_light_is_the_world_before_the_estimate_is_over(photographed, tm
     assert coefficients(photographed.world) == [tuple(row) for row in LIGHTING["coefficients"]]
     photographed.btfsep.world_mode = "NONE"
     answer.take_light(photographed, tmp_path / "absent.json")  # not even read
+
+
+def test_what_a_mirror_shows_is_the_worlds_map_and_stays(photographed, tmp_path):
+    """As sharp as `lighting.exr`, without the discs of lamps, which stand beside it; and applied again after reopening."""
+    found = sunny()
+    sky = np.random.default_rng(1).uniform(0.1, 2, (256, 512, 3)).astype(np.float32)
+    write_exr(tmp_path / "lighting.exr", light_files.with_lamps(sky, found["suns"]["lamps"]))
+    (tmp_path / "lighting.json").write_text(json.dumps(lighting_file.as_data(found)))
+    told = {"out": str(tmp_path), "lighting": str(tmp_path / "lighting.json"), "choice": {"mirrors": "put together"}}
+    answer.take_estimate(photographed, SAID | told)
+
+    def shown():
+        return colour.to_rec709(pixels.colours(sh_nodes.map_of(bpy.context.scene.world.node_tree.nodes[0].node_tree)))
+
+    assert bpy.context.scene.world[world.WORLD_TAG]["mode"] == "TEXTURE" and sun_lamp.lamps(photographed)
+    np.testing.assert_allclose(shown()[::-1], sky, rtol=1e-3, atol=1e-2)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.btfsep.restore_world()
+    assert bpy.ops.btfsep.apply() == {"FINISHED"}
+    np.testing.assert_allclose(shown()[::-1], sky, rtol=1e-3, atol=1e-2)
+    answer.take_estimate(bpy.context.scene, SAID | told | {"choice": {}})  # without a mirror it is nodes
+    assert bpy.context.scene.world[world.WORLD_TAG]["mode"] == "NODES" and bpy.context.scene.btfsep.light.sky is None
