@@ -317,7 +317,7 @@ def test_a_first_light_is_the_world_before_the_estimate_is_over(photographed, tm
 
 
 def test_what_a_mirror_shows_is_the_worlds_map_and_stays(photographed, tmp_path):
-    """As sharp as `lighting.exr`, without the discs of lamps, which stand beside it; and applied again after reopening."""
+    """As sharp as `lighting.exr`, without the discs of lamps, which stand beside it; and again after reopening."""
     found = sunny()
     sky = np.random.default_rng(1).uniform(0.1, 2, (256, 512, 3)).astype(np.float32)
     write_exr(tmp_path / "lighting.exr", light_files.with_lamps(sky, found["suns"]["lamps"]))
