@@ -50,6 +50,10 @@ KNOWN = (
         "Shape, pose or paint of {0} is not what the photo shows",
         level="AMBER",
     ),
+    Advice("the mesh is coarse", "The mesh is coarse for its smooth shading; give a finer one", level="AMBER"),
+    Advice(
+        "lamps are clipped in what mirrors", "How bright the mirror's overexposed lamps are is a guess", level="AMBER"
+    ),
     Advice("left out of what the objects are made of", "Not all of what {0} is made of is followed", level="AMBER"),
     Advice("are saturated or transparent", "Much of {0} is overexposed or transparent in the photo"),
     Advice("pixels are transparent", "Transparent pixels of the photo are left out"),

@@ -26,6 +26,7 @@ TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not state
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
+BEHIND = "what the mirror hides"
 
 
 def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_per_unit: float = 1.0) -> dict:
@@ -61,7 +62,7 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     lines = [
         ("Trust", words),
         *_key_and_fill(result, lighting, to_world, metres_per_unit),
-        ("Not shown", _not_shown(lighting)),
+        ("Not shown", BEHIND if "mirrors" in (result.get("choice") or {}) else _not_shown(lighting)),
     ]
     materials = _materials(result)
     if materials:

@@ -3,6 +3,7 @@
 
 scripts/study plates FOLDER --make     takes them, once
 scripts/study plates FOLDER
+scripts/study plates FOLDER --sets chrome --show 05 07 23 26 --to docs/images/mirrors.jpg     pictures of some
 
 Objects of a plain Blender material ("as in Blender" in the job), alone or on a coloured table whose material the job
 has, under Blender's studio lights, turned, half of them with a Sun lamp. Each is estimated as the job is (*as it
@@ -23,8 +24,10 @@ from btfsep_engine.atomic import write_json
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.job.load import load_job
+from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.mirrors import SHARP
-from scripts.cycles.lights import studio_lights, true_lighting
+from scripts.cycles.figure import display, exposure, write_rows
+from scripts.cycles.lights import light_path, studio_lights, true_lighting
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.ground import above
@@ -169,6 +172,18 @@ def study(plate, folder: Path, way: str) -> dict:
     return {"way": way} | judged(plate, made[way](job) if way in made else job)
 
 
+def shown(plate, folder: Path) -> list:
+    """A row of a picture: the photo, and the light that is found and the true one without its sun, as maps."""
+    job = load_job(folder / plate["name"] / "job")
+    found, true = estimated(scene_of(job)).map, read_map(light_path(plate["light"]))
+    true = np.roll(true, -round(plate["turn"] / 360 * true.shape[1]), 1)
+    photo = job.photo.radiance
+    return [
+        (display(photo, exposure(photo)), ", ".join(plate["kinds"][:-2])),
+        *((display(each, exposure(true)), plate["light"]) for each in (found, true)),
+    ]
+
+
 COLUMNS = (
     ("plates", lambda rows: len(rows)),
     ("error", tables.spread_of("order2")),
@@ -194,11 +209,17 @@ def main(arguments) -> int:
     options.add_argument("--make", action="store_true", help="take the plates")
     options.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
+    options.add_argument("--show", nargs="+", metavar="NAME", default=[], help="draw these plates and their lights")
+    options.add_argument("--to", type=Path, metavar="FILE", help="the picture of --show")
     given = options.parse_args(arguments)
     places = [(given.folder.resolve() / name, of_set(name)) for name in given.sets]
     if given.make:
         for folder, plates in places:
             photos.in_blender("scripts.cycles.plates", {"plates": plates, "folder": str(folder)})
+        return 0
+    if given.show:
+        rows = [shown(p, folder) for folder, plates in places for p in plates if p["name"] in given.show]
+        write_rows(given.to, rows, titles=("photo", "the light that was found", "the true light"))
         return 0
     todo = [
         (plate, folder, way)
