@@ -3,7 +3,7 @@
 
 import bpy
 
-from . import camera_look, kept_light, photo, runs, use_photo
+from . import blender_views, camera_look, kept_light, runs, use_photo
 from .errors import InputError
 
 STANDARD = {"view_transform": "Standard", "look": "None", "exposure": 0.0, "gamma": 1.0}
@@ -57,12 +57,11 @@ def look_of(scene) -> dict:
     """What of the scene's colour management must change, so that a render shows colours as the photo does.
 
     A file of whole numbers that is shown in sRGB has been through no view transform but Standard, unless it is read as
-    a render saved with AgX, and no curves but a camera's (`camera_look`), where it is read by these. A linear photo has
-    no look of its own: Standard shows it as the background image is shown.
+    a render saved with another (`blender_views`), and no curves but a camera's (`camera_look`), where it is read by
+    these. A linear photo has no look of its own: Standard shows it as the background image is shown.
     """
-    view, image = scene.view_settings, scene.btfsep.image
-    agx = scene.btfsep.curve == "agx" and image is not None and not photo.of_floats(image)
-    wanted = STANDARD | {"view_transform": "AgX"} if agx else STANDARD
+    view, saved_by = scene.view_settings, blender_views.of_photo(scene)
+    wanted = STANDARD | ({"view_transform": saved_by.transform, "look": saved_by.look} if saved_by else {})
     return {name: value for name, value in wanted.items() if getattr(view, name) != value}
 
 

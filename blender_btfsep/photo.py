@@ -14,7 +14,8 @@ from . import pixels
 from .atomic import replacing, write_bytes
 from .errors import InputError
 from .frames import SUFFIXES, split
-from .photo_file import holds_floats, unread
+from .photo_file import Said, holds_floats, unread
+from .photo_file import said as said_by
 from .scratch import save_exr, scratch
 
 FLOAT = {".exr", ".hdr"}
@@ -22,6 +23,7 @@ CODED = {"sRGB": "auto", "Display P3": "display-p3", "sRGB Encoded P3-D65": "dis
 """Blender's colour spaces that have sRGB's curve, and their primaries for the engine (auto: what the file says)."""
 MOVIE = "save it as an image sequence, or the frame as an image, and open that"
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
+_last = None, Said()
 
 
 class Put(NamedTuple):
@@ -93,6 +95,25 @@ def size_of(image) -> tuple[int, int]:
         return tuple(one.size)
     finally:
         bpy.data.images.remove(one)
+
+
+def said(image) -> Said:
+    """What the file of ``image`` says of it; nothing where the image is no file's. For a panel: it is read once."""
+    global _last
+    if image is None or image.source != "FILE" or image.is_dirty:
+        return Said()
+    path, packed = file_of(image), image.packed_file
+    try:
+        stat = None if packed or path is None else path.stat()
+    except OSError:
+        return Said()
+    if packed is None and stat is None:
+        return Said()
+    stamp = packed.size if packed else (stat.st_mtime_ns, stat.st_size)
+    key = image.session_uid, str(path), bool(packed), stamp
+    if key != _last[0]:
+        _last = key, said_by(packed.data if packed else path)
+    return _last[1]
 
 
 def taken_as_is(image, path: Path) -> bool:

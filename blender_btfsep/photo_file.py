@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a photo's file says beside its pixels: how it is to be turned, of what kind they are. No bpy here."""
+"""What a photo's file says beside its pixels: how to turn it, of what kind they are, who made it. No bpy here."""
 
 import io
 import struct
 from pathlib import Path
+from typing import NamedTuple
 
 _HEADER = 2**18  # bytes in which the tag is looked for
-_ORIENTATION, _SAMPLE_FORMAT = 274, 339
+_MAKER, _MODEL, _ORIENTATION, _SAMPLE_FORMAT = 271, 272, 274, 339
+_RENDERED = (b"tEXtRenderTime\0", b"Blender:RenderTime:")
+_OF_A_SCENE = ((b"tEXtScene\0", b"tEXtFrame\0"), (b"Blender:Scene:", b"Blender:Frame:"))
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 _EXPORT = "export it as JPEG, or as 16-bit TIFF"
 _DEVELOP = "develop it, without a tone curve if you can, and save it as EXR or as 16-bit TIFF"
@@ -24,10 +27,25 @@ def unread(path) -> str:
     return "" if path is None else _UNREAD.get(Path(path).suffix.lower().lstrip("."), "")
 
 
+class Said(NamedTuple):
+    """What a file says: how its pixels are to be turned (EXIF, 1 to 8; 1: not), who made it."""
+
+    orientation: int = 1
+    is_by_camera: bool = False
+    is_render: bool = False
+
+
+def said(file) -> Said:
+    """What a file (its path, or its bytes) says."""
+    head, tags = _begin(file), _tags(file)
+    turned = tags.get(_ORIENTATION)
+    rendered = any(mark in head for mark in _RENDERED) or any(all(m in head for m in marks) for marks in _OF_A_SCENE)
+    return Said(turned if turned in range(1, 9) else 1, bool({_MAKER, _MODEL} & set(tags)), rendered)
+
+
 def orientation(file) -> int:
     """How a file (its path, or its bytes) says that its pixels are to be turned (EXIF, 1 to 8; 1: not, or not said)."""
-    found = _number(file, _ORIENTATION)
-    return found if found in range(1, 9) else 1
+    return said(file).orientation
 
 
 def holds_floats(path, file: bytes | None = None) -> bool:
@@ -36,11 +54,23 @@ def holds_floats(path, file: bytes | None = None) -> bool:
     ``file`` : its bytes, where it may not lie there
     """
     is_tiff = Path(path).suffix.lower() in (".tif", ".tiff")
-    return is_tiff and _number(path if file is None else file, _SAMPLE_FORMAT) == 3
+    return is_tiff and _tags(path if file is None else file).get(_SAMPLE_FORMAT) == 3
 
 
-def _number(source, wanted: int):
-    """The (first) 16-bit number that a tag of a TIFF, or of the EXIF in another file, has; None: there is none."""
+def _begin(source) -> bytes:
+    """The first bytes of a file; none where it cannot be read."""
+    if isinstance(source, bytes):
+        return source[:_HEADER]
+    try:
+        with open(source, "rb") as file:
+            return file.read(_HEADER)
+    except OSError:
+        return b""
+
+
+def _tags(source) -> dict:
+    """The tags of a TIFF, or of the EXIF in another file, each with the (first) 16-bit number that it has, or None."""
+    tags = {}
     try:
         with io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb") as file:
             head = file.read(_HEADER)
@@ -49,16 +79,14 @@ def _number(source, wanted: int):
                 begin = max(head.find(mark) for mark in (b"eXIf", b"EXIF")) + (4 if head[:4] == b"\x89PNG" else 8)
             order = _TIFF.get(head[begin : begin + 4])
             if order is None:
-                return None
+                return tags
             file.seek(begin + struct.unpack_from(order + "I", head, begin + 4)[0])  # of a TIFF it may lie at the end
             (count,) = struct.unpack(order + "H", file.read(2))
             for tag, kind, length, value in struct.iter_unpack(order + "HHI4s", file.read(12 * count)):
-                if (tag, kind) != (wanted, 3):
-                    continue
-                if length > 2:
+                if kind == 3 and length > 2:
                     file.seek(begin + struct.unpack(order + "I", value)[0])
                     value = file.read(2)
-                return struct.unpack(order + "H", value[:2])[0]
+                tags.setdefault(tag, struct.unpack(order + "H", value[:2])[0] if kind == 3 else None)
     except (OSError, struct.error):
         pass
-    return None
+    return tags

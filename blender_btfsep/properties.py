@@ -15,6 +15,7 @@ from bpy.props import (
 
 from . import engine_settings, library, live
 from .animation import INTERPOLATIONS
+from .blender_views import VIEWS
 from .meshes import has_surface
 
 WORLD_MODES = (
@@ -36,12 +37,16 @@ CURVES = (
         "auto",
         "Automatic",
         "As the image's colour space says: PNG, JPEG, TIFF and WebP in sRGB, EXR and HDR linear; a file that names its "
-        "camera (EXIF) by the usual curve of cameras",
+        "camera (EXIF) by the usual curve of cameras, one that says that Blender rendered it by the view found for it",
     ),
     ("srgb", "sRGB", "The file's whole numbers are coded in sRGB, and nothing else was done to them"),
     ("camera", "Camera", "A camera's or phone's own picture, with more contrast and softer highlights than sRGB alone"),
     ("linear", "Linear", "The file's whole numbers are in proportion to the light"),
-    ("agx", "AgX", "A render that was saved with AgX, Blender's own view transform"),
+    ("blender", "Blender Render", "A render that Blender saved: by the view transform that explains it best"),
+    *(
+        (name, view.words, f"A render that was saved with Blender's view transform {view.words}")
+        for name, view in VIEWS.items()
+    ),
     ("unknown", "Unknown", "sRGB, the curve of a camera, or a rarer one: that which explains the photo best"),
 )
 OVERLAYS = (

@@ -15,29 +15,11 @@ from .errors import InputError
 from .scratch import scratch
 
 _EDITOR = "turn it in the program that made it, and open that"
-_last: tuple = (None, 1)
 
 
 def asked(image) -> int:
-    """How the file of ``image`` asks for it to be turned (EXIF, 1 to 8); 1: not, or the image is no file's.
-
-    For a panel: the file is read once.
-    """
-    global _last
-    if image is None or image.source != "FILE" or image.is_dirty:
-        return 1
-    path, packed = photo.file_of(image), image.packed_file
-    try:
-        stat = None if packed or path is None else path.stat()
-    except OSError:
-        return 1
-    if packed is None and stat is None:
-        return 1
-    stamp = packed.size if packed else (stat.st_mtime_ns, stat.st_size)
-    key = image.session_uid, str(path), bool(packed), stamp
-    if key != _last[0]:
-        _last = key, photo_file.orientation(packed.data if packed else path)
-    return _last[1]
+    """How the file of ``image`` asks for it to be turned (EXIF, 1 to 8); 1: not, or the image is no file's."""
+    return photo.said(image).orientation
 
 
 def copy_of(image):

@@ -3,8 +3,8 @@
 
 import bpy
 
+from . import blender_views, frames, light_picture, photo, photo_file, reasons, runs, upright
 from . import camera as pinhole
-from . import frames, light_picture, photo, photo_file, reasons, runs, upright
 from .errors import InputError
 
 TURNED = (
@@ -16,7 +16,8 @@ READ = {
     "srgb": "read as sRGB",
     "camera": "read by the usual curve of cameras",
     "linear": "read as linear light",
-    "agx": "read as a render saved with AgX",
+    "blender": "which of Blender's views saved it is found from the photo",
+    **{name: f"read as a render saved with {each.words}" for name, each in blender_views.VIEWS.items()},
     "unknown": "its tone curve is found from the photo",
 }
 
@@ -49,7 +50,12 @@ def read_as(image, curve: str) -> str:
         return READ["linear"]
     if space not in photo.CODED:
         return f"read as {space}, as Blender shows it"
-    return f"read as {space}; if the file names a camera, by the usual curve of cameras"
+    says = photo.said(image)
+    if says.is_by_camera:
+        return f"read as {space} and by the usual curve of cameras: the file names one"
+    if says.is_render and space == "sRGB":
+        return f"rendered by Blender, says the file: {READ['blender']}"
+    return f"read as {space}"
 
 
 def fit_render(scene, size) -> list:

@@ -18,6 +18,7 @@ _SUBFILE, _PHOTOMETRIC, _ORIENTATION, _SUBSAMPLING, _ICC, _DNG = 254, 262, 274, 
 _EXIF, _INTEROPERABILITY, _INDEX = 0x8769, 0xA005, 1
 _INTEGERS = {3: "H", 4: "I"}  # types of TIFF
 _TEXT = 2
+_COMMENT = 0xFE  # a segment of JPEG
 _LONGEST = 100  # bytes of a name
 _LARGEST_PROFILE = 2**22  # bytes
 _MOST_PARTS = 2**17  # segments or chunks that are looked through: pictures have fewer, files that lie may have millions
@@ -102,6 +103,20 @@ def camera(data: bytes) -> str:
             maker, model = (tags[tag] if isinstance(tags.get(tag), str) else "" for tag in (_MAKER, _MODEL))
             return (model if model.casefold().startswith(maker.casefold()) else f"{maker} {model}").strip()
     return ""
+
+
+def is_render(data: bytes) -> bool:
+    """Whether Blender says in a PNG or JPEG that it rendered it: the time that this took, or which scene it was."""
+    said = []
+    with contextlib.suppress(struct.error, IndexError):
+        if data[:8] == _PNG:
+            each = _chunks(data, 8, ">", before_kind=True, tail=4)
+            texts = (data[at : at + min(length, _LONGEST)] for kind, at, length in each if kind == b"tEXt")
+            said = [text.partition(b"\0")[0] for text in texts]
+        elif data[:2] == _JPEG:
+            comments = (data[at : at + length] for marker, at, length in _jpeg_segments(data) if marker == _COMMENT)
+            said = [text[8:].partition(b":")[0] for text in comments if text.startswith(b"Blender:")]
+    return b"RenderTime" in said or {b"Scene", b"Frame"} <= set(said)
 
 
 def is_tiff(data: bytes) -> bool:
@@ -269,17 +284,21 @@ def _exif(data: bytes) -> bytes | None:
 
 
 def _chunk(data: bytes, at: int, wanted: bytes, order: str, *, before_kind: bool, tail: int) -> bytes | None:
-    """Of a file of chunks the first that is ``wanted``; its length stands before its kind, or behind it."""
+    """Of a file of chunks the first that is ``wanted``."""
+    each = _chunks(data, at, order, before_kind=before_kind, tail=tail)
+    return next((data[place : place + length] for kind, place, length in each if kind == wanted), None)
+
+
+def _chunks(data: bytes, at: int, order: str, *, before_kind: bool, tail: int):
+    """Kind, place and length of each of a file's chunks; their length stands before their kind, or behind it."""
     for _ in range(_MOST_PARTS):
         head = data[at : at + 8]
         if len(head) < 8:
-            return None
+            return
         kind, length = (head[4:], head[:4]) if before_kind else (head[:4], head[4:])
         (length,) = struct.unpack(order + "I", length)
-        if kind == wanted:
-            return data[at + 8 : at + 8 + length]
+        yield kind, at + 8, length
         at += 8 + length + tail + (0 if before_kind else length % 2)
-    return None
 
 
 def _entries(data: bytes, at: int | None = None):

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from btfsep_engine import agx, atomic, camera_curve, colour_profile, image_headers
+from btfsep_engine import atomic, blender_views, camera_curve, colour_profile, image_headers
 from btfsep_engine.colour_profile import Profile
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
+from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
 
 MAX_SIDE = 20000  # pixels; more than any camera has, and a guard against files that claim absurd sizes
 MAX_PIXELS = 2**27  # decoded: 4 GB
@@ -26,7 +27,7 @@ import cv2  # noqa: E402
 
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
-COLORSPACES = ("auto", "srgb", "camera", "linear", "agx")
+COLORSPACES = ("auto", "srgb", "camera", "linear", *blender_views.VIEWS)
 SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  # of what is read, in small letters
 _EXR = b"\x76\x2f\x31\x01"
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
@@ -50,6 +51,7 @@ class Image:
     camera : maker and model of the camera that a file of integers says it is from; empty: it says none
     profile : what its colours were taken to mean; None: what files of its kind mean, of Rec.709's primaries
     orientation : how the file says that its pixels, which are as stored, are to be turned (EXIF, 1 to 8; 1: not)
+    is_render : whether a file of integers says that Blender rendered it
     """
 
     pixels: np.ndarray
@@ -61,18 +63,7 @@ class Image:
     camera: str = ""
     profile: Profile | None = None
     orientation: int = 1
-
-
-def srgb_to_linear(values) -> np.ndarray:
-    """IEC 61966-2-1 decoding of ``values`` (any shape, nominally 0 to 1), float64."""
-    v = np.asarray(values, np.float64)
-    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0) + 0.055) / 1.055) ** 2.4)
-
-
-def linear_to_srgb(values) -> np.ndarray:
-    """IEC 61966-2-1 encoding of ``values`` (any shape, linear), float64, not clipped."""
-    v = np.asarray(values, np.float64)
-    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
+    is_render: bool = False
 
 
 def luminance(pixels) -> np.ndarray:
@@ -95,9 +86,9 @@ def read_linear(
     path : file
     colorspace : "auto" (as the file's profile says, without one integer formats are sRGB-coded, floating-point ones
         linear), "srgb", "linear", "camera": integers are what cameras make of a photograph (`camera_curve`),
-        or "agx": they are a picture that Blender's view transform made
+        or a name of `blender_views.VIEWS`: they are a picture that this view made
     primaries : "auto" (as the file says, else Rec.709), or a name of `colour_profile.PRIMARIES`; numbers that are no
-        colours are to be read with "rec709". A picture of AgX has Rec.709's
+        colours are to be read with "rec709". A picture of a view has Rec.709's
     by_camera : "auto" takes integers of a file that names its camera for that camera's own picture
     max_pixels : refuse larger images, and those that do not say their size, before anything is decoded
 
@@ -110,7 +101,7 @@ def read_linear(
     stored, alpha, peak, inside, header, profile = _stored(path, max_pixels)
     if primaries != "auto":
         profile = colour_profile.of_primaries(primaries)
-    elif colorspace == "agx":
+    elif colorspace in blender_views.VIEWS:
         profile = None
     if profile is not None and profile.hdr:
         got = f"its codes are those of {profile.name}, which are not undone"
@@ -119,9 +110,9 @@ def read_linear(
     decode = _decoder(colorspace, profile, peak is not None, stored.shape[-1], bool(by_camera and camera))
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
     saturated = clipped.any(-1)
-    if peak is not None and colorspace == "agx":
+    if peak is not None and colorspace in blender_views.VIEWS:
         stored = np.repeat(stored, 3, -1) if stored.shape[-1] == 1 else stored
-        pixels = agx.to_linear(stored / peak).astype(np.float32)
+        pixels = blender_views.to_linear(stored / peak, colorspace).astype(np.float32)
     elif peak is not None:
         codes = np.arange(peak + 1) / peak
         tables = decode(np.repeat(codes[:, None], stored.shape[-1], -1)).astype(np.float32).T
@@ -139,6 +130,7 @@ def read_linear(
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
     bits = None if peak is None else peak.bit_length()
     said = image_headers.has_coarse_chroma(header), camera, profile, image_headers.orientation(header)
+    said += (peak is not None and image_headers.is_render(header),)
     return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, *said)
 
 

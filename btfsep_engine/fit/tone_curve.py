@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A photo's unknown tone curve, judged by evidence: what cameras do, AgX, and a family from linear beyond sRGB.
+"""A photo's unknown tone curve, by evidence: what cameras do, Blender's views, and a family from linear beyond sRGB.
 
     g_t(c) = c^(1 - t) s(c)^t,   s : the sRGB curve (IEC 61966-2-1),   t = 0 linear, 1 sRGB, more: steeper,
 
@@ -15,20 +15,26 @@ material's, and curves differ there by most. And a difference of evidence counts
 errs in proportion to the light, which looks like a flatter curve under noise that is everywhere the same, and a
 material that is only nearly right moves the evidence by as much as a camera's curve does. So what files usually are
 counts for much: sRGB, or what a camera makes of a photograph (`Camera`); linear codes and AgX have to explain it far
-better.
+better. Of what Blender says that it rendered, AgX is the most likely, which it saves by if nobody says otherwise; and
+views that roll highlights off hardly ever leave pixels at the largest code, as sRGB alone does.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine import agx, camera_curve
-from btfsep_engine.images import linear_to_srgb, srgb_to_linear
+from btfsep_engine import blender_views, camera_curve
+from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
 
 STRAIGHT = 0.04045  # codes below which sRGB is linear
 PRIOR = {0.0: 0.01, 0.25: 0.003, 0.5: 0.003, 0.75: 0.01, 1.0: 0.4, 1.25: 0.01}  # of the parameter t
 OF_CAMERAS = {0.5: 0.05, 0.75: 0.15, 1.0: 0.25, 1.4: 0.08}  # of the strength s
 OF_AGX = 0.003
+OF_RENDERS = {  # of what Blender saved: by which view, and whether a thousandth of the pixels is at the largest code
+    "srgb": (0.24, 0.75), "agx": (0.6, 0.04), "agx-punchy": (0.04, 0.04), "agx-medium-high-contrast": (0.03, 0.04),
+    "agx-high-contrast": (0.03, 0.08), "filmic": (0.04, 0.04), "khronos": (0.02, 0.2),
+}  # fmt: skip
+AT_LARGEST, A_FEW = 0.99, 1e-3  # of the largest code; of the pixels
 OFFSET_PRIOR = 0.2
 DOUBT = 20.0
 LARGEST_OFFSET = 0.05  # of the largest code
@@ -80,16 +86,21 @@ class ToneCurve:
 
 
 @dataclass(frozen=True)
-class AgX:
-    """Blender's view transform, in the place of a `ToneCurve`: its channels depend on each other (`agx`)."""
+class View:
+    """One of Blender's view transforms, in the place of a `ToneCurve`: its channels depend on each other.
+
+    ``name`` : of `blender_views.VIEWS`
+    """
+
+    name: str
 
     def decode(self, codes) -> np.ndarray:
         """Linear radiance of codes (..., 3); colours that no light makes are negative. float64."""
-        return agx.to_linear(codes)
+        return blender_views.to_linear(codes, self.name)
 
     def log_slope(self, codes) -> np.ndarray:
         """A third of the logarithm of the derivative's determinant, for each channel: (..., 3)."""
-        return np.repeat(agx.log_volume(codes)[..., None] / 3, 3, -1)
+        return np.repeat(blender_views.log_volume(codes, self.name)[..., None] / 3, 3, -1)
 
     @property
     def log_prior(self) -> float:
@@ -99,7 +110,7 @@ class AgX:
     @property
     def description(self) -> str:
         """For people."""
-        return "Blender's view transform AgX"
+        return blender_views.VIEWS[self.name].description
 
 
 @dataclass(frozen=True)
@@ -133,7 +144,8 @@ class Camera:
         return f"{each}a camera's usual curve"
 
 
-LINEAR, SRGB, AGX, CAMERA = ToneCurve(0.0), ToneCurve(1.0), AgX(), Camera()
+VIEWS = {name: View(name) for name in blender_views.VIEWS}
+LINEAR, SRGB, AGX, CAMERA = ToneCurve(0.0), ToneCurve(1.0), VIEWS["agx"], Camera()
 CANDIDATES = tuple(ToneCurve(t) for t in PRIOR)
 CAMERAS = tuple(Camera(s) for s in OF_CAMERAS)
 
@@ -149,6 +161,13 @@ def importance(codes, clipped) -> np.ndarray:
     kept = ~np.asarray(clipped, bool)
     mean = (codes * kept).sum(0) / np.maximum(kept.sum(0), 1)
     return kept / (1 + (codes / np.maximum(mean, 1e-12)) ** 4)
+
+
+def log_prior_of_render(name: str, codes) -> float:
+    """Of a curve among those by which Blender saves; ``name`` : of `OF_RENDERS`; ``codes`` : (h, w, 3)."""
+    usual, at_largest = OF_RENDERS[name]
+    is_clipped = (np.asarray(codes).max(-1) >= AT_LARGEST).mean() > A_FEW
+    return float(np.log(usual) + np.log(at_largest if is_clipped else 1 - at_largest))
 
 
 def log_probability(fit, log_slopes, weights) -> float:

@@ -87,6 +87,7 @@ class Photo:
     coarse_chroma : whether the file has colours at less resolution than brightness
     camera : maker and model of the camera that the file says it is from; empty: it says none
     profile : what its colours were taken to mean; None: what files of its kind mean, of Rec.709's primaries
+    is_render : whether the file says that Blender rendered it
     """
 
     radiance: np.ndarray
@@ -97,14 +98,16 @@ class Photo:
     coarse_chroma: bool = False
     camera: str = ""
     profile: Profile | None = None
+    is_render: bool = False
 
 
 @dataclass(frozen=True)
 class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
-    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is "auto", "srgb", "camera",
-    "linear", "agx" or "unknown" (the photo is then read as by "auto"), ``image_primaries`` as of `images.read_linear`.
+    ``warnings`` says in words what was left out while reading; ``image_colorspace`` is one of
+    `images.COLORSPACES`, or "unknown" (the photo is then read as by "auto") or "blender" (as by "srgb");
+    ``image_primaries`` as of `images.read_linear`.
     """
 
     folder: Path

@@ -37,9 +37,8 @@ def read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
     """
     colorspace, primaries = coding
     fits(images.declared_size(path), name, camera, path)  # before it is decoded: a small file can claim gigabytes
-    image = images.read_linear(
-        path, colorspace="auto" if colorspace == "unknown" else colorspace, primaries=primaries, by_camera=True
-    )
+    first = {"unknown": "auto", "blender": "srgb"}.get(colorspace, colorspace)
+    image = images.read_linear(path, colorspace=first, primaries=primaries, by_camera=True)
     height, width = image.pixels.shape[:2]
     fits((width, height), name, camera, path)
     if image.orientation != 1:
@@ -64,7 +63,7 @@ def read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
     if hidden:
         notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
     clipped = image.clipped if saturated else None
-    said = image.bits, image.coarse_chroma, image.camera, image.profile
+    said = image.bits, image.coarse_chroma, image.camera, image.profile, image.is_render
     return Photo(image.pixels, image.usable, saturated, clipped, *said)
 
 

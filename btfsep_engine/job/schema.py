@@ -10,6 +10,7 @@ from typing import Annotated, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, create_model
 
+from btfsep_engine.blender_views import VIEWS
 from btfsep_engine.colour_profile import PRIMARIES
 from btfsep_engine.errors import InputError
 
@@ -111,7 +112,7 @@ class JobSchema(Strict):
     format: Literal["btfsep-job"]
     version: Literal[1]
     image: RelativePath
-    image_colorspace: Literal["auto", "srgb", "camera", "linear", "agx", "unknown"] = "auto"
+    image_colorspace: Literal["auto", "srgb", "camera", "linear", "blender", *VIEWS, "unknown"] = "auto"
     image_primaries: Literal["auto", *PRIMARIES] = "auto"
     exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
     camera: CameraSchema

@@ -18,7 +18,7 @@ from btfsep_engine.pipeline.recognition import trained_recogniser
 from btfsep_engine.pipeline.record import run_record, versions
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings, choose
-from btfsep_engine.pipeline.tone import curve_read_by
+from btfsep_engine.pipeline.tone import curve_read_by, sought
 from btfsep_engine.report import render_objects
 
 
@@ -49,7 +49,7 @@ def run_train(folder, library, settings: Settings, *, reporter) -> dict:
 def run_recognise(folder, library, settings: Settings, *, reporter) -> dict:
     """Recognises the material of every object, also of those whose material the job names."""
     scene = _prepared(folder, reporter)
-    if scene.job.image_colorspace == "unknown" and scene.job.photo.bits is not None:
+    if sought(scene.job):
         reporter.warn(
             f"the photo's tone curve is unknown: it was read as {curve_read_by(scene.job).description}; an estimate "
             "finds it, and recognises by it"

@@ -60,11 +60,13 @@ class Follower:
 
     def scene_of(self, scene: PreparedScene, photo: Photo, reporter) -> PreparedScene:
         """A scene with another photo, read by the curve that was chosen."""
-        out = with_picture(scene, photo)
-        out.reporter, out.greys, out.curves, known = reporter, None, None, self._curves
-        if known is None or photo.bits is None:
-            return out
-        return read_by(out, Curves(codes_of(out.job), known.curves, known.shares))
+        out, known = copy.copy(scene), self._curves
+        out.job, out.curves = replace(scene.job, photo=photo), None
+        if known is not None and photo.bits is not None:
+            out = read_by(out, Curves(codes_of(out.job), known.curves, known.shares))
+        out = with_picture(out, out.job.photo)
+        out.reporter, out.greys = reporter, None
+        return out
 
     def estimate(self, scene: PreparedScene) -> FollowedEstimate:
         """The light of a scene with objects like those of the first, named and numbered as these."""

@@ -24,6 +24,7 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import JobObject, Photo
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, TransportSettings
+from btfsep_engine.pipeline.tone import read_by_most_usual, sought
 from btfsep_engine.render.homogeneous import homogeneous
 from btfsep_engine.render.sampling import thinned
 from btfsep_engine.render.surface import SurfacePoints
@@ -192,6 +193,8 @@ def softened(scene, materials, settings: TransportSettings):
     alone = None not in surfaces
     found = [_mirror(scene, i, surface, alone) for i, surface in enumerate(surfaces) if surface is not None]
     found = [mirror for mirror in found if mirror is not None]
+    if found and sought(scene.job):  # what a rougher metal would show has no codes by which light could judge curves
+        scene = read_by_most_usual(scene)
     materials = list(materials)
     for mirror in found:
         stands_for = materials[mirror.index].material

@@ -13,7 +13,8 @@ from btfsep_engine.errors import InputError
 LARGEST_ORDER = 9
 IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 8  # where interreflections are modelled and no number was asked for
-CURVES = ("auto", "srgb", "camera", "linear", "agx", "unknown")
+_VIEWS = ("agx", "agx-punchy", "agx-medium-high-contrast", "agx-high-contrast", "filmic", "khronos")
+CURVES = ("auto", "srgb", "camera", "linear", "blender", *_VIEWS, "unknown")
 
 APPEARANCE = (
     "The mean ABRDF, as in the paper, or the textured BTF; auto: the texture where it lines up and explains more"

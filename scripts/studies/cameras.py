@@ -19,8 +19,9 @@ from scipy.interpolate import PchipInterpolator
 from tqdm import tqdm
 
 from btfsep_engine.atomic import write_json
-from btfsep_engine.images import linear_to_srgb, read_linear, write_exr
+from btfsep_engine.images import read_linear, write_exr
 from btfsep_engine.job.load import load_job
+from btfsep_engine.srgb import linear_to_srgb
 from scripts.studies import parser, tables
 from scripts.studies.plates import COLUMNS, SETS, judged, of_set
 

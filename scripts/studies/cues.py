@@ -17,13 +17,13 @@ import numpy as np
 
 from btfsep_engine.atomic import write_text
 from btfsep_engine.cache import digest
-from btfsep_engine.images import linear_to_srgb, srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import TABLE
 from btfsep_engine.recognise.model_file import source_digest
+from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
 from scripts.studies.estimates import scene_of
 from scripts.studies.photos import Photograph
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_btfsep import (
+    blender_views,
     camera,
     camera_look,
     icons,
@@ -24,10 +25,11 @@ from blender_btfsep import (
 )
 from blender_btfsep.errors import InputError
 from blender_btfsep.photo import file_at
+from btfsep_engine import images
 from btfsep_engine.job.load import load_job
 from tests.blender.lit import LIGHTING
 from tests.engine.profiles import tiff
-from tests.engine.test_camera_curve import with_exif
+from tests.engine.test_camera_curve import exif, with_exif
 from tests.engine.test_image_kinds import turned
 
 
@@ -165,21 +167,20 @@ def test_a_photo_of_another_shape_than_the_region_is_one_of_the_whole_picture(ph
     assert camera.shown(photographed, (90, 30)) == (0, 0, 90, 30) and camera.render_region(photographed)[2:] == (90, 30)
 
 
-BY_CAMERA = "if the file names a camera, by the usual curve of cameras"
-
-
 @pytest.mark.parametrize(
     ("name", "space", "curve", "words"),
     [
-        ("a.png", None, "auto", f"read as sRGB; {BY_CAMERA}"),
+        ("a.png", None, "auto", "read as sRGB"),
         ("a.png", None, "camera", "read by the usual curve of cameras"),
         ("a.png", "Non-Color", "auto", "read as linear light"),
         ("a.png", "AgX Base sRGB", "auto", "read as AgX Base sRGB, as Blender shows it"),
-        ("a.png", "Display P3", "auto", f"read as Display P3; {BY_CAMERA}"),
+        ("a.png", "Display P3", "auto", "read as Display P3"),
         ("a.png", None, "unknown", "its tone curve is found from the photo"),
+        ("a.png", None, "blender", "which of Blender's views saved it is found from the photo"),
+        ("a.png", None, "agx-punchy", "read as a render saved with AgX, Punchy"),
         ("a.png", None, "linear", "read as linear light"),
         ("a.exr", None, "srgb", "read as linear light (floats)"),
-        ("deep.png", None, "auto", f"read as sRGB; {BY_CAMERA}"),
+        ("deep.png", None, "auto", "read as sRGB"),
         ("deep.png", None, "linear", "read as linear light"),
     ],
 )
@@ -189,8 +190,23 @@ def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name
     photographed.btfsep.image, photographed.btfsep.curve = image, curve
     job = json.loads((request.write_job(photographed, folder=tmp_path / "job") / "job.json").read_text())
     linear = job["image_colorspace"] == "linear" or job["image"].endswith(".exr")
-    coded = ("sRGB", "found", "of cameras")
+    coded = ("sRGB", "Display P3", "found", "of cameras", "AgX, Punchy")
     assert linear == all(each not in words.removeprefix("read as AgX Base sRGB") for each in coded)
+
+
+def test_what_the_file_says_of_who_made_it_is_said(photographed, tmp_path):
+    (tmp_path / "a.jpg").write_bytes(with_exif(".jpg", exif("Canon", "Canon EOS 6D", "<")))
+    image = bpy.data.images.load(str(tmp_path / "a.jpg"))
+    assert use_photo.read_as(image, "auto") == "read as sRGB and by the usual curve of cameras: the file names one"
+    data = (tmp_path / "a.jpg").read_bytes()
+    marked = data[:2] + b"\xff\xfe" + (29 + 2).to_bytes(2, "big") + b"Blender:RenderTime:00:01.00\0\0" + data[2:]
+    (tmp_path / "b.jpg").write_bytes(marked.replace(b"Exif", b"Exof"))
+    image = bpy.data.images.load(str(tmp_path / "b.jpg"))
+    assert use_photo.read_as(image, "auto") == (
+        "rendered by Blender, says the file: which of Blender's views saved it is found from the photo"
+    )
+    assert images.read_linear(tmp_path / "b.jpg").is_render
+    assert use_photo.read_as(image, "srgb") == "read as sRGB"
 
 
 def test_a_tiff_of_floats_is_linear_light(photographed, tmp_path):
@@ -289,6 +305,24 @@ def test_the_rendered_view_of_a_cameras_photo_has_its_curve_and_another_none(lit
     lit.btfsep.curve = "srgb"
     assert looking.curves(lit) == ["RGB curves: off, were on"] and not view.use_curve_mapping
     assert looking.curves(lit) == []
+
+
+@pytest.mark.parametrize(("curve", "read", "view"), [
+    ("auto", "the photo's tone curve is of what Blender saved by evidence Blender's view transform AgX, Punchy "
+     "(probability 0.60); also possible: Blender's view transform AgX (probability 0.31)", ("AgX", "AgX - Punchy")),
+    ("unknown", "the tone curve is by evidence Blender's view transform AgX (probability 0.9)", ("AgX", "None")),
+    ("blender", "the photo's tone curve is of what Blender saved by evidence sRGB (probability 0.6); also possible: "
+     "Blender's view transform Filmic (probability 0.3)", None),
+    ("srgb", "the photo's tone curve is by evidence Blender's view transform AgX (probability 0.90)", None),
+    ("agx-high-contrast", "", ("AgX", "AgX - High Contrast")),
+])  # fmt: skip
+def test_the_rendered_view_is_that_of_the_photo(lit, monkeypatch, curve, read, view):
+    lit.btfsep.image, lit.btfsep.curve = bpy.data.images.new("plate", 8, 8), curve
+    monkeypatch.setattr(blender_views.kept_light, "card", lambda light: {"details": ["AgX", read]})
+    assert blender_views.of_photo(lit) == view
+    lit.view_settings.view_transform = "Raw"
+    wanted = looking.look_of(lit)
+    assert (wanted["view_transform"], wanted.get("look", "None")) == (view or ("Standard", "None"))
 
 
 @pytest.mark.parametrize(("curve", "read", "wanted"), [

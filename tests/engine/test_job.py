@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from btfsep_engine import camera_curve, images
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.tone_curve import CAMERA, SRGB
-from btfsep_engine.images import linear_to_srgb
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
 from btfsep_engine.pipeline.tone import codes_of, curve_read_by
+from btfsep_engine.srgb import linear_to_srgb
 from tests.engine.test_camera_curve import exif, with_exif
 
 
@@ -219,7 +219,7 @@ PROJECTIVE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 1, 1]]
     ("image", "photo\0.exr", "not inside the job folder"),
     ("image_colorspace", "sRGB", "image_colorspace; it is \"sRGB\"; did you mean 'srgb'?"),
     ("image_colorspace", "liner", "did you mean 'linear'?"),
-    ("image_colorspace", 7, "choose one of 'auto', 'srgb', 'camera', 'linear', 'agx', 'unknown'"),
+    ("image_colorspace", 7, "choose one of 'auto', 'srgb', 'camera', 'linear', 'blender', 'agx', "),
     ("objects", [], "neither objects nor depth"),
     ("objects", {}, "objects; it is {}; it has to be a list"),
     ("objects.0", "cube.obj", r"objects\[0\]; it is \"cube.obj\"; it has to be an object"),

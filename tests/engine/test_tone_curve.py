@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.special import softmax
 
-from btfsep_engine import images, sh
+from btfsep_engine import sh
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.tone_curve import (
     CAMERAS,
@@ -17,6 +17,7 @@ from btfsep_engine.fit.tone_curve import (
     importance,
     log_probability,
 )
+from btfsep_engine.srgb import srgb_to_linear
 from tests.engine.half_sphere import half_sphere
 
 CODES = np.linspace(0, 1.3, 3001)
@@ -25,7 +26,7 @@ LAMP = np.array([-0.5, -0.6, 0.62]) / np.linalg.norm([-0.5, -0.6, 0.62])
 
 def test_the_ends_are_linear_and_srgb():
     np.testing.assert_allclose(ToneCurve(0.0).decode(CODES), CODES)
-    np.testing.assert_allclose(ToneCurve(1.0).decode(CODES), images.srgb_to_linear(CODES), rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(ToneCurve(1.0).decode(CODES), srgb_to_linear(CODES), rtol=1e-5, atol=1e-12)
 
 
 @pytest.mark.parametrize("curve", [*CANDIDATES, ToneCurve(0.5, 0.03), ToneCurve(1.0, 0.03)])

@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine import images, sh
+from btfsep_engine import sh
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import read_lighting
+from btfsep_engine.srgb import linear_to_srgb
 from scripts.studies.stage import seen_normals
 from tests.render.scenes import edited, looking_down, off_as_seen
 
@@ -49,7 +50,7 @@ def test_clipped_pixels_are_bounds_and_not_values(sphere_job_folder, capsys, sha
     folder, _ = sphere_job_folder
     radiance, there = ball()
     white = np.quantile(radiance[there].max(-1), 1 - share)  # radiance of the largest code
-    codes = np.round(255 * np.clip(images.linear_to_srgb(radiance / white), 0, 1)).astype(np.uint8)
+    codes = np.round(255 * np.clip(linear_to_srgb(radiance / white), 0, 1)).astype(np.uint8)
     clipped = (codes == 255).any(-1)
     assert clipped[there].mean() == pytest.approx(share, abs=0.02)
 

@@ -14,6 +14,7 @@ from btfsep_engine.pipeline.coarse_chroma import BESIDE, KAPPA, NEXT, chroma_wei
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.srgb import linear_to_srgb
 from tests.render.scenes import as_mesh, in_white, off_as_seen, scene_of
 
 WHITE = "reference/white-diffuse"
@@ -35,7 +36,7 @@ def saved(scene, image, colour, background, path, how=()):
     """The scene with the egg's photo in a colour before a background, as a file of the path's kind has it."""
     shown = np.where(np.isfinite(image), image * colour, background)
     shown = 0.9 * shown / shown[scene.view.mesh == 0].max()
-    codes = np.round(255 * np.clip(images.linear_to_srgb(shown), 0, 1)).astype(np.uint8)
+    codes = np.round(255 * np.clip(linear_to_srgb(shown), 0, 1)).astype(np.uint8)
     cv2.imwrite(str(path), codes[..., ::-1], list(how))
     read = images.read_linear(path)
     photo = replace(

@@ -11,6 +11,7 @@ import trimesh
 from btfsep_engine import images
 from btfsep_engine.cli import main
 from btfsep_engine.light.files import read_lighting
+from btfsep_engine.srgb import linear_to_srgb
 from scripts.studies.stage import seen_normals
 from tests.render.scenes import edited, looking_down
 
@@ -91,7 +92,7 @@ def test_a_grey_photo_gives_grey_light(sphere_job_folder):
 def test_a_grey_png(sphere_job_folder, kind):
     folder, _ = sphere_job_folder
     grey = photo_of(folder).mean(-1)
-    code = images.linear_to_srgb(grey * 0.8 / grey.max()) * np.iinfo(kind).max
+    code = linear_to_srgb(grey * 0.8 / grey.max()) * np.iinfo(kind).max
     cv2.imwrite(str(folder / "grey.png"), np.round(code).astype(kind))
     edited(folder, image="grey.png")
     found = estimated(folder)

@@ -14,6 +14,7 @@ from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.sequence import run_sequence
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
+from btfsep_engine.srgb import linear_to_srgb
 from tests.render.progress_lines import assert_whole_run
 from tests.render.scenes import answer, edited, off_as_seen
 
@@ -90,7 +91,7 @@ def test_frames_of_a_sequence_are_coded_as_the_job_says(sphere_job_folder, capsy
     photo = images.read_linear(folder / "photo.exr").pixels
     scale = 0.5 / photo.max()
     for i in range(2):  # the first frame and further ones are read in different places
-        images.write_exr(tmp_path / f"f{i}.exr", images.linear_to_srgb(photo * scale).astype(np.float32))
+        images.write_exr(tmp_path / f"f{i}.exr", linear_to_srgb(photo * scale).astype(np.float32))
     edited(folder, image_colorspace="srgb")
     assert main(["sequence", str(folder), "--images", str(tmp_path / "*.exr"), *WHITE, "--order", "2", *QUICK]) == 0
     for i in range(2):

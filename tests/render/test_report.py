@@ -7,10 +7,11 @@ import pytest
 from btfsep_engine import images, report
 from btfsep_engine.cli import main
 from btfsep_engine.pipeline.commands import psnr
+from btfsep_engine.srgb import srgb_to_linear
 
 
 def linear(shown):
-    return images.srgb_to_linear(shown / 255.0)
+    return srgb_to_linear(shown / 255.0)
 
 
 def watched(monkeypatch) -> list:

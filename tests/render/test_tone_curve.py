@@ -10,8 +10,9 @@ import trimesh
 
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.colour_profile import of_primaries
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, SRGB, ToneCurve
+from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, OF_RENDERS, SRGB, ToneCurve, log_prior_of_render
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
@@ -22,7 +23,7 @@ from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.pipeline.tone import Curves, codes_of
+from btfsep_engine.pipeline.tone import ANY, OF_BLENDER, Curves, codes_of, sought
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.recogniser import Recognition
 from tests.render.scenes import as_mesh, job_of, looking_down
@@ -61,8 +62,8 @@ def ball():
     return scene, np.clip(0.95 * image / image.max(), 0, 1)
 
 
-def seen(ball, curve, said, camera=""):
-    """The scene with a photo that ``curve`` coded in 8 bits; what the job says of it, and its file of the camera."""
+def seen(ball, curve, said, camera="", *, is_render=False):
+    """The scene with a photo that ``curve`` coded in 8 bits; what the job says of it, and its file of who made it."""
     scene, image = ball
     codes = np.linspace(0, 1, 1 << 12 if curve is AGX else 1 << 16)  # the ball is grey: so is a column of AgX's
     decoded = curve.decode(np.repeat(codes[:, None], 3, 1))[:, 1] if curve is AGX else curve.decode(codes)
@@ -70,6 +71,7 @@ def seen(ball, curve, said, camera=""):
     read = {"linear": LINEAR, "agx": AGX, "camera": CAMERA}.get(said, CAMERA if camera else SRGB)
     out = PreparedScene(scene.job, Reporter())
     photo = Photo(read.decode(codes).astype(np.float32), np.ones(codes.shape[:2], bool), 0, bits=8, camera=camera)
+    photo = replace(photo, is_render=is_render)
     out.job = replace(scene.job, photo=photo, image_colorspace=said)
     return out
 
@@ -103,6 +105,39 @@ def test_a_render_saved_with_agx_is_found_said_and_doubted_to_be_one(ball):
     assert off(estimate(taken, Grey(), SETTINGS, material="grey")) > 1.5 * off(stated)
     (doubt,) = (each for each in taken.reporter.warnings if "as Blender's view transform AgX the light would" in each)
     assert "--colorspace agx" in doubt and "unknown" not in doubt
+
+
+@pytest.mark.parametrize("said", ["auto", "blender"])
+@pytest.mark.parametrize("curve", [AGX, SRGB])
+def test_a_file_that_blender_rendered_is_read_by_the_view_that_explains_it(ball, curve, said):
+    scene = seen(ball, curve, said, is_render=said == "auto")
+    found = estimate(scene, Grey(), SETTINGS, material="grey")
+    assert found.scene.curves.curves[0] is curve and off(found) < 0.15
+    assert f"of what Blender saved by evidence {curve.description} (" in found.choice["curve"]
+    assert not any("tone curve" in each for each in scene.reporter.warnings)
+    with pytest.raises(InputError, match="'blender' with --estimator least-squares"):
+        estimate(seen(ball, curve, "blender"), Grey(), replace(SETTINGS, estimator="least-squares"), material="grey")
+
+
+@pytest.mark.parametrize(("change", "among"), [
+    ({}, OF_BLENDER), ({"is_render": False}, None), ({"camera": "Canon EOS 6D"}, None), ({"bits": None}, None),
+    ({"profile": of_primaries("display-p3")}, None),
+])  # fmt: skip
+def test_what_is_no_plain_render_is_read_as_before(ball, change, among):
+    job = seen(ball, SRGB, "auto", is_render=True).job
+    assert sought(replace(job, photo=replace(job.photo, **change))) == among
+    assert sought(replace(job, image_colorspace="unknown")) == ANY
+    assert sought(replace(job, image_colorspace="srgb")) is None
+
+
+def test_pixels_at_the_largest_code_speak_against_views_that_roll_highlights_off():
+    codes = np.full((40, 40, 3), 0.5)
+    shares = [np.exp(log_prior_of_render(name, codes)) for name in OF_RENDERS]
+    assert list(OF_RENDERS)[np.argmax(shares)] == "agx"
+    codes[0, :8, 1] = 1
+    clipped = [np.exp(log_prior_of_render(name, codes)) for name in OF_RENDERS]
+    assert list(OF_RENDERS)[np.argmax(clipped)] == "srgb"
+    np.testing.assert_allclose(np.add(shares, clipped).sum(), 1)
 
 
 @pytest.mark.parametrize(("said", "camera"), [("auto", "Canon EOS 6D"), ("camera", "")])

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.fit.stated import restated
-from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, SRGB, ToneCurve, importance, log_probability
+from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, SRGB, VIEWS, ToneCurve, importance, log_probability
 from btfsep_engine.pipeline.together import all_weights
-from btfsep_engine.pipeline.tone import codes_of, curve_read_by, radiance_of
+from btfsep_engine.pipeline.tone import OF_BLENDER, codes_of, curve_read_by, radiance_of, sought
 
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
-NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, "agx": AGX}
+NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, **VIEWS}
 # curves that may be said to explain a photo better, by that which it was read by
 OTHERS = {LINEAR: (SRGB, AGX, CAMERA), SRGB: (LINEAR, AGX, CAMERA), CAMERA: (SRGB,)}
 STATED_AS = {AGX: "a render that was saved with that view", CAMERA: "a camera's own picture"}
@@ -60,7 +60,8 @@ def curve_words(problems) -> str:
                 if share > PLAUSIBLE or curve is curves.curves[0]
             ]
             others = f"; also possible: {', '.join(each[1:])}" if each[1:] else ""
-            said.append(f"by evidence {each[0]}{others}")
+            of = "of what Blender saved " if sought(scene.job) == OF_BLENDER else ""
+            said.append(f"{of}by evidence {each[0]}{others}")
         elif stated in ("auto", "unknown"):
             why, camera = "whole numbers are by default", scene.job.photo.camera
             if bits is None:
@@ -81,7 +82,7 @@ def curve_words(problems) -> str:
 def curve_doubts(problems, light) -> list[str]:
     """That the curve by which an 8-bit photo was read explains it far worse than another would."""
     jobs = [p.scene.job for p in problems]
-    if light.solver is None or any(j.photo.bits != 8 or j.image_colorspace in ("unknown", "agx") for j in jobs):
+    if light.solver is None or any(j.photo.bits != 8 or sought(j) or j.image_colorspace in VIEWS for j in jobs):
         return []
     read_by, *more = {curve_read_by(j) for j in jobs}
     if more:

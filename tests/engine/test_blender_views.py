@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The inverse of Blender's AgX, against its published approximation and against its own derivative."""
+"""The inverses of Blender's views, against AgX's published approximation, forward formulas and their derivatives."""
 
 import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine import agx, images
+from btfsep_engine import blender_views, images
+from btfsep_engine.blender_views import log_volume, to_linear
 from btfsep_engine.fit.tone_curve import AGX, LINEAR, SRGB
+from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
 
 # AgX as other renderers approximate it (B. Wrensch; Filament and three.js, there "based on Blender's implementation")
 TO_2020 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
@@ -31,12 +33,12 @@ def approximately(radiance):
     """sRGB codes (n, 3) of linear Rec.709 (n, 3)."""
     x = np.log2(np.maximum(radiance @ TO_2020.T @ INSET.T, 1e-10))
     x = np.polyval(CURVE, np.clip((x + 12.47393) / 16.5, 0, 1))
-    return images.linear_to_srgb(np.maximum(x @ OUTSET.T, 0) ** 2.2 @ np.linalg.inv(TO_2020).T)
+    return linear_to_srgb(np.maximum(x @ OUTSET.T, 0) ** 2.2 @ np.linalg.inv(TO_2020).T)
 
 
 def test_greys_stay_grey_and_brighter_codes_are_brighter():
     codes = np.repeat(np.linspace(0, 1, 256)[:, None], 3, 1)
-    grey = agx.to_linear(codes)
+    grey = to_linear(codes)
     assert (np.ptp(grey, axis=1) < 0.04 * grey.max(1))[20:].all()
     assert (np.diff(grey[:, 1]) > 0).all() and grey[0, 1] < 1e-3 and 15 < grey[-1, 1] < 18
 
@@ -51,30 +53,59 @@ def test_it_undoes_the_published_approximation_as_nearly_as_that_is_right():
     bright = np.random.default_rng(0).uniform(-5, 1, (4000, 1))
     radiance = 2.0**bright * np.random.default_rng(1).uniform(0.2, 1, (4000, 3))
     codes = np.clip(approximately(radiance), 0, 1)
-    assert np.median(off(agx.to_linear(codes), radiance)) < 0.1
-    assert np.percentile(off(agx.to_linear(codes), radiance), 95) < 0.15
-    assert np.median(off(images.srgb_to_linear(codes), radiance)) > 1.5 * np.median(off(agx.to_linear(codes), radiance))
+    assert np.median(off(to_linear(codes), radiance)) < 0.1
+    assert np.percentile(off(to_linear(codes), radiance), 95) < 0.15
+    assert np.median(off(srgb_to_linear(codes), radiance)) > 1.5 * np.median(off(to_linear(codes), radiance))
 
 
-def test_its_volume_is_that_of_small_changes():
+def neutral(radiance):
+    """Khronos PBR Neutral as its specification has it (GLSL), linear, of linear Rec.709 (3,)."""
+    least = radiance.min()
+    radiance = radiance - (least - 6.25 * least**2 if least < 0.08 else 0.04)
+    peak = radiance.max()
+    if peak < 0.76:
+        return radiance
+    new = 1 - 0.24**2 / (peak + 0.24 - 0.76)
+    white = 1 - 1 / (0.15 * (peak - new) + 1)
+    return radiance * new / peak * (1 - white) + white * new
+
+
+def test_the_neutral_view_is_undone():
+    random = np.random.default_rng(6)
+    radiance = 2.0 ** random.uniform(-6, 4, (500, 1)) * random.uniform(0.1, 1, (500, 3))
+    shown = np.array([neutral(each) for each in radiance])
+    assert (shown.max(1) > 0.76).mean() > 0.3
+    np.testing.assert_allclose(to_linear(linear_to_srgb(shown), "khronos"), radiance, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "contrast"), [("agx-medium-high-contrast", 1.2), ("agx-high-contrast", 1.4)])
+def test_more_contrast_is_that_many_stops_more_for_greys(name, contrast):
+    grey = np.repeat(np.linspace(0.3, 0.8, 60)[:, None], 3, 1)
+    stops, before = (np.log2(to_linear(grey, each)[:, 1]) for each in (name, "agx"))
+    np.testing.assert_allclose(np.diff(before).sum() / np.diff(stops).sum(), contrast, rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", blender_views.VIEWS)
+def test_its_volume_is_that_of_small_changes(name):
     random = np.random.default_rng(2)
     codes = (random.integers(2, 22, (50, 3)) + random.uniform(0.3, 0.7, (50, 3))) / 24  # within a cell of the table
     small = 1e-4 * np.eye(3)
-    columns = np.stack([(agx.to_linear(codes + s) - agx.to_linear(codes - s)) / 2e-4 for s in small], -1)
-    np.testing.assert_allclose(agx.log_volume(codes), np.log(np.abs(np.linalg.det(columns))), atol=0.02)
+    columns = np.stack([(to_linear(codes + s, name) - to_linear(codes - s, name)) / 2e-4 for s in small], -1)
+    wrong = np.abs(log_volume(codes, name) - np.log(np.abs(np.linalg.det(columns))))
+    assert np.percentile(wrong, 90) < 0.02  # views have kinks
 
 
 def test_a_large_photo_is_undone_in_parts(monkeypatch):
     codes = np.random.default_rng(4).uniform(size=(7, 3, 3))
-    whole = agx.to_linear(codes)
-    monkeypatch.setattr(agx, "AT_ONCE", 5)
-    np.testing.assert_array_equal(agx.to_linear(codes), whole)
+    whole = to_linear(codes)
+    monkeypatch.setattr(blender_views, "AT_ONCE", 5)
+    np.testing.assert_array_equal(to_linear(codes), whole)
 
 
 def test_as_a_tone_curve_its_slopes_are_its_volume_and_it_is_a_seldom_one():
     codes = np.random.default_rng(5).uniform(0.1, 0.9, (40, 3))
-    np.testing.assert_allclose(AGX.log_slope(codes).sum(-1), agx.log_volume(codes))
-    np.testing.assert_array_equal(AGX.decode(codes), agx.to_linear(codes))
+    np.testing.assert_allclose(AGX.log_slope(codes).sum(-1), log_volume(codes))
+    np.testing.assert_array_equal(AGX.decode(codes), to_linear(codes))
     assert AGX.log_prior < min(LINEAR.log_prior, SRGB.log_prior) and AGX.log_prior < 0
 
 
@@ -84,6 +115,6 @@ def test_pictures_are_read_by_it(tmp_path, name, kind):
     stored = np.round(codes * np.iinfo(kind).max).astype(kind)
     cv2.imwrite(str(tmp_path / name), stored if "grey" in name else stored[..., ::-1])
     read = images.read_linear(tmp_path / name, colorspace="agx")
-    expected = agx.to_linear(np.broadcast_to((stored / np.iinfo(kind).max).reshape(20, 30, -1), (20, 30, 3)))
+    expected = to_linear(np.broadcast_to((stored / np.iinfo(kind).max).reshape(20, 30, -1), (20, 30, 3)))
     np.testing.assert_allclose(read.pixels, expected, rtol=1e-5, atol=1e-6)
     assert read.usable.all() and read.bits == (8 if kind is np.uint8 else 16)
