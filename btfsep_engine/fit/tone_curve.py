@@ -30,11 +30,13 @@ STRAIGHT = 0.04045  # codes below which sRGB is linear
 PRIOR = {0.0: 0.01, 0.25: 0.003, 0.5: 0.003, 0.75: 0.01, 1.0: 0.4, 1.25: 0.01}  # of the parameter t
 OF_CAMERAS = {0.5: 0.05, 0.75: 0.15, 1.0: 0.25, 1.4: 0.08}  # of the strength s
 OF_AGX = 0.003
-OF_RENDERS = {  # of what Blender saved: by which view, and whether a thousandth of the pixels is at the largest code
-    "srgb": (0.24, 0.75), "agx": (0.6, 0.04), "agx-punchy": (0.04, 0.04), "agx-medium-high-contrast": (0.03, 0.04),
-    "agx-high-contrast": (0.03, 0.08), "filmic": (0.04, 0.04), "khronos": (0.02, 0.2),
+OF_RENDERS = {  # of what Blender saved: by which view; how often brightest pixels are below, between, above `LEVELS`
+    "srgb": (0.24, 0.1, 0.2, 0.7), "agx": (0.6, 0.74, 0.2, 0.06), "agx-punchy": (0.04, 0.74, 0.2, 0.06),
+    "agx-medium-high-contrast": (0.03, 0.65, 0.28, 0.07), "agx-high-contrast": (0.03, 0.55, 0.35, 0.1),
+    "filmic": (0.04, 0.74, 0.2, 0.06), "khronos": (0.02, 0.1, 0.7, 0.2),
 }  # fmt: skip
-AT_LARGEST, A_FEW = 0.99, 1e-3  # of the largest code; of the pixels
+LEVELS, BRIGHTEST = (0.9, 0.99), 99.9  # codes; percentile of the pixels
+OF_RENDERS_DOUBT = 2.0  # times `DOUBT`: the views are nearer to each other than other curves are
 OFFSET_PRIOR = 0.2
 DOUBT = 20.0
 LARGEST_OFFSET = 0.05  # of the largest code
@@ -165,9 +167,9 @@ def importance(codes, clipped) -> np.ndarray:
 
 def log_prior_of_render(name: str, codes) -> float:
     """Of a curve among those by which Blender saves; ``name`` : of `OF_RENDERS`; ``codes`` : (h, w, 3)."""
-    usual, at_largest = OF_RENDERS[name]
-    is_clipped = (np.asarray(codes).max(-1) >= AT_LARGEST).mean() > A_FEW
-    return float(np.log(usual) + np.log(at_largest if is_clipped else 1 - at_largest))
+    usual, *levels = OF_RENDERS[name]
+    brightest = np.percentile(np.asarray(codes).max(-1), BRIGHTEST)
+    return float(np.log(usual) + np.log(levels[np.searchsorted(LEVELS, brightest, "right")]))
 
 
 def log_probability(fit, log_slopes, weights) -> float:

@@ -19,6 +19,7 @@ from btfsep_engine.fit.tone_curve import (
     CANDIDATES,
     LINEAR,
     OF_RENDERS,
+    OF_RENDERS_DOUBT,
     SRGB,
     VIEWS,
     Camera,
@@ -127,7 +128,7 @@ def with_curves(problems, settings: FitSettings) -> list:
     else:
         curves = RENDERS
         logs = [_log_of(curve, problems, codes, settings) for curve in curves]
-        logs = np.array(logs) + sum(_logs_before(c) for c in codes if c is not None)
+        logs = np.array(logs) / OF_RENDERS_DOUBT + sum(_logs_before(c) for c in codes if c is not None)
     order = np.argsort(-np.array(logs))
     ranked, shares = tuple(curves[i] for i in order), softmax(np.array(logs)[order])
     return [
