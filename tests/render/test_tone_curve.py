@@ -130,7 +130,7 @@ def test_what_is_no_plain_render_is_read_as_before(ball, change, among):
     assert sought(replace(job, image_colorspace="srgb")) is None
 
 
-@pytest.mark.parametrize(("brightest", "best"), [(0.85, "agx"), (0.95, "srgb"), (1.0, "srgb")])
+@pytest.mark.parametrize(("brightest", "best"), [(0.85, "agx"), (1.0, "srgb")])
 def test_bright_pixels_speak_against_views_that_roll_highlights_off(brightest, best):
     codes = np.full((50, 50, 3), 0.5)
     codes[0, 0] = 1  # a glint is none
