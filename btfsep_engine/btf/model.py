@@ -25,11 +25,13 @@ class Material(ABC):
     material_class : one of the classes of UBO2014, "reference" or "surface"
     has_texture : whether it differs from place to place
     lines_up : whether its texture is known to lie where the photo's does
+    dye : (2,) the tint (`fit.colour.tint_of`) of a base colour that was taken from the photo; None: it is known
     matte_albedo : (3,) of a perfectly diffuse material, which is as bright from everywhere; None: of no other
     mirror_reflectance : (3,) of a perfect mirror, which shows nothing of a beam without extent; None: of no other
     """
 
     has_texture = lines_up = False
+    dye = None
     matte_albedo = mirror_reflectance = None
 
     @abstractmethod
@@ -99,6 +101,7 @@ class Tabulated(Material):
     lights: np.ndarray
     texel_mm: float
     laid_mean: np.ndarray | None = None
+    dye: tuple | None = None
 
     @property
     def table(self) -> "Tabulated":

@@ -56,9 +56,20 @@ def tint_of(colour) -> np.ndarray:
     return np.array([r - b, g - (r + b) / 2])
 
 
-def split(level) -> Tint:
-    """The tint of the light's mean radiance (3,), found with the material's colour, split between light and object."""
-    tint = tint_of(level)
+def base_colour(tint) -> np.ndarray:
+    """The colour (3,) of a tint (2,), its brightest channel 1."""
+    colour = np.exp(CHROMA[:, 1:] @ np.asarray(tint))
+    return colour / colour.max()
+
+
+def split(level, dye=0.0) -> Tint:
+    """The tint of the light's mean radiance (3,), found with the material's colour, split between light and object.
+
+    ``dye`` : (2,), the tint of a colour that was taken from the photo, in the place of the material's: it is the
+    object's as far as the tint of both together is
+    """
+    left = tint_of(level)
+    tint = left + dye
     hypotheses = []
     for spread, probability in ((DYE, 1 - UNKNOWN), (ANY, UNKNOWN)):
         total = LIGHT**2 + spread**2
@@ -69,6 +80,6 @@ def split(level) -> Tint:
     covariance = sum(
         s * (np.diag(h[2]) + np.outer(h[1] - mean, h[1] - mean)) for s, h in zip(share, hypotheses, strict=True)
     )
-    gain = np.exp(CHROMA[:, 1:] @ (mean - tint))
+    gain = np.exp(CHROMA[:, 1:] @ (mean - left))
     gain *= np.sum(level) / np.sum(gain * level)
     return Tint(tint - mean, gain, covariance, float(share[1]))

@@ -87,7 +87,7 @@ class LightSolver:
             self.basis = Basis(basis, normals)
         self.order, self.seed, self.coarsening = order, seed, coarsening
         self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
-        self.slopes = None
+        self.slopes, self.dye = None, 0.0
 
     @property
     def _held(self) -> dict:
@@ -98,6 +98,12 @@ class LightSolver:
         """The same for photographs that may differ by ``slopes`` (p, k, 3) beside noise (`fit.products.Photograph`)."""
         out = copy.copy(self)
         out.slopes = slopes
+        return out
+
+    def with_dye(self, dye) -> "LightSolver":
+        """The same of basis images of an object of the tint ``dye``, which the photo says (`colour.split`)."""
+        out = copy.copy(self)
+        out.dye = np.asarray(dye)
         return out
 
     def without_given(self, number=None) -> "LightSolver":
@@ -178,7 +184,7 @@ class LightSolver:
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None, *, like: Fit | None = None) -> Fit:
         """The Fit of a solution; ``like`` : of nearly the same light by its model, which decides as many unknowns."""
-        tint = colour.split(best.x[:, 0] * photo.level)
+        tint = colour.split(best.x[:, 0] * photo.level, self.dye)
         unit = photo.level * tint.gain
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
         energy = photo.mean_square * photo.level**2 * self.basis.response**2

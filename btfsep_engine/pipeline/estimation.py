@@ -24,6 +24,7 @@ from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
+from btfsep_engine.pipeline.refine.finish import finished
 from btfsep_engine.pipeline.refine.ground import ground
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
@@ -148,6 +149,7 @@ REFINEMENTS = (
     light_between_surfaces,
     without_things_in_front,
     left_as_it_is,
+    finished,
     nearer_materials,
     shifted,
     near_lamps,

@@ -78,7 +78,14 @@ def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: 
 
     parts = [[[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]]
     solver = kept.recalled("solver", [*parts, order, settings.seed, float(coarsening), list(given)], made)
+    solver = solver if (dye := common_dye(problems)) is None else solver.with_dye(dye)
     return solver if (slopes := all_slopes(problems)) is None else solver.with_slopes(slopes)
+
+
+def common_dye(problems: list[Problem]):
+    """The `dye` of all objects' materials; None where they have none, or several."""
+    each = {m.dye for p in problems for m in p.materials}
+    return each.pop() if len(each) == 1 else None
 
 
 def given_lamps(jobs) -> tuple:

@@ -87,7 +87,7 @@ def _nearer(model, light):
     problems, settings = model.problems, replace(model.modelled, order=light.order)
     ideal = [m.matte_albedo is not None for m in problems[0].materials]
     speaks = not all(ideal) and shading_left(problems, light) > SPEAKS
-    doubted = [speaks or each for each in ideal]
+    doubted = [(speaks or each) and m.dye is None for each, m in zip(ideal, problems[0].materials, strict=True)]
     if not any(doubted):
         return model, light, {"reflectance": "as in the library: what is left over does not look like shading"}
     sizes, departed = np.sum([[len(p) for p in problem.points] for problem in problems], 0), {}

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A surface of the homogeneous family as rough and of the colour that the photo says: photos made with such ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.btf.surfaces import SURFACES, Surface
+from btfsep_engine.fit.colour import base_colour, split, tint_of
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.light_account import colour_doubts
+from btfsep_engine.pipeline.model import Model
+from btfsep_engine.pipeline.problem import make_problem
+from btfsep_engine.pipeline.refine.finish import finished
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import fit_together
+from btfsep_engine.progress import Reporter
+from btfsep_engine.render.homogeneous import homogeneous
+from tests.render.scenes import (
+    as_mesh,
+    job_of,
+    looking_down,
+    picture,
+    scene_of,
+    with_photo,
+)
+from tests.render.test_reflectance import WINDOW
+
+SETTINGS = choose("draft", bounces=1, directions=256, appearance="mean", order=2)
+PLASTIC, RED = "surface/plastic", (0.5, 0.04, 0.03)
+
+
+def off(found, true) -> float:
+    """Relative, each channel with a free scale: how bright the surface is, and its colour, nobody knows."""
+    scaled = (found * true).sum(0) / np.square(found).sum(0) * found
+    return float(np.linalg.norm(scaled - true) / np.linalg.norm(true))
+
+
+def of_ball(surface, name=PLASTIC, light=WINDOW, **changes):
+    """A Model with the library's surface of a ball that another made the photo of, its SolvedLight, the true light."""
+    scene = scene_of(job_of([as_mesh(trimesh.creation.icosphere(4, radius=0.45))], looking_down()))
+    points = scene.points(0, textured=False)
+    values = scene.radiance(points, homogeneous(surface, "true"), SHLighting(light), directions=512)[:, 0]
+    scene.job = with_photo(scene.job, picture(points, values, noise=0.005))
+    made_of = homogeneous(SURFACES[name], name) if name in SURFACES else Lambertian(name, np.full(3, 0.5))
+    problems = [make_problem(scene, [made_of], [points.take(np.arange(0, len(points), 2))], SETTINGS)]
+    return Model(replace(SETTINGS, **changes), {"mean": problems}), fit_together(problems, SETTINGS), light
+
+
+@pytest.mark.parametrize("name", [PLASTIC, "surface/matte", "reference/white-diffuse"])
+def test_what_is_red_and_glossy_is_found_to_be_and_the_light_with_it(name):
+    model, light, true = of_ball(Surface(RED, roughness=0.4), name)
+    changed, found, words = finished(model, light)
+    assert "a roughness of 0.4 and the base colour 0." in words["finish"]
+    before, after = (off(each.fit.coefficients, true[:9]) for each in (light, found))
+    assert after < 0.2 and (after < 0.6 * before or name != PLASTIC)
+    assert found.fit.evidence > light.fit.evidence + 3
+    (material,) = changed.problems[0].materials
+    assert changed.departed == {0: material} and material.name == name
+    np.testing.assert_allclose(base_colour(material.dye) @ [1, -1, 0], 1 - RED[1] / RED[0], atol=0.06)
+
+
+def test_that_the_colour_is_not_known_stays_said_and_stated():
+    model, light, _ = of_ball(Surface(RED, roughness=0.4))
+    _, found, _ = finished(model, light)
+    assert light.fit.tint.unknown > 0.9 and found.fit.tint.unknown > 0.9
+    assert colour_doubts(found.fit)
+    before, after = (np.linalg.det(each.fit.tint.covariance) for each in (light, found))
+    assert after > 0.9 * before
+    np.testing.assert_allclose(found.fit.tint.gain, 1, atol=0.1)  # light and colour agree
+
+
+def test_a_tint_is_split_alike_wherever_the_colour_was_put():
+    level, dye = np.array([1.0, 0.3, 0.2]), np.array([0.8, -0.3])
+    left = level / base_colour(dye)  # of the light, where the object has that colour
+    whole, part = split(level), split(left, dye)
+    np.testing.assert_allclose(part.object_tint, whole.object_tint, atol=1e-9)
+    np.testing.assert_allclose(part.covariance, whole.covariance, atol=1e-9)
+    np.testing.assert_allclose(tint_of(left * part.gain), tint_of(level * whole.gain), atol=1e-9)
+
+
+def test_a_grey_surface_gets_its_roughness_and_no_colour():
+    model, light, true = of_ball(Surface((0.4, 0.4, 0.4), roughness=0.9))
+    changed, found, words = finished(model, light)
+    assert words["finish"] == "the surface was taken to have a roughness of 0.9 (by evidence)"
+    assert changed.problems[0].materials[0].dye is None
+    assert off(found.fit.coefficients, true[:9]) < off(light.fit.coefficients, true[:9])
+
+
+def test_the_librarys_own_surface_stays_as_it_is():
+    model, light, _ = of_ball(SURFACES[PLASTIC])
+    same, found, words = finished(model, light)
+    assert same is model and found is light and words["finish"].startswith("as it is in the library")
+
+
+@pytest.mark.parametrize(("name", "changes"), [("surface/metal", {}), (PLASTIC, {"departures": "never"})])
+def test_metals_are_left_alone_and_all_where_nobody_asks(name, changes):
+    model, light, _ = of_ball(Surface(RED, roughness=0.4), name, **changes)
+    assert finished(model, light) == (model, light, {})
+
+
+def test_a_grey_reference_is_no_coloured_one():
+    model, light, _ = of_ball(Surface((0.5, 0.5, 0.5), roughness=0.4), "reference/white-diffuse")
+    assert light.fit.tint.unknown < 0.5 and finished(model, light) == (model, light, {})
+
+
+def test_an_estimate_says_it():
+    class Library:
+        def __contains__(self, name):
+            return True
+
+        def load(self, name):
+            return homogeneous(SURFACES[name], name)
+
+    model, _, true = of_ball(Surface(RED, roughness=0.4))
+    scene = model.problems[0].scene
+    scene.reporter = Reporter()
+    found = estimate(scene, Library(), SETTINGS, material=PLASTIC)
+    assert "a roughness of 0.4 and the base colour" in found.choice["finish"]
+    assert off(found.lighting.coefficients[:9], true[:9]) < 0.2
+    assert any("the object's colour is not known" in each for each in scene.reporter.warnings)
