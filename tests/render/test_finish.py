@@ -13,6 +13,7 @@ from btfsep_engine.fit.colour import base_colour, split, tint_of
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.light_account import colour_doubts
+from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.finish import finished
@@ -123,3 +124,37 @@ def test_an_estimate_says_it():
     assert "a roughness of 0.4 and the base colour" in found.choice["finish"]
     assert off(found.lighting.coefficients[:9], true[:9]) < 0.2
     assert any("the object's colour is not known" in each for each in scene.reporter.warnings)
+
+
+TEAL = Surface((0.05, 0.35, 0.33), roughness=0.9)
+
+
+def taken_for(surface, true, *, is_given=False):
+    """What `finished` makes of a ball of a ``true`` surface that was taken for a library's material of another."""
+    model, _, light = of_ball(true)
+    felt = homogeneous(surface, "felt/teal")
+    (problem,) = model.problems
+    problems = [problem.of_materials([felt], SETTINGS)]
+    one = ObjectMaterial("felt/teal", felt, is_given, (("felt/teal", 0.6), ("felt/red", 0.4)), likely=("felt/teal",))
+    model = replace(model, looks={"mean": problems}, materials=([one],))
+    before = fit_together(problems, SETTINGS)
+    return model, before, *finished(model, before), light
+
+
+def test_what_is_recognised_gives_way_to_a_plain_surface_that_explains_far_more():
+    model, before, changed, found, words, true = taken_for(TEAL, Surface(RED, roughness=0.4))
+    ((one,),) = changed.materials
+    assert (one.name, one.unknown, one.likely) == ("surface/plastic", True, ()) and one.record["recognised"]
+    assert one.record["candidates"][0]["name"] == "felt/teal" and "a roughness of 0.4" in words["finish"]
+    assert found.fit.evidence > before.fit.evidence + 8
+    assert off(found.fit.coefficients, true[:9]) < min(0.2, 0.8 * off(before.fit.coefficients, true[:9]))
+    (said,) = model.reporter.warnings
+    assert "none of the library's materials after all" in said and "than the nearest, felt/teal" in said
+    assert found.fit.tint.unknown > 0.9
+
+
+def test_what_is_recognised_rightly_or_given_stays():
+    model, before, same, found, words, _ = taken_for(TEAL, TEAL)
+    assert same is model and found is before and words["finish"].startswith("as it is in the library")
+    model, before, same, found, words, _ = taken_for(TEAL, Surface(RED, roughness=0.4), is_given=True)
+    assert same is model and found is before and words == {}
