@@ -7,10 +7,11 @@ scripts/study plates FOLDER --sets chrome --show 05 07 23 26 --to docs/images/mi
 
 Objects of a plain Blender material ("as in Blender" in the job), alone or on a coloured table whose material the job
 has, under Blender's studio lights, turned, half of them with a Sun lamp. Each is estimated as the job is (*as it
-is*), with the camera in line (*in line*), and a render that was saved with AgX also as if nothing were known of that
-but what the file says (*not said*), or as if it were sRGB (*taken for sRGB*). Objects of the set *several* have three
-such materials, and are estimated with their mean, too (*as their mean*). The error of plates with a table is that of
-the light from above it: what comes from below, nothing in such a photo shows.
+is*), with the camera in line (*in line*), with nothing said of what it is made of (*as recognised*) or only that it is
+plastic (*as any plastic*), and a render that was saved with AgX also as if nothing were known of that but what the file
+says (*not said*), or as if it were sRGB (*taken for sRGB*). Objects of the set *several* have three such materials, and
+are estimated with their mean, too (*as their mean*). The error of plates with a table is that of the light from above
+it: what comes from below, nothing in such a photo shows.
 """
 
 from dataclasses import replace
@@ -60,6 +61,7 @@ WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the ligh
 SUN_COLOUR = np.array([1.05, 1.0, 0.9])
 AS_IS, IN_LINE, AS_MEAN = "as it is", "in line", "as their mean"
 NOT_SAID, AS_SRGB = "not said", "taken for sRGB"
+RECOGNISED, AS_PLASTIC = "as recognised", "as any plastic"
 OF_AGX = {NOT_SAID: "auto", AS_SRGB: "srgb"}
 NO_MIRROR = "as no mirror"
 
@@ -137,6 +139,18 @@ def as_mean(job):
     return replace(job, objects=(replace(first, surface=Surface(tuple(colour), *map(float, numbers))), *others))
 
 
+def as_recognised(job):
+    """A job that says of its first object only where it is: the library has no such material."""
+    first, *others = job.objects
+    return replace(job, objects=(replace(first, surface=None), *others))
+
+
+def as_plastic(job):
+    """A job whose first object is of plastic, of which it says neither colour nor roughness."""
+    first, *others = job.objects
+    return replace(job, objects=(replace(first, surface=None, material="surface/plastic"), *others))
+
+
 def as_no_mirror(job):
     """A job whose first object's surface is a little rougher than what counts as a mirror."""
     first, *others = job.objects
@@ -170,7 +184,7 @@ def study(plate, folder: Path, way: str) -> dict:
     """One estimate."""
     where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
     job = load_job(where, colorspace=OF_AGX.get(way))
-    made = {AS_MEAN: as_mean, NO_MIRROR: as_no_mirror}
+    made = {AS_MEAN: as_mean, NO_MIRROR: as_no_mirror, RECOGNISED: as_recognised, AS_PLASTIC: as_plastic}
     return {"way": way} | judged(plate, made[way](job) if way in made else job)
 
 
@@ -227,8 +241,9 @@ def main(arguments) -> int:
         (plate, folder, way)
         for folder, plates in places
         for plate in plates
-        for way in (AS_IS, IN_LINE, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR)
+        for way in (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR)
     ]
+    todo = [t for t in todo if t[2] not in (RECOGNISED, AS_PLASTIC) or t[1].name not in ("several", "chrome")]
     todo = [t for t in todo if t[2] not in OF_AGX or t[0]["curve"] == "agx"]
     todo = [t for t in todo if t[2] != AS_MEAN or "more" in t[0]]
     todo = [t for t in todo if t[2] != NO_MIRROR or t[1].name == "chrome"]

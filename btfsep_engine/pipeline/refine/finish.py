@@ -21,7 +21,7 @@ import numpy as np
 from btfsep_engine.btf.surfaces import SURFACES, Surface
 from btfsep_engine.fit.colour import base_colour, tint_of
 from btfsep_engine.pipeline.light_account import UNKNOWN_COLOUR
-from btfsep_engine.pipeline.refine.reflectance import CLEARLY, FEW, HOPEFUL, fewer, field_alone, with_material
+from btfsep_engine.pipeline.refine.reflectance import FEW, HOPEFUL, fewer, field_alone, with_material
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
 from btfsep_engine.render.homogeneous import homogeneous
 
@@ -31,9 +31,11 @@ ON_ALL = 2  # surfaces that are tried on all pixels
 TURNS = 3
 SETTLED = 0.05  # of a tint
 GREY = 0.05  # as such
-# Of 27 photographs of the library's own materials, rightly recognised, no plain surface gains more than 1.2 of the
-# logarithm of the evidence; of 13 plates of others that were taken for one of the library, all but two gain 11 to 150.
-FAR = 8.0
+# By how much a plain surface has to explain the photo better, of the logarithm of the evidence. Of 27 photographs of a
+# library's own materials, rightly recognised, none gains more than 1.2; of plates of others, taken for one of a
+# library or for a surface as it stands there, most gain 11 to 150. Painted objects of which a job says that they are
+# white references gain up to 8.5, and plain ones as a rule 50 to 200.
+FAR, FAR_FROM_REFERENCE = 12.0, 30.0
 PLASTIC, MATTE = "surface/plastic", "surface/matte"
 
 
@@ -65,7 +67,8 @@ def finished(model, light):
         seen = tint + light.fit.tint.object_tint if unknown or np.abs(tint).max() > GREY else None
         best = _best(model.problems, light, seen, replace(model.modelled, order=light.order))
     of_library = recognised and of_family is None
-    if best is None or best.light.fit.evidence < light.fit.evidence + (FAR if of_library else CLEARLY):
+    needed = FAR if of_library or dielectric else FAR_FROM_REFERENCE
+    if best is None or best.light.fit.evidence < light.fit.evidence + needed:
         return model, light, {"finish": "as it is in the library: no plain surface explains the photo better"}
     words = f"a roughness of {best.surface.roughness:g}"
     if seen is not None:
