@@ -19,6 +19,7 @@ class ObjectMaterial:
     ----------
     likely : as of `recognise.Recognition`
     mirror : the Surface by which it mirrors, where ``material`` is a rougher metal in its place (`pipeline.mirrors`)
+    surface : the Surface that it was found to have (`refine.finish`); None: that was not sought, or none explains more
     """
 
     name: str
@@ -29,6 +30,7 @@ class ObjectMaterial:
     unknown_score: float | None = None
     likely: tuple[str, ...] | None = None
     mirror: Surface | None = None
+    surface: Surface | None = None
 
     @property
     def record(self) -> dict:
@@ -41,6 +43,7 @@ class ObjectMaterial:
             "unknown_score": self.unknown_score,
             "likely": self.likely,
             "candidates": [{"name": name, "score": score} for name, score in self.candidates],
+            **({"surface": self.surface.numbers()} if self.surface else {}),
         }
 
 

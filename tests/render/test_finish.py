@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A surface of the homogeneous family as rough and of the colour that the photo says: photos made with such ones."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -145,9 +146,11 @@ def test_what_is_recognised_gives_way_to_a_plain_surface_that_explains_far_more(
     model, before, changed, found, words, true = taken_for(TEAL, Surface(RED, roughness=0.4))
     ((one,),) = changed.materials
     assert (one.name, one.unknown, one.likely) == ("surface/plastic", True, ()) and one.record["recognised"]
+    assert one.record["surface"]["roughness"] == 0.4 and max(one.record["surface"]["base_color"]) in (0.6, 0.25)
     assert one.record["candidates"][0]["name"] == "felt/teal" and "a roughness of 0.4" in words["finish"]
     assert found.fit.evidence > before.fit.evidence + 12
     assert off(found.fit.coefficients, true[:9]) < min(0.2, 0.8 * off(before.fit.coefficients, true[:9]))
+    assert json.loads(json.dumps(one.record))["surface"]["metallic"] == 0
     (said,) = model.reporter.warnings
     assert "none of the library's materials after all" in said and "than the nearest, felt/teal" in said
     assert found.fit.tint.unknown > 0.9

@@ -66,7 +66,7 @@ def finished(model, light):
     with model.reporter.stage("reflectance"):
         seen = tint + light.fit.tint.object_tint if unknown or np.abs(tint).max() > GREY else None
         best = _best(model.problems, light, seen, replace(model.modelled, order=light.order))
-    of_library = recognised and of_family is None
+    of_library = recognised and not dielectric
     needed = FAR if of_library or dielectric else FAR_FROM_REFERENCE
     if best is None or best.light.fit.evidence < light.fit.evidence + needed:
         return model, light, {"finish": "as it is in the library: no plain surface explains the photo better"}
@@ -75,9 +75,10 @@ def finished(model, light):
         words += f" and the base colour {', '.join(f'{c:.2f}' for c in best.surface.base_color)}"
     (material,) = best.problems[0].materials
     changed = replace(model, looks={model.appearance: best.problems}, departed={0: material})
-    if of_library:
-        changed = replace(changed, materials=_none_of_the_library(model, best))
-    return changed, best.light, {"finish": f"the surface was taken to have {words} (by evidence)"}
+    materials = _none_of_the_library(model, best) if of_library else model.materials
+    materials = tuple([replace(one, surface=best.surface) for one in each] for each in materials)
+    words = f"the surface was taken to have {words} (by evidence)"
+    return replace(changed, materials=materials), best.light, {"finish": words}
 
 
 def _none_of_the_library(model, best: Finished) -> tuple:
@@ -85,11 +86,10 @@ def _none_of_the_library(model, best: Finished) -> tuple:
     name = MATTE if best.surface.roughness == max(ROUGHNESSES) else PLASTIC
     (material,) = best.problems[0].materials
     instead = {"name": name, "material": replace(material, name=name), "unknown": True, "likely": ()}
-    first = model.materials[0][0]
     model.reporter.warn(
         f"object '{model.problems[0].scene.job.objects[0].name}' looks like none of the library's materials after all: "
-        f"a surface of one kind all over explains the photo far better than the nearest, {first.name}; give its "
-        "material, or its 'surface', if you know it"
+        f"a surface of one kind all over explains the photo far better than the nearest, {model.materials[0][0].name}; "
+        "give its material, or its 'surface', if you know it"
     )
     return tuple([replace(one, **instead) for one in each] for each in model.materials)
 
