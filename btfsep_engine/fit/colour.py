@@ -34,12 +34,19 @@ class Tint:
     gain : (3,), by which the channels of the light are multiplied to take the object's part out, luminance kept
     covariance : (2, 2) of the light's tint
     unknown : probability that the object's colour is not its material's, 0 to 1
+    dye : (2,), what of ``object_tint`` the basis images have already
     """
 
     object_tint: np.ndarray
     gain: np.ndarray
     covariance: np.ndarray
     unknown: float
+    dye: np.ndarray | float = 0.0
+
+    @property
+    def reflected(self) -> np.ndarray:
+        """(3,), by how much more than its material the object was taken to reflect each channel."""
+        return np.exp(CHROMA[:, 1:] @ np.broadcast_to(self.dye, 2)) / self.gain
 
     def draw(self, count: int, random) -> np.ndarray:
         """Factors (count, 3) by which the light's channels may be wrong."""
@@ -82,4 +89,4 @@ def split(level, dye=0.0) -> Tint:
     )
     gain = np.exp(CHROMA[:, 1:] @ (mean - left))
     gain *= np.sum(level) / np.sum(gain * level)
-    return Tint(tint - mean, gain, covariance, float(share[1]))
+    return Tint(tint - mean, gain, covariance, float(share[1]), dye)

@@ -63,7 +63,7 @@ def colour_doubts(fit: Fit) -> list[str]:
     """That the object's colour is not known."""
     if fit.tint is None or fit.tint.unknown <= UNKNOWN_COLOUR:
         return []
-    r, g, b = 1 / fit.tint.gain
+    r, g, b = fit.tint.reflected
     return [
         "the object's colour is not known: no usual light makes the material look like the photo; the object was taken "
         f"to reflect {r:.2f}, {g:.2f}, {b:.2f} times (red, green, blue) its material, and what the light's colour is, "
