@@ -10,6 +10,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.reciprocity import reciprocity_error
 from btfsep_engine.btf.surfaces import SURFACES, Surface
 from btfsep_engine.conventions import local_direction
+from btfsep_engine.render import homogeneous as homogeneous_module
 from btfsep_engine.render.homogeneous import flat_table, homogeneous
 from btfsep_engine.render.patch import measure
 from tests.render.test_patch import albedo_by_halves, flat, ggx_reference
@@ -136,3 +137,20 @@ def test_turned_about_the_normal_it_is_the_same():
     light = local_direction(np.radians([45.0]), np.radians([100.0]))
     both = local_direction(np.radians([45.0]), np.radians([220.0]))
     np.testing.assert_allclose(one.abrdf(at, light, eye), one.abrdf(at, both, turned), rtol=1e-2)
+
+
+def test_a_table_is_kept_on_disk_and_made_again_where_that_is_damaged(own_cache, monkeypatch):
+    asked = {"roughness": 0.37, "f0": 0.04, "metal": False}
+    flat_table.cache_clear()
+    table = flat_table(**asked)
+    (entry,) = (own_cache / "surfaces").iterdir()
+    flat_table.cache_clear()
+    with monkeypatch.context() as without:
+        without.delattr(homogeneous_module, "_quadrature")
+        kept = flat_table(**asked)
+    np.testing.assert_array_equal(kept, table)
+    assert not kept.flags.writeable
+    entry.write_bytes(entry.read_bytes()[:-1] + b"?")
+    flat_table.cache_clear()
+    np.testing.assert_array_equal(flat_table(**asked), table)
+    flat_table.cache_clear()
