@@ -40,7 +40,7 @@ def cluster():
 
 @pytest.fixture(autouse=True)
 def _collected():
-    """Dask's clients that found no scheduler end when they are collected: not while another begins, which would wait."""
+    """Dask's clients that found no scheduler end when they are collected: not while another begins, and waits."""
     gc.collect()
     yield
     gc.collect()
