@@ -11,6 +11,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
 from btfsep_engine.pipeline.estimation import Estimate, estimate
+from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -34,10 +35,12 @@ def scene_of(job, *, uv: str | None = None) -> PreparedScene:
 def estimated(job, material: str | None = None, *, preset: str = "balanced", **changes) -> Estimate:
     """The estimate of a job, of a folder's, or of a scene; ``material`` is that of all objects, None: as the job says.
 
-    ``changes`` : of the preset's settings
+    As a user has it: with the camera moved where the outlines ask for it (`mending`). ``changes`` : of the preset's
+    settings
     """
-    scene = job if isinstance(job, PreparedScene) else scene_of(job)
-    return estimate(scene, library(), choose(preset, **changes), material=material)
+    settings = choose(preset, **changes)
+    scene = mended(job if isinstance(job, PreparedScene) else scene_of(job), settings)
+    return estimate(scene, library(), settings, material=material)
 
 
 def worth(found: Estimate, truth, **how) -> dict:

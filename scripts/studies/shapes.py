@@ -27,7 +27,6 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.job.meshes import assemble
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.job.polygons import Polygons
-from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -317,8 +316,7 @@ def judged(plate, folder: Path, case: str, settings) -> dict:
     job = given.change(load_job(folder / plate["name"] / given.lens), meshes, random)
     row = {"plate": plate["name"], "case": case, "failed": ""}
     try:
-        scene = mended(PreparedScene(job, reporter), settings)
-        found = estimated(scene, preset=settings.preset, robust=settings.robust)
+        found = estimated(PreparedScene(job, reporter), preset=settings.preset, robust=settings.robust)
     except InputError as error:
         return row | {"failed": str(error)}
     row |= worth(found, plates.truth(plate), free_scale=True) | {
