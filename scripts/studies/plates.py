@@ -65,6 +65,7 @@ NOT_SAID, AS_SRGB = "not said", "taken for sRGB"
 RECOGNISED, AS_PLASTIC = "as recognised", "as any plastic"
 OF_AGX = {NOT_SAID: "auto", AS_SRGB: "srgb"}
 NO_MIRROR = "as no mirror"
+WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR)
 
 
 def drawn(seed: int) -> list[dict]:
@@ -225,6 +226,7 @@ def main(arguments) -> int:
     options.add_argument("folder", type=Path)
     options.add_argument("--make", action="store_true", help="take the plates")
     options.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
+    options.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS, metavar="WAY", help="; ".join(WAYS))
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
     options.add_argument("--show", nargs="+", metavar="NAME", default=[], help="draw these plates and their lights")
     options.add_argument("--to", type=Path, metavar="FILE", help="the picture of --show")
@@ -238,12 +240,7 @@ def main(arguments) -> int:
         rows = [shown(p, folder) for folder, plates in places for p in plates if p["name"] in given.show]
         write_rows(given.to, rows, titles=("photo", "the light that was found", "the true light"))
         return 0
-    todo = [
-        (plate, folder, way)
-        for folder, plates in places
-        for plate in plates
-        for way in (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR)
-    ]
+    todo = [(plate, folder, way) for folder, plates in places for plate in plates for way in given.ways]
     todo = [t for t in todo if t[2] not in (RECOGNISED, AS_PLASTIC) or t[1].name not in ("several", "chrome")]
     todo = [t for t in todo if t[2] not in OF_AGX or t[0]["curve"] == "agx"]
     todo = [t for t in todo if t[2] != AS_MEAN or "more" in t[0]]
