@@ -130,8 +130,8 @@ class Study:
             model, light = Model(self.settings, {"mean": [few]}), fit_together([few], self.settings)
             answer = own_light(model, light, bounces=MODELLED_BOUNCES)
             few.scene.job = job
-            values = (answer.share or 0.0, answer.change or 0.0, error_off, error_on)
-            for key, value in zip(("share", "change", "off", "on"), values, strict=True):
+            values = (answer.share or 0.0, error_off, error_on)
+            for key, value in zip(("share", "off", "on"), values, strict=True):
                 self.rows["between", key, name].append(value)
             needed |= answer.modelled
         return needed
@@ -198,11 +198,9 @@ def printed(study: Study) -> str:
     out.append(table(("directions", *DIRECTIONS), rows))
     rows = []
     for name in dict.fromkeys(k[2] for k in study.rows if k[0] == "between"):
-        share, change = (study.of("between", key, name) for key in ("share", "change"))
-        moved = f"{change.min():.2f} to {change.max():.2f}"
         off, on = (study.mean("between", key, name) for key in ("off", "on"))
-        rows.append((name, f"{100 * share.max():.1f} %", moved, off, on))
-    heads = ("light between surfaces", "share of the photo", "moves the estimate by", "error without", "with")
+        rows.append((name, f"{100 * study.of('between', 'share', name).max():.1f} %", off, on))
+    heads = ("light between surfaces", "share of the photo", "error without", "with")
     return "\n\n".join([*out, table(heads, rows)])
 
 
