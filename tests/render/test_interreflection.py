@@ -57,10 +57,10 @@ def decision(problem, settings=STRAIGHT):
 @pytest.mark.parametrize("settings", [STRAIGHT, replace(STRAIGHT, estimator="least-squares", order=2)])
 def test_a_bright_bowl_is_modelled_and_a_dark_one_is_not(settings):
     bright, _ = decision(photographed([bowl()], [BRIGHT], settings=settings), settings)
-    assert bright.modelled and bright.share > 0.1
+    assert bright.modelled and bright.share > 0.1 and bright.change is None
     assert bright.why.startswith("interreflections are modelled")
     dark, _ = decision(photographed([bowl()], [DARK], settings=settings), settings)
-    assert not dark.modelled and 0.001 < dark.share < interreflection.WORTH
+    assert not dark.modelled and 0.001 < dark.share < interreflection.WORTH and 0 < dark.change < interreflection.MOVES
     assert dark.why.startswith("interreflections are left out")
 
 
@@ -79,6 +79,15 @@ def test_that_little_is_known_of_the_light_does_not_make_it_worthless():
     stated = light.fit.state()
     vague = replace(light.fit, state=lambda: replace(stated, stddev=100 * stated.stddev))
     assert own_light(Model(STRAIGHT, {"mean": [problem]}), replace(light, fit=vague), bounces=20).modelled
+
+
+def test_little_that_moves_the_estimate_is_modelled_all_the_same():
+    problem = photographed([bowl()], [DARK])
+    light = fit_together([problem], STRAIGHT)
+    stated = light.fit.state()
+    sure = replace(light.fit, state=lambda: replace(stated, stddev=stated.stddev / 100))
+    found = own_light(Model(STRAIGHT, {"mean": [problem]}), replace(light, fit=sure), bounces=20)
+    assert found.modelled and found.share < interreflection.WORTH and found.change > interreflection.MOVES
 
 
 def test_modelling_it_takes_the_error_away():

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """When the light that objects and occluders send each other is worth modelling: no more than the photo needs.
 
-Of the light found without it, one extra image says what the surfaces would send each other, at a few hundred pixels,
-spread to the others by nearest place and normal (it is smooth). Where that is less of the photo than what a material
-that is as good as exact misses, it is left out. Before that, a bound that needs no light: a pixel from which no surface
-is seen receives nothing, and none sends more than its albedo.
+Of the light found without it, one extra image says what the surfaces would send each other: y, at a few hundred pixels,
+spread to the others by nearest place and normal (it is smooth). Where that is more of the photo than what a material
+that is as good as exact misses, it is modelled. Else the fit of b - y tells what it does to the estimate, as where one
+lamp lights one side and the other is dark: where no coefficient moves by more than `MOVES` of its stated standard
+deviation, it is left out. Before that, a bound that needs no light: a pixel from which no surface is seen receives
+nothing, and none sends more than its albedo.
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from btfsep_engine import kept
+from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.lightings import SHBasis, SHLighting
 from btfsep_engine.pipeline.basis import USUAL
@@ -21,13 +24,14 @@ from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine.surroundings import by_photo
 from btfsep_engine.pipeline.scene import BRIGHTEST, PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
+from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
 from btfsep_engine.render.surface import SurfacePoints
 
-WORTH = 0.02  # of the photo: what a material that is as good as exact misses (`fit.search.EXACT`). How far the estimate
-# moves says too little: of light that the photo hardly shows, as from below a table, so little is known that a fifth of
-# the photo moves it by less than what is stated
+WORTH = 0.02  # of the photo: `fit.search.EXACT`. How far the estimate moves is not all: of light that the photo hardly
+# shows, as from below a table, so little is known that a fifth of the photo moves it by less than what is stated
+MOVES = 0.25  # stated standard deviations: a bias of that size is not in them; to model it costs a tenth of a second
 NEGLIGIBLE = 0.003  # of the sky's light: below any misfit
 AGAINST = 5.0  # of the logarithm of the evidence
 NOT_SO_BRIGHT = (
@@ -46,11 +50,13 @@ class OwnLight:
     modelled : bool
     bound : how much light other surfaces could add under an even sky, over the sky's own
     share : how much of the photo it is under the light that was found without it; None where the bound was enough
+    change : the most that it moves a coefficient, in stated standard deviations; None where it was not asked
     """
 
     modelled: bool
     bound: float
-    share: float | None
+    share: float | None = None
+    change: float | None = None
 
     @property
     def why(self) -> str:
@@ -58,7 +64,10 @@ class OwnLight:
         decision = f"interreflections are {'modelled' if self.modelled else 'left out'}"
         if self.share is None:
             return f"{decision}: they are at most {100 * self.bound:.1f} % of the light under an even sky"
-        return f"{decision}: under the light found without them they are {100 * self.share:.0f} % of the photo"
+        percent = f"{100 * self.share:.0f} % of the photo"
+        if self.change is None:
+            return f"{decision}: under the light that was found without them they are {percent}"
+        return f"{decision}: {percent}, which moves the estimate by up to {self.change:.1f} of its stated uncertainty"
 
 
 def light_between_surfaces(model, light):
@@ -138,7 +147,7 @@ def own_light(model, light, *, bounces: int) -> OwnLight:
     problems, fit = [replace(p, scene=p.scene.with_grey(BRIGHTEST)) for p in model.problems], light.fit
     bound = max(even_sky_bound(p.scene, p.materials, p.points) for p in problems)
     if bound < NEGLIGIBLE:
-        return OwnLight(False, bound, None)
+        return OwnLight(False, bound)
     probes = [[p.take(spread(p, PROBE)) if len(p) > PROBE else p for p in problem.points] for problem in problems]
     lighting, added = SHLighting(np.asarray(fit.shown)), []
     for problem, few in zip(problems, probes, strict=True):
@@ -148,7 +157,17 @@ def own_light(model, light, *, bounces: int) -> OwnLight:
             added.append(carried_over(probe, received[:, 0], points))
     added, measured = np.concatenate(added).astype(np.float64), light.radiance(problems)
     share = float(np.linalg.norm(added) / max(np.linalg.norm(measured), 1e-300))
-    return OwnLight(share > WORTH, bound, share)
+    if share > WORTH:
+        return OwnLight(True, bound, share)
+    rest = measured - added
+    if light.solver:  # of the same model, from its light on
+        again = light.solver.solve(rest, weights=all_weights(problems), start=fit)
+    else:
+        basis, blocks = stacked([p.up_to(light.order) for p in problems])
+        again = solve(basis, rest, blocks=blocks)
+    moved = np.abs(again.coefficients[: fit.terms] - fit.coefficients) / np.maximum(fit.stddev, 1e-300)
+    change = float(moved.max())
+    return OwnLight(change > MOVES, bound, share, change)
 
 
 def with_own_light(problem: Problem, settings: Settings) -> Problem:
