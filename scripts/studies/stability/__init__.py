@@ -7,8 +7,9 @@ scripts/study stability --work FOLDER --quick  two objects, each under one light
 scripts/study stability --work FOLDER --axes noise clipping --methods ours paper-mean
 
 Every photograph and every estimate is kept in --work: a run that was stopped goes on where it was. After a change of
-the estimator take away WORK/estimates/*/*-ours.json, and keep the photographs. Two processes share the work with
---stages estimates --shard 0/2 and 1/2.
+the estimator take away WORK/estimates/*/*-ours.json, and keep the photographs; of methods that were not run anew, the
+page keeps what it had (`--methods ours --stages photos estimates`, then `--stages page`). Two processes share the work
+with --stages estimates --shard 0/2 and 1/2.
 """
 
 from pathlib import Path

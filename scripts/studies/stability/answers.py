@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The answers of a study, gathered: medians by axis, severity and method, and what was said of them."""
 
+import csv
+from pathlib import Path
+
 import numpy as np
 
 from scripts.studies.real import kind
 from scripts.studies.stability import run, scenes
 from scripts.studies.stability.axes import AXES
 from scripts.studies.stability.run import UNDISTURBED, Task
+from scripts.studies.stability.scenes import light_name
 
 POOR = 0.5  # an order-2 error that is a failure ...
+FIRST_MEASURE = 8  # column of the table
 HIDDEN = 2.0  # ... and is hidden where it is more than so many times what was stated, without a new word
 
 
@@ -18,13 +23,18 @@ class Answers:
     Parameters
     ----------
     chosen : scenes of the study
-    given : work, lights, axes, methods
+    given : work, lights, axes, methods; out : the page, beside which a table has the answers that ``work`` lacks
     """
 
     def __init__(self, chosen, given):
         self.names, self.methods = list(given.axes), list(given.methods)
         self.pairs = scenes.pairs(chosen, given.lights, half=given.half)
-        every = {(t, m): run.read(t, given.work, m) for t in run.tasks(self.pairs, given.axes) for m in given.methods}
+        asked = [(t, m) for t in run.tasks(self.pairs, given.axes) for m in given.methods]
+        every = {(t, m): run.read(t, given.work, m) for t, m in asked}
+        anew = {m for (_, m), found in every.items() if found is not None}
+        for (t, m), found in printed(given.out.with_suffix(".csv"), asked).items():
+            if m not in anew:  # of a method that was run anew, no answer is an earlier one
+                every[t, m] = found
         self.records = {key: found for key, found in every.items() if found is not None}
 
     def _with_zero(self, axis: str, index: int, method: str):
@@ -89,3 +99,18 @@ def said_anew(here: dict, zero: dict | None) -> bool:
     """Whether something was said that had not been said of the same photograph undisturbed."""
     before = {kind(w) for w in zero["warnings"]} if zero else set()
     return any(kind(w) not in before for w in here["warnings"])
+
+
+def printed(path: Path, asked) -> dict:
+    """(task, method) of those that are ``asked`` -> the answer, of a page's table; of none, nothing."""
+    if not path.exists():
+        return {}
+    keys = {(t.axis, str(t.index), t.scene.name, light_name(t.light), m): (t, m) for t, m in asked}
+    out = {}
+    with path.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            key = keys.get(tuple(row[name] for name in ("axis", "index", "scene", "light", "method")))
+            if key is not None:
+                said = {"refused": row["refused"] == "True", "warnings": [w for w in row["warnings"].split(" | ") if w]}
+                out[key] = {name: float(v) for name, v in list(row.items())[FIRST_MEASURE:] if v} | said
+    return out
