@@ -216,27 +216,28 @@ class LightSolver:
             best = fit.election.solution
             return next_lamp(best)(best, fit.election.photo)
 
-    def sharp_lamp(self, radiance, fit: Fit, direction, excess, *, weights) -> tuple[np.ndarray, np.ndarray, float]:
-        """A free sky and a lamp with an image of its own (`fit.sharp_lamp`), against the same by the basis images.
+    def sharp_lamps(self, radiance, fit: Fit, directions, excess, *, weights) -> tuple[np.ndarray, np.ndarray, float]:
+        """A free sky and lamps, of which the first ones have images of their own (`fit.sharp_lamp`).
 
         Parameters
         ----------
         fit : of the same photograph; weights : (p, 3), as of `solve`
-        direction : (3,), of the lamp; excess : (p, 3), what its own image has that the basis images do not
+        directions : (k, 3), of all lamps
+        excess : (p, j, 3), j <= k: what the first ones' own images have that the basis images do not
 
         Returns
         -------
-        the lamp's irradiance (3,); all of the light (terms, 3); by how much the logarithm of the evidence gains
+        the lamps' irradiances (k, 3); all of the light (terms, 3); the logarithm of the evidence
         """
         with one_thread():
-            held = {"lamps": (*self._held["lamps"], direction), "given": (*self._held["given"], 0.0)}
-            smooth = natural_light(self._photograph(radiance, weights, fit), **held)
-            kind = partial(Sharpened, direction=direction, excess=excess)
+            k, told, own = len(directions), len(self.given), excess.shape[1]
+            kind = partial(Sharpened, directions=directions[:own], excess=excess) if own else Photograph
             photo = self._photograph(radiance, weights, fit, kind=kind)
-            sharp = natural_light(photo, **held)
-            irradiance = sharp.model.lamp(-1, sharp.model.parts(sharp.white)[1][-1])[1]
-            x = sharp.x.T[: self.basis.terms] * photo.level
-            return irradiance * photo.level, x, sharp.evidence - smooth.evidence
+            held = {"lamps": (*self._held["lamps"], *directions), "given": (*self._held["given"], *[0.0] * k)}
+            best = natural_light(photo, **held)
+            lamps = slice(told, told + k)
+            irradiances = best.model.lamp(lamps, best.model.parts(best.white)[1][lamps])[1]
+            return irradiances * photo.level, best.x.T[: self.basis.terms] * photo.level, best.evidence
 
     def shows(self, direction) -> bool:
         """Whether a lamp in that direction (3,) lights more of the pixels than one that the photo could not know of."""

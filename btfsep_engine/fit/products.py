@@ -93,11 +93,11 @@ class Basis:
         """Eigenvalues and eigenvectors of them."""
         return [np.linalg.eigh(gram) for gram in self.grams]
 
-    def with_image(self, image) -> "Basis":
-        """The same with one more basis image (p, 3), after the others."""
+    def with_images(self, images) -> "Basis":
+        """The same with more basis images (p, k, 3), after the others."""
         out = copy.copy(self)
-        out.images = np.concatenate([self.images, np.asarray(image, self.images.dtype)[:, None]], 1)
-        out.terms += 1
+        out.images = np.concatenate([self.images, np.asarray(images, self.images.dtype)], 1)
+        out.terms = out.images.shape[1]
         out.__dict__ = {name: value for name, value in vars(out).items() if name not in ("grams", "axes")}
         out._prepare()
         return out

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A lamp's own image: what a photograph shows of a sun that the basis images are too coarse for.
+"""Lamps' own images: what a photograph shows of suns that the basis images are too coarse for.
 
 Light of order 9 is 20 degrees wide. On gloss, and at the edges of shadows, a sun leaves something else than what the
 basis images A have of it: with e the image of a beam from d of irradiance 1, made by itself, the photograph is
 
-    b = A x + E (e - A Y(d)),    x with E Y(d) in it,
+    b = A x + sum over the lamps of E (e - A Y(d)),    x with each E Y(d) in it,
 
-linear in one more unknown. In a search (`fit.search`) its column stands beside the light's coefficients, as what a beam
-from d alone gives (`LogField.beside`): it goes with the irradiance of a lamp whose direction is held.
+linear in one more unknown for each. In a search (`fit.search`) its column stands beside the light's coefficients, as
+what a beam from d alone gives (`LogField.beside`): it goes with the irradiance of a lamp whose direction is held.
 """
 
 from dataclasses import replace
@@ -27,12 +27,12 @@ class Sharpened(Photograph):
     Parameters
     ----------
     basis : Basis; radiance : (p, 3), b; how : as of `Photograph`
-    direction : (3,), d; excess : (p, 3), e - A Y(d)
+    directions : (k, 3), d of each; excess : (p, k, 3), e - A Y(d)
     """
 
-    def __init__(self, basis: Basis, radiance, direction, excess, **how):
-        super().__init__(basis.with_image(excess), radiance, **how)
-        beside = partial(_towards, np.asarray(direction, np.float64))
+    def __init__(self, basis: Basis, radiance, directions, excess, **how):
+        super().__init__(basis.with_images(excess), radiance, **how)
+        beside = partial(_towards, np.asarray(directions, np.float64))
         self._fields = tuple(replace(field, beside=beside) for field in (natural_field(), even_field()))
 
     @property
@@ -41,6 +41,6 @@ class Sharpened(Photograph):
         return self._fields
 
 
-def _towards(direction, directions) -> np.ndarray:
-    """(…, 1), 1 where ``directions`` (…, 3) are ``direction``."""
-    return (np.asarray(directions) @ direction > 1 - SAME).astype(np.float64)[..., None]
+def _towards(own, directions) -> np.ndarray:
+    """(…, k), 1 where ``directions`` (…, 3) are one of the lamps' ``own`` (k, 3)."""
+    return (np.asarray(directions) @ own.T > 1 - SAME).astype(np.float64)

@@ -16,6 +16,7 @@ from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import Model, view_problem
 from btfsep_engine.pipeline.refine import sharp
+from btfsep_engine.pipeline.refine.lamp_search import LampSearch
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
 from scripts.studies.measures import order2
@@ -24,6 +25,7 @@ from tests.render.scenes import egg_and_pebble, job_of, looking_down, picture, s
 GLOSS = "wood/walnut-lacquered"
 SETTINGS = choose("draft", bounces=1, directions=512)
 TOWARDS = np.array([-0.45, 0.3, 0.84]) / np.linalg.norm([-0.45, 0.3, 0.84])
+SECOND = np.array([0.7, 0.2, 0.69]) / np.linalg.norm([0.7, 0.2, 0.69])
 
 
 @pytest.fixture(scope="module")
@@ -36,16 +38,16 @@ def prepared():
     return scene, points, open_library(None).load(GLOSS), sky
 
 
-def photographed(prepared, irradiance: float, *, limit=np.inf):
-    """The scene under its sky and a sun, with a camera's noise, clipped at a limit; and all of the light."""
+def photographed(prepared, irradiance: float, *, limit=np.inf, towards=(TOWARDS,)):
+    """The scene under its sky and suns, with a camera's noise, clipped at a limit; and all of the light."""
     scene, points, material, sky = prepared
     seen = scene.radiance(points, material, SHLighting(sky), directions=4096)[:, 0]
-    sun = Sun(TOWARDS, np.full(3, irradiance), np.zeros(3))
-    seen = seen + scene.sun_radiance(points, material, sun)
+    suns = [Sun(d, np.full(3, irradiance), np.zeros(3)) for d in towards]
+    seen = seen + scene.sun_radiance(points, material, *suns)
     image = picture(points, seen, noise=0.02)
     clipped = image >= limit
     job = with_photo(scene.job, np.minimum(image, limit), ~clipped.any(-1), clipped=clipped if clipped.any() else None)
-    return scene_of(job), sky + sh.evaluate(2, TOWARDS)[:, None] * irradiance
+    return scene_of(job), sky + sum(sh.evaluate(2, d)[:, None] * irradiance for d in towards)
 
 
 def found_in(scene, truth):
@@ -62,6 +64,38 @@ def test_a_sun_whose_highlight_is_clipped_is_found_as_sharp_as_it_is(prepared, m
     monkeypatch.setattr(sharp, "CLEARLY", np.inf)
     as_harmonics, without = found_in(photographed(prepared, 4.0, limit=0.5)[0], truth)
     assert "sharp" not in as_harmonics.choice and without > 1.3 * error
+
+
+def test_two_bare_lamps_are_found_as_sharp_as_they_are(prepared, monkeypatch):
+    scene, truth = photographed(prepared, 3.0, towards=(TOWARDS, SECOND))
+    found, error = found_in(scene, truth)
+    assert found.choice["sharp"].startswith("2 lamps")
+    off = [min(np.arccos(np.clip(sun.direction @ d, -1, 1)) for sun in found.light.suns) for d in (TOWARDS, SECOND)]
+    assert np.degrees(max(off)) < 3 and error < 0.12
+    monkeypatch.setattr(sharp, "MOST", 0)
+    assert found_in(photographed(prepared, 3.0, towards=(TOWARDS, SECOND))[0], truth)[1] > 1.3 * error
+
+
+def test_of_several_lamps_those_that_gain_nothing_are_not_kept(prepared):
+    scene, _ = photographed(prepared, 3.0, towards=(TOWARDS, SECOND))
+    problem = view_problem(scene, [prepared[2]], SETTINGS)
+    pursuit = sharp.Pursuit(Model(SETTINGS, {"mean": [problem]}), fit_together([problem], replace(SETTINGS, order=2)))
+    lamps = tuple(sharp.OwnImage([problem], d) for d in (TOWARDS, -SECOND, SECOND))
+    found = sharp.OwnImages(lamps).at(np.array([[3.0], [0.1], [3.0]]) * np.ones(3), pursuit.rms, pursuit.known)
+    assert [lamp.direction.tolist() for lamp in pursuit.kept(found).lamps] == [TOWARDS.tolist(), SECOND.tolist()]
+
+
+def test_a_lamp_is_sought_where_what_is_left_over_has_its_image(prepared):
+    scene, _, material, _ = prepared
+    problem = view_problem(scene, [material], SETTINGS)
+    lamp = sharp.OwnImage([problem], SECOND)
+    search = LampSearch([problem], known=np.ones(lamp.excess.shape))
+    likely = search.likeliest(2 * lamp.excess, beside=np.zeros((0, 3)))
+    assert np.degrees(np.arccos(likely.direction @ SECOND)) < 3 and likely.part > 0.5
+    assert likely.irradiance == pytest.approx(2, rel=0.3)
+    other = search.likeliest(2 * lamp.excess, beside=SECOND[None])  # what is near to it is it once more
+    assert other is None or (other.direction @ SECOND < np.cos(np.radians(9)) and other.part < likely.part)
+    assert search.likeliest(np.zeros(lamp.excess.shape), beside=np.zeros((0, 3))) is None
 
 
 def test_light_without_a_sun_has_no_sharp_lamp(prepared):
@@ -108,7 +142,7 @@ def test_one_more_image_beside_a_basis_is_as_if_it_had_been_there(prepared):
     more = np.random.default_rng(1).random((len(problem.pixels), 3))
     whole = Basis(np.concatenate([problem.all_basis, more[:, None].astype(np.float32)], 1), problem.normals)
     first = Basis(problem.all_basis, problem.normals)
-    wider = first.with_image(more)
+    wider = first.with_images(more[:, None])
     assert wider.terms == first.terms + 1 == len(first.grams[0]) + 1
     np.testing.assert_allclose(wider.grams, whole.grams)
     np.testing.assert_allclose(wider.mean_response, whole.mean_response)
@@ -118,11 +152,12 @@ def test_only_a_beam_from_its_own_direction_has_the_lamps_image(prepared):
     scene, _, material, sky = prepared
     problem = view_problem(scene, [material], SETTINGS)
     basis = Basis(problem.all_basis, problem.normals)
-    excess = np.zeros((len(problem.pixels), 3))
-    photo = Sharpened(basis, problem.predicted(np.pad(sky, ((0, 91), (0, 0)))), TOWARDS, excess)
+    excess = np.zeros((len(problem.pixels), 2, 3))
+    photo = Sharpened(basis, problem.predicted(np.pad(sky, ((0, 91), (0, 0)))), [TOWARDS, SECOND], excess)
     for field in photo.fields:
-        assert field.of_beam(TOWARDS)[-1] == 1 and field.of_beam(-TOWARDS)[-1] == 0
-        assert not field.to_coefficients[-1].any() and len(field.to_coefficients) == basis.terms + 1
+        images = [field.of_beam(d)[-2:].tolist() for d in (TOWARDS, SECOND, -TOWARDS)]
+        assert images == [[1, 0], [0, 1], [0, 0]]
+        assert not field.to_coefficients[-2:].any() and len(field.to_coefficients) == basis.terms + 2
 
 
 def test_each_photograph_is_less_what_its_own_exposure_shows_of_the_lamp(prepared):
@@ -131,18 +166,21 @@ def test_each_photograph_is_less_what_its_own_exposure_shows_of_the_lamp(prepare
     problems = [problem, problem.subset(np.arange(len(problem.pixels)) % 2 == 0)]
     model = Model(SETTINGS, {"mean": problems})
     light = SolvedLight(None, None, [1.0, 3.0])
-    lamp, irradiance = sharp.OwnImage(problems, TOWARDS), np.array([1.0, 2.0, 3.0])
-    weights = np.random.default_rng(0).random(lamp.excess.shape)
-    free = sharp.model_beside(model, light, lamp, irradiance, weights).problems
+    lamps = [sharp.OwnImage(problems, d) for d in (TOWARDS, SECOND)]
+    irradiances = np.array([[1.0, 2.0, 3.0], [0.5, 0.2, 0.1]])
+    weights = np.random.default_rng(0).random(lamps[0].excess.shape)
+    free = sharp.model_beside(model, light, sharp.OwnImages(tuple(lamps), irradiances, weights)).problems
     first = len(problem.pixels)
-    excess = irradiance * lamp.excess
+    excess = sum(e * lamp.excess for e, lamp in zip(irradiances, lamps, strict=True))
     np.testing.assert_allclose(problems[0].radiance() - free[0].radiance(), excess[:first])
     np.testing.assert_allclose(problems[1].radiance() - free[1].radiance(), 3 * excess[first:])
     np.testing.assert_array_equal(np.concatenate([p.weights for p in free]), weights)
     each = [p.slopes for p in free]
-    assert [s.shape for s in each] == [(len(p.pixels), 3, 3) for p in problems]
-    np.testing.assert_allclose(np.concatenate(each)[:, 0], sharp.BRIGHTER * excess)
-    np.testing.assert_allclose(np.concatenate(each)[:, 1:], sharp.ASIDE * irradiance * lamp.slopes.swapaxes(0, 1))
+    assert [s.shape for s in each] == [(len(p.pixels), 6, 3) for p in problems]
+    for i, (irradiance, lamp) in enumerate(zip(irradiances, lamps, strict=True)):
+        own = np.concatenate(each)[:, 3 * i : 3 * i + 3]
+        np.testing.assert_allclose(own[:, 0], sharp.BRIGHTER * irradiance * lamp.excess)
+        np.testing.assert_allclose(own[:, 1:], sharp.ASIDE * irradiance * lamp.slopes.swapaxes(0, 1))
 
 
 def test_a_lamp_is_moved_to_where_its_misfit_has_it(prepared):

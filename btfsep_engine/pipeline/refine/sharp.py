@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether the light has a sun: a lamp that is sharper than the fit's harmonics, 20 degrees wide, can be.
+"""Whether the light has suns: lamps that are sharper than the fit's harmonics, 20 degrees wide, can be.
 
 On gloss a sun leaves a highlight a few degrees wide, on anything the edges of shadows. Basis images of order 9 have
 neither: what they make of a sun is bright where the photo is dark, and a fit of them takes the sun to be weaker and
-wider than it is, the more so where the highlight itself is clipped. Here the brightest lamp has an image of its own
-(`fit.sharp_lamp`), which is tried where what the light leaves over looks like it. Where that image is steep, at the
-highlight's edge, it is only as good as the geometry's normals are, and counts for less there; a clipped highlight says
-nothing. Whether the lamp is sharp, the evidence decides, of the same pixels with the same weights. What its own image
-has beside the basis images is then taken off the photo, and what is left is one of light of order 9.
+wider than it is, the more so where the highlight itself is clipped. Here lamps have images of their own
+(`fit.sharp_lamp`): the brightest one where what the light leaves over looks like it, and those that `lamp_search` finds
+in what is left over then, as bare lamps of a studio are. Where such an image is steep, at the highlight's edge, it is
+only as good as the geometry's normals are, and counts for less there; a clipped highlight says nothing. Whether a lamp
+is sharp, the evidence decides, of the same pixels with the same weights. What its own image has beside the basis images
+is then taken off the photo, and what is left is one of light of order 9.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from btfsep_engine.conventions import across
 from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.basis import USUAL
+from btfsep_engine.pipeline.refine.lamp_search import LampSearch
 from btfsep_engine.pipeline.together import all_weights, fit_together, stacked
 from btfsep_engine.render.beams import beam_radiance
 
@@ -28,17 +30,21 @@ CAP, LEAST = np.radians(25), 0.2  # about the brightest direction, and how much 
 LOOKS, PART = 12.0, 0.3  # chi^2 of one degree of freedom, and how much of it: of what is left over looking like that
 # image. On 12 photographs by Cycles under training lights they are 3 to 430 and 0.27 to 0.91; of the five whose first
 # place gains more than 5, at least 32 and 0.54.
-SPEAKS, CLEARLY = 5.0, 25.0  # of the logarithm of the evidence: where so little is gained at first, no place is sought
+MOST, PATIENCE = 4, 2  # lamps; where much is left over, so many may be found before any speaks
+MISSED = 0.005  # of a channel's mean square: where more is left over, lamps are sought in it,
+STRIKING = 0.1  # where the light has none so far, such as explain more than that of it
+SPEAKS, CLEARLY = 5.0, 32.0  # of the logarithm of the evidence: of one of several, and of all of them
 SETTLED = 1.0  # of it: a place that gains less than that over the last one is the last
 SAME, CHEAP = np.radians(15), 10.0  # between a lamp and another fit's; of the logarithm of the evidence
-FAINTEST = 0.1  # of the light: a fainter lamp gains by chance
+FAINTEST = 0.02  # of the light: a fainter lamp gains by chance
 RING, AROUND = np.radians(1.5), 6  # directions about the lamp's, between which its image is the mean
 UNSURE = 3.0  # times what the image changes by from one to the next: as if normals were known to some 4 degrees
 NOISE = 0.1  # of the photo's root mean square: what that is laid against
 BRIGHTER, ASIDE = 0.2, np.radians(1)  # standard deviations of how bright it is and where it stands, once it is found
 FARTHEST = np.radians(6)  # of one move of the lamp
-TRIALS = 6  # of places, and of how bright the lamp is and what counts for less then
+TRIALS = 3  # of places, and of how bright the lamp is and what counts for less then
 FOUND = "the brightest lamp is sharper than the harmonics are: it has an image of its own (by evidence)"
+SEVERAL = "{} lamps are sharper than the harmonics are: each has an image of its own (by evidence)"
 
 
 class OwnImage:
@@ -64,9 +70,38 @@ class OwnImage:
         self.slopes = np.einsum("ka,pkc->apc", aside * 2 / (AROUND * np.tan(RING) ** 2), each[:, 1:])
         self.excess = self.image - np.concatenate([smooth for _, smooth in parts])
 
-    def weights(self, irradiance, rms, known) -> np.ndarray:
-        """(p, 3): how much the pixels count, of which ``known`` (p, 3) have been, beside a lamp of an irradiance."""
-        return known / (1 + np.square(UNSURE * irradiance * self.spread / (NOISE * rms)))
+
+@dataclass(frozen=True)
+class OwnImages:
+    """Lamps' own images, their irradiances (k, 3), and how much the pixels count beside them: (p, 3)."""
+
+    lamps: tuple[OwnImage, ...] = ()
+    irradiances: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    weights: np.ndarray | None = None
+
+    @property
+    def directions(self) -> np.ndarray:
+        """(k, 3)."""
+        return np.array([lamp.direction for lamp in self.lamps]).reshape(-1, 3)
+
+    def at(self, irradiances, rms, known) -> "OwnImages":
+        """With irradiances (k, 3), of pixels that were ``known`` (p, 3) and have the root mean squares ``rms`` (3,)."""
+        unsure = sum(np.square(e * each.spread) for each, e in zip(self.lamps, irradiances, strict=True))
+        return OwnImages(self.lamps, irradiances, known / (1 + unsure * np.square(UNSURE / (NOISE * rms))))
+
+    @property
+    def excess(self) -> np.ndarray:
+        """(p, 3), all that they show beside what the basis images have of them."""
+        return sum(e * lamp.excess for lamp, e in zip(self.lamps, self.irradiances, strict=True))
+
+    @property
+    def departures(self) -> np.ndarray:
+        """(p, 3 k, 3), what that may be off by: each lamp brighter, and aside to both sides."""
+        each = [
+            e * np.stack([BRIGHTER * lamp.excess, *(ASIDE * lamp.slopes)], 1)
+            for lamp, e in zip(self.lamps, self.irradiances, strict=True)
+        ]
+        return np.concatenate(each, 1)
 
 
 def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
@@ -91,20 +126,18 @@ def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sharp_lamps(model, light):
-    """The refinement: the brightest lamp with an image of its own; where lamps are given or near, none is sought."""
+    """The refinement: lamps with images of their own; where lamps are given or near, none is sought."""
     if light.solver is None or light.solver.given or light.near:
         return model, light, {}
     with model.reporter.stage("fit"):
-        direction = light.solver.brightest_direction(light.fit)
-        irradiance = irradiance_around(light.fit, direction)
-        if irradiance.sum() < LEAST * np.sqrt(4 * np.pi) * light.fit.all_coefficients[0].sum():
+        found = Pursuit(model, light).lamps()
+        if not found.lamps:
             return model, light, {}
-        found = sharp_lamp(model, light, direction, irradiance)
-        if found is None:
-            return model, light, {}
-        free = model_beside(model, light, *found)
+        free = model_beside(model, light, found)
         answer = fit_together(free.problems, replace(model.settings, order=light.order), beside=light.fit)
-        return free, with_its_lamp(answer, found[0].direction), {"sharp": FOUND}
+        for lamp in found.lamps:
+            answer = with_its_lamp(answer, lamp.direction)
+    return free, answer, {"sharp": FOUND if len(found.lamps) == 1 else SEVERAL.format(len(found.lamps))}
 
 
 def with_its_lamp(light, direction):
@@ -116,18 +149,17 @@ def with_its_lamp(light, direction):
     return replace(light, fit=fit) if stands and fit.evidence > light.fit.evidence - CHEAP else light
 
 
-def model_beside(model, light, lamp, irradiance, weights):
-    """The model whose photos are less what a sharp lamp makes of them, as well as that is known."""
-    departures = [BRIGHTER * lamp.excess, *(ASIDE * lamp.slopes)]
-    departures = irradiance * np.stack(departures, 1)  # (p, 3, 3)
+def model_beside(model, light, found):
+    """The model whose photos are less what sharp lamps make of them, as well as that is known."""
+    excess, departures = found.excess, found.departures
     changes, start = [], 0
     for problem, exposure in zip(model.problems, light.exposures, strict=True):
         part = slice(start, start := start + len(problem.pixels))
         own = [] if problem.slopes is None else [problem.slopes]
         changes.append(
             {
-                "correction": exposure * irradiance * lamp.excess[part],
-                "weights": weights[part],
+                "correction": exposure * excess[part],
+                "weights": found.weights[part],
                 "slopes": np.concatenate([*own, departures[part]], 1),
             }
         )
@@ -136,38 +168,120 @@ def model_beside(model, light, lamp, irradiance, weights):
 
 def irradiance_around(fit, direction) -> np.ndarray:
     """(3,), of all of a fit's light within `CAP` of a direction, in the colour that the object gives it."""
-    election, field = fit.election, fit.election.solution.model.field
-    inside = field.directions @ direction > np.cos(CAP)
-    share = 4 * np.pi / len(field.directions) if len(field.directions) > 1 else 2 * np.pi * (1 - np.cos(CAP))
+    election, sky = fit.election, fit.election.solution.model.field
+    inside = sky.directions @ direction > np.cos(CAP)
+    share = 4 * np.pi / len(sky.directions) if len(sky.directions) > 1 else 2 * np.pi * (1 - np.cos(CAP))
     of_field = election.solution.radiance[:, inside if inside.size > 1 else slice(None)].sum(1) * share
     lamps = [e for d, e in election.lamps if d @ direction > np.cos(CAP)]
     return of_field * election.photo.level + sum(lamps, np.zeros(3))
 
 
-def sharp_lamp(model, light, direction, irradiance):
-    """An OwnImage of the brightest lamp, its irradiance (3,), and the pixels' weights (p, 3); None: it is not sharp."""
-    problems, solver, b = model.problems, light.solver, light.radiance(model.problems)
-    own, clipped = all_weights(problems), np.concatenate([p.clipped for p in problems])
-    known = np.where(clipped, 0.0, 1.0 if own is None else own)
-    rms = np.sqrt((known * b**2).sum(0) / np.maximum(known.sum(0), 1.0))
-    best, most = None, -np.inf
-    for _ in range(TRIALS):
-        lamp = OwnImage(problems, direction)
-        weights = lamp.weights(irradiance, rms, known)
-        if not weights.sum(0).all():
-            break
-        if best is None and not looks_sharp(light, problems, irradiance * lamp.excess, weights):
+class Pursuit:
+    """The search for sharp lamps, one after the other: which of them are, is decided of all together.
+
+    As long as one of several is missing, the others explain little: what it shows is noise to them.
+    """
+
+    def __init__(self, model, light):
+        self.problems, self.light, self.solver = model.problems, light, light.solver
+        self.b = light.radiance(self.problems)
+        own, clipped = all_weights(self.problems), np.concatenate([p.clipped for p in self.problems])
+        self.known = np.where(clipped, 0.0, 1.0 if own is None else own)
+        self.rms = np.sqrt((self.known * self.b**2).sum(0) / np.maximum(self.known.sum(0), 1.0))
+        self.search = LampSearch(self.problems, known=self.known / self.solver.basis.response**2)
+        self._solutions = {}  # by weights, of which each set of lamps has its own, and the lamps with own images
+
+    def lamps(self) -> OwnImages:
+        """All that are sharp, the one that was found first coming first; maybe none."""
+        found, left = OwnImages(), self.light.left_over(self.problems)
+        while len(found.lamps) < MOST:
+            place = self.place(found, left)
+            more = None if place is None else self.with_one(found, *place)
+            if more is None:
+                break
+            found, left = more
+            patience, least = (PATIENCE, SPEAKS) if self.missed else (1, CLEARLY)
+            if len(found.lamps) == patience and self.gain(found) < least:
+                return OwnImages()
+        return self.kept(found)
+
+    @property
+    def missed(self) -> bool:
+        """Whether the light leaves over more than what any does."""
+        election = self.light.fit.election
+        return bool((election.solution.v[:3] / election.photo.noise_unit).max() > MISSED)
+
+    def place(self, found, left):
+        """The direction (3,) and irradiance (3,) of the lamp that may be next; None: none looks like one."""
+        if not found.lamps:
+            brightest = self.brightest()
+            if brightest is not None or not self.missed:
+                return brightest
+        likely = self.search.likeliest(left, beside=found.directions)
+        if likely is None or not (found.lamps or self.light.fit.lamps or likely.part > STRIKING):
             return None
-        irradiance, x, gain = solver.sharp_lamp(b, light.fit, lamp.direction, lamp.excess, weights=weights)
-        if gain < max(most, SPEAKS) or irradiance.sum() < FAINTEST * np.sqrt(4 * np.pi) * x[0].sum():
-            break
-        grew, best, most = gain - most, (lamp, irradiance, weights), gain
-        if grew < SETTLED:
-            break
-        left = b - irradiance * lamp.excess - solver.basis.predicted(x)
-        move = asked_move(left, irradiance * lamp.slopes, weights / solver.basis.response**2)
-        direction = lamp.direction + move @ across(lamp.direction)
-    return best if most > CLEARLY else None
+        return likely.direction, likely.irradiance
+
+    def brightest(self):
+        """The light's brightest direction, if there is much light and what is left over looks like a lamp there."""
+        direction = self.solver.brightest_direction(self.light.fit)
+        irradiance = irradiance_around(self.light.fit, direction)
+        if irradiance.sum() < LEAST * np.sqrt(4 * np.pi) * self.light.fit.all_coefficients[0].sum():
+            return None
+        one = OwnImages((OwnImage(self.problems, direction),)).at(irradiance[None], self.rms, self.known)
+        return (direction, irradiance) if looks_sharp(self.light, self.problems, one.excess, one.weights) else None
+
+    def solved(self, found, sharp=None):
+        """`LightSolver.sharp_lamps` of lamps; ``sharp`` : the numbers of those with own images; None: of all."""
+        each = range(len(found.lamps))
+        sharp = list(each) if sharp is None else list(sharp)
+        key = id(found.weights), *sharp
+        if key not in self._solutions:
+            order = sharp + [i for i in each if i not in sharp]
+            excess = np.stack([found.lamps[i].excess for i in sharp], 1) if sharp else np.zeros((len(self.b), 0, 3))
+            directions, weights = found.directions[order], found.weights
+            solved = self.solver.sharp_lamps(self.b, self.light.fit, directions, excess, weights=weights)
+            self._solutions[key] = (solved[0][np.argsort(order)], *solved[1:]), weights
+        return self._solutions[key][0]
+
+    def with_one(self, found, direction, irradiance):
+        """The lamps and one more from about a direction (3,), and what is left over then (p, 3); None: it is faint."""
+        best, most = None, -np.inf
+        for _ in range(TRIALS):
+            more = OwnImages((*found.lamps, OwnImage(self.problems, direction)))
+            more = more.at(np.concatenate([found.irradiances, irradiance[None]]), self.rms, self.known)
+            if not more.weights.sum(0).all():
+                break
+            irradiances, x, evidence = self.solved(more)
+            irradiance = irradiances[-1]
+            if evidence < most:
+                break
+            grew, most = evidence - most, evidence
+            more = replace(more, irradiances=irradiances)
+            left = self.b - more.excess - self.solver.basis.predicted(x)
+            best = more, left
+            if grew < SETTLED:
+                break
+            move = asked_move(left, irradiance * more.lamps[-1].slopes, more.weights / self.solver.basis.response**2)
+            direction = more.lamps[-1].direction + move @ across(more.lamps[-1].direction)
+        return best
+
+    def kept(self, found) -> OwnImages:
+        """The lamps that are sharp, by the evidence of pixels that count as much as they do beside all of them."""
+        if not found.lamps or self.gain(found) < CLEARLY:
+            return OwnImages()
+        each, (irradiances, x, _) = range(len(found.lamps)), self.solved(found)
+        bright = irradiances.sum(1) > FAINTEST * np.sqrt(4 * np.pi) * x[0].sum()
+        others = [[j for j in each if j != i] for i in each]
+        sharp = [i for i in each if bright[i] and (len(each) == 1 or self.gain(found, others[i]) > SPEAKS)]
+        if len(sharp) == len(each):
+            return found
+        few = OwnImages(tuple(found.lamps[i] for i in sharp)).at(found.irradiances[sharp], self.rms, self.known)
+        return self.kept(replace(few, irradiances=self.solved(few)[0])) if sharp else OwnImages()
+
+    def gain(self, found, sharp=()) -> float:
+        """By how much the logarithm of the evidence is larger than where the ``sharp`` ones alone have own images."""
+        return self.solved(found)[2] - self.solved(found, sharp)[2]
 
 
 def looks_sharp(light, problems, excess, weights) -> bool:
@@ -181,5 +295,7 @@ def looks_sharp(light, problems, excess, weights) -> bool:
 def asked_move(left, slopes, weights) -> np.ndarray:
     """The angles (2,) by which a lamp's misfit (p, 3) asks it to move, no more than `FARTHEST`."""
     gram = np.einsum("apc,bpc,pc->ab", slopes, slopes, weights)
+    if not np.trace(gram) > 0:
+        return np.zeros(2)
     step = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(2), np.einsum("apc,pc,pc->a", slopes, left, weights))
     return step * min(1.0, FARTHEST / max(float(np.linalg.norm(step)), 1e-12))
