@@ -9,6 +9,7 @@ import pytest
 
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.fit.products import Basis
 from btfsep_engine.fit.sharp_lamp import Sharpened
 from btfsep_engine.light.lightings import SHLighting
@@ -83,6 +84,19 @@ def test_of_several_lamps_those_that_gain_nothing_are_not_kept(prepared):
     lamps = tuple(sharp.OwnImage([problem], d) for d in (TOWARDS, -SECOND, SECOND))
     found = sharp.OwnImages(lamps).at(np.array([[3.0], [0.1], [3.0]]) * np.ones(3), pursuit.rms, pursuit.known)
     assert [lamp.direction.tolist() for lamp in pursuit.kept(found).lamps] == [TOWARDS.tolist(), SECOND.tolist()]
+
+
+def test_lamps_are_sought_all_around_where_gloss_leaves_much_over(prepared, monkeypatch):
+    scene, _ = photographed(prepared, 0.0)
+    for material, much, sought in (
+        (prepared[2], -1, True),
+        (prepared[2], 1, False),
+        (Lambertian("w", np.ones(3)), -1, False),
+    ):
+        monkeypatch.setattr(sharp, "MISSED", much)
+        problem = view_problem(scene, [material], SETTINGS)
+        light = fit_together([problem], replace(SETTINGS, order=2))
+        assert sharp.Pursuit(Model(SETTINGS, {"mean": [problem]}), light).seeks is sought
 
 
 def test_a_lamp_is_sought_where_what_is_left_over_has_its_image(prepared):

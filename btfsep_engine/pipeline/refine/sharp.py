@@ -12,6 +12,7 @@ is then taken off the photo, and what is left is one of light of order 9.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from btfsep_engine.conventions import across
 from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.basis import USUAL
+from btfsep_engine.pipeline.refine.in_front import shining
 from btfsep_engine.pipeline.refine.lamp_search import LampSearch
 from btfsep_engine.pipeline.together import all_weights, fit_together, stacked
 from btfsep_engine.render.beams import beam_radiance
@@ -31,9 +33,10 @@ LOOKS, PART = 12.0, 0.3  # chi^2 of one degree of freedom, and how much of it: o
 # image. On 12 photographs by Cycles under training lights they are 3 to 430 and 0.27 to 0.91; of the five whose first
 # place gains more than 5, at least 32 and 0.54.
 MOST, PATIENCE = 4, 2  # lamps; where much is left over, so many may be found before any speaks
-MISSED = 0.005  # of a channel's mean square: where more is left over, lamps are sought in it,
+MISSED = 0.005  # of a channel's mean square: where gloss leaves more over, lamps are sought in it,
 STRIKING = 0.1  # where the light has none so far, such as explain more than that of it
-SPEAKS, CLEARLY = 5.0, 32.0  # of the logarithm of the evidence: of one of several, and of all of them
+SPEAKS, CLEARLY, SOUGHT = 5.0, 25.0, 32.0  # of the logarithm of the evidence: of one of several; of all of them, where
+# the first is the light's brightest direction, and where it was sought all around
 SETTLED = 1.0  # of it: a place that gains less than that over the last one is the last
 SAME, CHEAP = np.radians(15), 10.0  # between a lamp and another fit's; of the logarithm of the evidence
 FAINTEST = 0.02  # of the light: a fainter lamp gains by chance
@@ -189,6 +192,7 @@ class Pursuit:
         self.known = np.where(clipped, 0.0, 1.0 if own is None else own)
         self.rms = np.sqrt((self.known * self.b**2).sum(0) / np.maximum(self.known.sum(0), 1.0))
         self.search = LampSearch(self.problems, known=self.known / self.solver.basis.response**2)
+        self.clearly = CLEARLY
         self._solutions = {}  # by weights, of which each set of lamps has its own, and the lamps with own images
 
     def lamps(self) -> OwnImages:
@@ -200,22 +204,24 @@ class Pursuit:
             if more is None:
                 break
             found, left = more
-            patience, least = (PATIENCE, SPEAKS) if self.missed else (1, CLEARLY)
+            patience, least = (PATIENCE, SPEAKS) if self.seeks else (1, self.clearly)
             if len(found.lamps) == patience and self.gain(found) < least:
                 return OwnImages()
         return self.kept(found)
 
-    @property
-    def missed(self) -> bool:
-        """Whether the light leaves over more than what any does."""
+    @cached_property
+    def seeks(self) -> bool:
+        """Whether the light leaves over more than what any does, of objects with gloss, which show lamps all around."""
         election = self.light.fit.election
-        return bool((election.solution.v[:3] / election.photo.noise_unit).max() > MISSED)
+        missed = (election.solution.v[:3] / election.photo.noise_unit).max() > MISSED
+        return bool(missed and any(shining(problem)[0].any() for problem in self.problems))
 
     def place(self, found, left):
         """The direction (3,) and irradiance (3,) of the lamp that may be next; None: none looks like one."""
         if not found.lamps:
             brightest = self.brightest()
-            if brightest is not None or not self.missed:
+            self.clearly = SOUGHT if brightest is None else CLEARLY
+            if brightest is not None or not self.seeks:
                 return brightest
         likely = self.search.likeliest(left, beside=found.directions)
         if likely is None or not (found.lamps or self.light.fit.lamps or likely.part > STRIKING):
@@ -268,7 +274,7 @@ class Pursuit:
 
     def kept(self, found) -> OwnImages:
         """The lamps that are sharp, by the evidence of pixels that count as much as they do beside all of them."""
-        if not found.lamps or self.gain(found) < CLEARLY:
+        if not found.lamps or self.gain(found) < self.clearly:
             return OwnImages()
         each, (irradiances, x, _) = range(len(found.lamps)), self.solved(found)
         bright = irradiances.sum(1) > FAINTEST * np.sqrt(4 * np.pi) * x[0].sum()
