@@ -89,7 +89,8 @@ def test_an_engine_that_cannot_stay_runs_once_for_each(tmp_path):
     assert run(old, "estimate", "job").wait(heard.append) == Done({"order": 4})
     assert heard == [Light("a/lighting.json"), Notice("w")]
     assert json.loads((tmp_path / "arguments").read_text()) == ["estimate", "job", "--json"]
-    assert type(run(old, "estimate", "job")) is EngineProcess  # it is not asked again
+    again = run(old, "estimate", "job")
+    assert type(again) is EngineProcess and again.wait() == Done({"order": 4})  # it is not asked to stay again
     path.write_text(json.dumps({"sleep": 600}))
     slow = run(old, "estimate", "job")
     time.sleep(0.1)
