@@ -9,14 +9,17 @@ from scripts.studies import tables
 from scripts.studies.stability.axes import AXES
 from scripts.studies.stability.methods import NAMES, STATES_SPREAD
 
-# colours told apart by everybody; ours is drawn last and thick, the paper's orders are of one colour
+# colours told apart by everybody; ours is drawn last and thick, the paper's orders are of one colour, dotted and dashed
 LOOKS = {
     "ours": {"color": tables.COLOURS[0], "linewidth": 2.6, "marker": "o", "markersize": 4.5, "zorder": 5},
     **{
-        method: {"color": tables.COLOURS[colour], "linewidth": 1.4, "marker": marker, "markersize": 3.4}
-        for method, colour, marker in (
-            ("paper-btf", 1, "s"), ("paper-mean", 3, "D"), ("paper-2", 3, "2"), ("paper-3", 3, "3"),
-            ("paper-order", 5, "X"), ("lambertian", 6, "v"), ("alternating", 2, "^"), ("joint", 4, "P"),
+        method: {
+            "color": tables.COLOURS[colour], "linestyle": line, "linewidth": 1.4, "marker": marker, "markersize": 3.4,
+        }
+        for method, colour, line, marker in (
+            ("paper-btf", 1, "-", "s"), ("paper-mean", 3, "-", "D"), ("paper-2", 3, ":", ""), ("paper-3", 3, "-.", ""),
+            ("paper-order", 5, "-", "X"), ("lambertian", 6, "-", "v"), ("alternating", 2, "-", "^"),
+            ("joint", 4, "-", "P"),
         )
     },
 }  # fmt: skip
