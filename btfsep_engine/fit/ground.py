@@ -26,7 +26,6 @@ from scipy.linalg import block_diag, lapack, solve_triangular
 from btfsep_engine.fit.products import NEGLIGIBLE, SEEN, Photograph, Rows
 from btfsep_engine.fit.search import FLOOR, Solution
 from btfsep_engine.light.lightings import bilinear
-from btfsep_engine.light.log_field import even_field, natural_field
 
 SKY = (30, 60)  # pixels of the map of beams: 6 degrees
 DIRECTIONS = 800  # of a field: 7 degrees apart
@@ -76,7 +75,7 @@ class WithGround:
         kept = s > NULL * s[0]
         self._columns = (u[:, kept] * s[kept]).astype(np.float64).reshape(3, places, -1)
         beside = partial(_between, np.ascontiguousarray(axes[kept].T, np.float64))
-        self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in (natural_field(), even_field()))
+        self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in photo.fields)
         self._drift, self._shown = _drift(ground), 0.0
         field = self.fields[0 if first.model.field.order else 1]
         self.learn_ground(replace(first.model, field=field).light(first.white)[0])
@@ -178,7 +177,7 @@ class WithGround:
     def reaches(self, field) -> np.ndarray:
         """Which of a field's directions (n,) light the objects well enough, or have a shadow on the ground."""
         response = self.basis.mean_response @ field.to_coefficients[: self.basis.terms]
-        return (response > SEEN * response.max()) | self.shadowed(field.directions)
+        return ((response > SEEN * response.max()) & field.reaching) | self.shadowed(field.directions)
 
 
 def _between(axes, directions) -> np.ndarray:

@@ -71,11 +71,18 @@ class LightModel:
         return d / np.sqrt(np.square(d).sum(-1, keepdims=True)), np.exp(np.minimum(log, LARGEST_LOG))
 
     def light(self, white):
-        """Coefficients (…, 3, terms) of all of the light, and the field's radiance (…, 3, n), of unknowns (…, k)."""
+        """Coefficients (…, 3, terms) of all light that reaches what is photographed, and the field's radiance
+        (…, 3, n), of unknowns (…, k)."""
         of_field, of_lamps = self.parts(white)
         radiance = self.field.radiance(of_field)
-        x = self.field.coefficients(radiance)
+        x = self.field.shown(radiance)
         return (x + self._of_lamps(of_lamps) if self.lamps else x), radiance
+
+    def whole(self, white) -> np.ndarray:
+        """Coefficients (…, 3, terms) of all of the light, be it hidden or not, of unknowns (…, k)."""
+        of_field, of_lamps = self.parts(white)
+        x = self.field.coefficients(self.field.radiance(of_field))
+        return x + self._of_lamps(of_lamps) if self.lamps else x
 
     def _of_lamps(self, q) -> np.ndarray:
         """Coefficients (…, 3, terms) of the lamps alone, of their unknowns (…, lamps, 5)."""

@@ -75,6 +75,7 @@ class LightSolver:
     seed : of the samples
     coarsening : how many times less a pixel counts than in an estimate
     given : direction (3,), unit, and its standard deviation, degrees, of each lamp whose direction is given
+    hidden : (m,) bool, as of `log_field.LogField`
 
     Raises
     ------
@@ -82,12 +83,13 @@ class LightSolver:
         Without pixels, or where the material reflects nothing.
     """
 
-    def __init__(self, basis, *, normals, order: int, seed: int = 0, coarsening: float = 1.0, given=()):
+    def __init__(self, basis, *, normals, order: int, seed: int = 0, coarsening: float = 1.0, given=(), hidden=None):
         with one_thread():  # so that the number of threads changes no digit of what is found
             self.basis = Basis(basis, normals)
         self.order, self.seed, self.coarsening = order, seed, coarsening
         self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
         self.slopes, self.dye = None, 0.0
+        self.field = natural_field() if hidden is None else replace(natural_field(), hidden=hidden)
 
     @property
     def _held(self) -> dict:
@@ -179,7 +181,7 @@ class LightSolver:
 
     def _photograph(self, radiance, weights, beside: Fit | None, *, kind=Photograph) -> Photograph:
         effective = None if beside is None else beside.election.photo.effective
-        how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes}
+        how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes, "field": self.field}
         return kind(self.basis, radiance, weights=weights, **how)
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None, *, like: Fit | None = None) -> Fit:
@@ -190,7 +192,8 @@ class LightSolver:
         energy = photo.mean_square * photo.level**2 * self.basis.response**2
         return Fit(
             order=self.order,
-            all_coefficients=best.x.T[: self.basis.terms] * unit,
+            all_coefficients=best.whole.T[: self.basis.terms] * unit,
+            seen=None if best.model.field.hidden is None else best.x.T[: self.basis.terms] * photo.level,
             state=cache(lambda: self._stated(best, rival, unit, tint, photo)),
             residual=float(np.sqrt(left.sum() / energy.sum())),
             residual_per_channel=np.sqrt(left / np.maximum(energy, 1e-300)),
@@ -274,12 +277,12 @@ class LightSolver:
             whole = SINGLE * ((own_light + hidden[:, 0]) * unit * factors).mean(1)
             share = each.mean(1) / np.maximum(whole, 1e-300)  # a sample may have no light at all
             own = irradiance * unit
-            part = float(own.mean() / (SINGLE * (best.x[:, 0] * unit).mean()))
+            part = float(own.mean() / (SINGLE * (best.whole[:, 0] * unit).mean()))
             given = i < len(self.given)
             degrees = self.given[i][1] if given else float(np.degrees(np.sqrt(np.square(off).mean())))
             lamps.append(Lamp(direction, own, each.std(0), degrees, part, float(share.std()), given))
         lamps = tuple(sorted(lamps, key=lambda lamp: -lamp.share))
-        return stated_by(best.x.T[: self.basis.terms] * unit, samples, lamps)
+        return stated_by(best.whole.T[: self.basis.terms] * unit, samples, lamps)
 
     def _loose(self, model: LightModel) -> LightModel:
         """The same with given directions as uncertain as is said: in samples they turn, and the rest follows."""
@@ -326,7 +329,7 @@ def moved(before: Fit, now: Fit) -> Stated:
 class Election:
     """Which model was elected, of which photo.
 
-    ``solution``; ``rival``, the rich model's where the plain one was elected, else None; the ``photo`` (its products);
+    ``solution``; ``rival``, as of `election.decided`, or None; the ``photo`` (its products);
     the ``unit`` (3,) of its light.
     """
 

@@ -48,7 +48,7 @@ def posterior_samples(best: Solution, count: int, random, *, model=None) -> tupl
         better = gain > 0
         whites[moving[better]], left[moving[better]] = trial[better], left_there[better]
         moving = moving[gain > CENTRED]
-    return whites, model.light(whites)[0].transpose(0, 2, 1)
+    return whites, model.whole(whites).transpose(0, 2, 1)
 
 
 def hidden_lamps(basis: Basis, count: int, random, *, lamps: int, shadowed=None) -> np.ndarray:

@@ -194,6 +194,7 @@ class Photograph:
     effective : how many independent channels the misfit is taken to have; None: learned from a first fit
     slopes : (p, k, 3) float, what the photo may differ by beside noise, each as large as it usually is: what a camera
         that is a little off makes; None: nothing
+    field : LogField, of the rich model; None: the natural one
 
     Raises
     ------
@@ -201,8 +202,10 @@ class Photograph:
         When the photo is black there.
     """
 
-    def __init__(self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0, effective=None, slopes=None):
-        self.basis, self._stiff = basis, coarsening
+    def __init__(
+        self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0, effective=None, slopes=None, field=None
+    ):
+        self.basis, self._stiff, self._field = basis, coarsening, field or natural_field()
         b = np.asarray(radiance, np.float64) / basis.response
         weight = np.ones_like(b) if weights is None else np.asarray(weights, np.float64)
         level = (weight * b).sum(0) / np.maximum(weight.sum(0), 1e-300)
@@ -232,7 +235,7 @@ class Photograph:
     @property
     def fields(self) -> tuple[LogField, LogField]:
         """The natural and the even field, with as many coefficients as the products are of."""
-        return natural_field(), even_field()
+        return self._field, even_field()
 
     @property
     def noise_unit(self) -> np.ndarray:
@@ -247,7 +250,7 @@ class Photograph:
     def reaches(self, field) -> np.ndarray:
         """Which of a field's directions (n,) light the pixels well enough for a lamp to be seen from there."""
         response = self.basis.mean_response @ field.to_coefficients
-        return response > SEEN * response.max()
+        return (response > SEEN * response.max()) & field.reaching
 
     @property
     def coarsening(self) -> float:

@@ -47,7 +47,7 @@ class Solution:
     ----------
     model : LightModel
     white : (unknowns,), theta
-    x : (3, terms), coefficients of all of the light; radiance : (3, n), of the field
+    x : (3, terms), coefficients of all light that reaches what is photographed; radiance : (3, n), of the field
     v : (3,), noise; discrepancy : of the model of the photo, D; rows : Rows at both
     evidence : its logarithm
     steps : of the search
@@ -65,6 +65,11 @@ class Solution:
     steps: int
     slopes: np.ndarray
     small_factor: np.ndarray
+
+    @property
+    def whole(self) -> np.ndarray:
+        """(3, terms), coefficients of all of the light, be it hidden or not."""
+        return self.x if self.model.field.hidden is None else self.model.whole(self.white)
 
     @cached_property
     def jacobian(self) -> np.ndarray:

@@ -16,7 +16,6 @@ from functools import partial
 import numpy as np
 
 from btfsep_engine.fit.products import Basis, Photograph
-from btfsep_engine.light.log_field import even_field, natural_field
 
 SAME = 1e-9  # of a cosine: a direction and itself
 
@@ -33,7 +32,7 @@ class Sharpened(Photograph):
     def __init__(self, basis: Basis, radiance, directions, excess, **how):
         super().__init__(basis.with_images(excess), radiance, **how)
         beside = partial(_towards, np.asarray(directions, np.float64))
-        self._fields = tuple(replace(field, beside=beside) for field in (natural_field(), even_field()))
+        self._fields = tuple(replace(field, beside=beside) for field in super().fields)
 
     @property
     def fields(self):

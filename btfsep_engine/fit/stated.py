@@ -58,6 +58,7 @@ class Fit:
     noise : a pixel's own misfit over the photo's root mean square; None without a prior
     tint : colour.Tint, what of the light's colour was taken to be the object's; None without a prior
     election : log_normal.Election, which models stood and what they were given; None without a prior
+    seen : (terms, 3), `shown` without the light that does not reach what is photographed; None: all of it does
     """
 
     order: int
@@ -70,6 +71,7 @@ class Fit:
     noise: float | None = None
     tint: object | None = None
     election: object | None = None
+    seen: np.ndarray | None = None
 
     @property
     def all_determined(self) -> np.ndarray:
@@ -115,6 +117,8 @@ class Fit:
     @property
     def shown(self) -> np.ndarray:
         """All coefficients whose A x is the photo: in the colour that the object gives them."""
+        if self.seen is not None:
+            return self.seen
         return self.all_coefficients if self.tint is None else self.all_coefficients / self.tint.gain
 
     @property

@@ -54,6 +54,9 @@ class LogField:
     count : of the directions
     beside : what else is asked of a light beside its coefficients: directions (…, 3) -> what a beam of irradiance 1
         from there gives, (…, k); None: nothing
+    hidden : (m,) bool, from which of `fibonacci_sphere(m)` no light reaches what is photographed; None: from none.
+        Basis images of a low order are not 0 there, and a light of which nothing else is known would be bright enough
+        to explain by that what the photo has beside the other light
     """
 
     order: int
@@ -63,6 +66,7 @@ class LogField:
     terms: int = sh.term_count(LARGEST_ORDER)
     count: int = DIRECTIONS
     beside: Callable | None = None
+    hidden: np.ndarray | None = None
 
     @property
     def unknowns(self) -> int:
@@ -97,6 +101,20 @@ class LogField:
         return {np.dtype(kind): self.to_coefficients.astype(kind) for kind in (np.float64, np.float32)}
 
     @cached_property
+    def _to_shown(self) -> dict:
+        """T of light that reaches what is photographed, likewise: 0 for directions that are hidden."""
+        if self.hidden is None:
+            return self._to_coefficients
+        return {kind: np.where(self.reaching, t, kind.type(0)) for kind, t in self._to_coefficients.items()}
+
+    @cached_property
+    def reaching(self) -> np.ndarray:
+        """(n,) bool, the directions that are not hidden."""
+        if self.hidden is None:
+            return np.ones(len(self.directions), bool)
+        return ~self.hidden[(self.directions @ fibonacci_sphere(len(self.hidden)).T).argmax(1)]
+
+    @cached_property
     def _parts(self) -> list:
         ends = np.cumsum([0, sh.term_count(self.order), *[sh.term_count(self.chroma_order)] * 2])
         return [slice(a, b) for a, b in pairwise(ends)]
@@ -124,7 +142,14 @@ class LogField:
 
     def coefficients(self, radiance) -> np.ndarray:
         """T L: (…, 3, terms) of the radiance (…, 3, n), in its precision."""
-        to = self._to_coefficients[radiance.dtype].T
+        return self._times(radiance, self._to_coefficients)
+
+    def shown(self, radiance) -> np.ndarray:
+        """The same of the light that reaches what is photographed."""
+        return self._times(radiance, self._to_shown)
+
+    def _times(self, radiance, by_precision) -> np.ndarray:
+        to = by_precision[radiance.dtype].T
         if radiance.ndim == 2:
             return radiance @ to
         by_channel = np.moveaxis(radiance, -2, 0)
@@ -138,8 +163,8 @@ class LogField:
         return {np.dtype(kind): y.astype(kind) for kind in (np.float64, np.float32)}
 
     def by_direction(self, rows, kind=np.float64) -> list:
-        """R_c T, (r_c, n), for each channel's rows R_c (r_c, terms): what `jacobian` needs of them."""
-        t = self._to_coefficients[np.dtype(kind)]
+        """R_c T, (r_c, n), for each channel's rows R_c (r_c, terms), of what is `shown`: for `jacobian`."""
+        t = self._to_shown[np.dtype(kind)]
         return [r.astype(kind, copy=False) @ t for r in rows]
 
     def jacobian(self, by_direction, radiance, *, beside: int = 0) -> np.ndarray:

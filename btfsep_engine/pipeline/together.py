@@ -7,22 +7,27 @@ images do not change, so that they are factorised once and a turn takes millisec
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from btfsep_engine import kept, sh
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.load import SAME_LAMP
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.settings import FitSettings
+from btfsep_engine.render.reach import response
 
 TURNS = 30
 SETTLED = 1e-4  # relative change of an exposure
 ELECTED_ANEW = 0.1  # as such: the light was of another photograph
 APART = 1 << 30  # blocks' numbers of one photo
+HIDING = 400  # directions, 10 degrees apart, in which is asked whether light comes from there,
+REACHES = 0.01  # more of it than that, of the largest
 
 
 @dataclass(frozen=True)
@@ -69,17 +74,35 @@ def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: 
     """The basis images of all photos together made ready, for the estimator with a prior."""
     order = min(settings.order, settings.fit_order)
 
-    given = given_lamps([p.scene.job for p in problems])
+    given, hidden = given_lamps([p.scene.job for p in problems]), hidden_directions(problems)
 
     def made() -> LightSolver:
         normals = np.concatenate([p.normals for p in problems])
-        how = {"order": order, "seed": settings.seed, "coarsening": coarsening, "given": given}
+        how = {"order": order, "seed": settings.seed, "coarsening": coarsening, "given": given, "hidden": hidden}
         return LightSolver(stacked(problems)[0], normals=normals, **how)
 
     parts = [[[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]]
-    solver = kept.recalled("solver", [*parts, order, settings.seed, float(coarsening), list(given)], made)
+    of = [*parts, order, settings.seed, float(coarsening), list(given), [] if hidden is None else hidden]
+    solver = kept.recalled("solver", of, made)
     solver = solver if (dye := common_dye(problems)) is None else solver.with_dye(dye)
     return solver if (slopes := all_slopes(problems)) is None else solver.with_slopes(slopes)
+
+
+def hidden_directions(problems: list[Problem]) -> np.ndarray | None:
+    """(m,) bool, from which of as many directions of `fibonacci_sphere` no light reaches what the photos show.
+
+    None where nothing stands around it: what its own other side hides, its edges show.
+    """
+    if not any(p.scene.job.occluders for p in problems):
+        return None
+    directions = fibonacci_sphere(HIDING)
+    each = []
+    for problem in problems:
+        for points in problem.points:
+            of = [problem.scene.tracer.key, points.position, points.flat_normal]
+            each.append(kept.recalled("reach", of, partial(response, problem.scene.tracer, points, directions)))
+    hidden = (np.array(each) < REACHES).all(0)
+    return hidden if hidden.any() else None
 
 
 def common_dye(problems: list[Problem]):

@@ -2,30 +2,46 @@
 """The prior of natural light: its derivatives, its statistics by sampling, its symmetry; where its table is from."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light import log_field, maps
 from btfsep_engine.light.log_field import CHROMA, even_field, natural_field
 from scripts.studies.makers import learn_natural_light
 
+BELOW = fibonacci_sphere(300)[:, 2] < -0.1
 
-def test_the_jacobian_is_that_of_finite_differences(rng):
-    field = natural_field()
+
+@pytest.mark.parametrize("hidden", [None, BELOW], ids=["all", "above"])
+def test_the_jacobian_is_that_of_finite_differences(rng, hidden):
+    field = replace(natural_field(), hidden=hidden)
     white = 0.5 * rng.normal(size=field.unknowns)
     rows = [rng.normal(size=(count, field.terms)) for count in (3, 5, 4)]
 
     def images(at):
-        x = field.coefficients(field.radiance(at))
+        x = field.shown(field.radiance(at))
         return np.concatenate([r @ each for r, each in zip(rows, x, strict=True)])
 
     step = 1e-5 * np.eye(field.unknowns)
     numerical = np.stack([(images(white + s) - images(white - s)) / 2e-5 for s in step], 1)
     found = field.jacobian(field.by_direction(rows), field.radiance(white))
     np.testing.assert_allclose(found, numerical, atol=1e-6 * np.abs(numerical).max())
+
+
+def test_what_is_hidden_is_not_shown_and_what_is_not_is_shown_as_it_was(rng):
+    field = replace(natural_field(), hidden=BELOW)
+    up = field.reaching
+    assert up[field.directions[:, 2] > 0].all() and not up[field.directions[:, 2] < -0.2].any()
+    radiance = field.radiance(rng.normal(size=field.unknowns))
+    other = np.where(up, radiance, 7 * radiance)
+    np.testing.assert_array_equal(field.shown(other), field.shown(radiance))
+    assert np.abs(field.coefficients(other) - field.coefficients(radiance)).max() > 1
+    np.testing.assert_allclose(field.shown(np.where(up, radiance, 0)), field.coefficients(np.where(up, radiance, 0)))
 
 
 def test_fields_drawn_have_the_variances_of_the_table(rng):

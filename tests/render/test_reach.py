@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From which directions light reaches what is photographed: by rays, and that a fit is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.job.model import Occluder
+from btfsep_engine.pipeline.problem import make_problem
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import REACHES, hidden_directions, light_solver
+from btfsep_engine.render.reach import response
+from btfsep_engine.render.sampling import spread
+from tests.render.scenes import as_mesh, ball, job_of, looking_down, scene_of
+
+WHITE = Lambertian("test/white", np.full(3, 0.8))
+DIRECTIONS = fibonacci_sphere(400)
+
+
+def a_ball(*, on_table: bool):
+    """A scene and the points of its ball, seen from above; the table is 60 radii wide."""
+    plate = trimesh.creation.box([60, 60, 0.02]).apply_translation([0, 0, -1.02])
+    occluders = [Occluder(as_mesh(plate, flat=True))] if on_table else []
+    scene = scene_of(job_of([ball()], looking_down(), occluders=occluders))
+    return scene, scene.points(0, textured=False)
+
+
+def test_alone_it_is_the_mean_cosine():
+    scene, points = a_ball(on_table=False)
+    expected = np.maximum(points.normal @ DIRECTIONS.T, 0).mean(0)
+    found = response(scene.tracer, points, DIRECTIONS)
+    np.testing.assert_allclose(found, expected / expected.max(), atol=0.05)
+    assert found.max() == 1
+
+
+def test_a_plate_is_as_bright_whichever_side_its_faces_say_that_they_are(monkeypatch):
+    scene, points = a_ball(on_table=True)
+    expected = response(scene.tracer, points, DIRECTIONS)
+    plate = scene.tracer.meshes[1]
+    monkeypatch.setattr(scene.tracer, "meshes", (scene.tracer.meshes[0], replace(plate, faces=plate.faces[:, ::-1])))
+    np.testing.assert_array_equal(response(scene.tracer, points, DIRECTIONS), expected)
+
+
+def test_a_table_hides_what_is_below_and_shows_by_itself_what_is_behind():
+    scene, points = a_ball(on_table=True)
+    found = response(scene.tracer, points, DIRECTIONS)
+    assert (found[DIRECTIONS[:, 2] < -0.2] < 1e-3).all()
+    assert (found[DIRECTIONS[:, 2] > 0.1] > 2 * REACHES).all()
+
+
+def test_a_surface_that_the_photo_does_not_show_sends_light_on():
+    """Light from the left reaches the ball's right side by way of the table alone."""
+    scene, points = a_ball(on_table=True)
+    right = points.take(np.flatnonzero(points.normal[:, 0] > 0.6))
+    directions = np.array([[-0.8, 0, 0.6], [0.8, 0, 0.6]])
+    assert (right.normal @ directions[0]).max() < 0
+    found = response(scene.tracer, right, directions)
+    assert 2 * REACHES < found[0] < 0.5 and found[1] == 1
+
+
+def test_what_is_hidden_is_asked_only_where_something_stands_around():
+    for on_table in (False, True):
+        scene, points = a_ball(on_table=on_table)
+        problem = make_problem(scene, [WHITE], [points.take(spread(points, 300))], choose("draft", directions=256))
+        hidden = hidden_directions([problem])
+        if not on_table:
+            assert hidden is None
+            continue
+        assert hidden[DIRECTIONS[:, 2] < -0.2].all() and not hidden[DIRECTIONS[:, 2] > 0.1].any()
+        np.testing.assert_array_equal(light_solver([problem], choose("draft", order=2)).field.hidden, hidden)
