@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which model a photograph asks for: the one of the largest evidence among a field, lamps, and a field with lamps."""
+"""Which model a photograph asks for: the one of the largest evidence among a field, lamps, and a field with lamps.
+
+With one exception: lamps and even light are the light of a dark room, where little but the lamps is light. Even light
+that is bright beside them stands for a sky or a room that is not even. Evidence calls it so all the same, by up to a
+hundred of its logarithm: what is uneven passes for lamps, and what is left for a material that is only nearly right.
+"""
 
 from dataclasses import replace
 
@@ -12,6 +17,11 @@ from btfsep_engine.fit.search import EXACT, EXACT_COST, LONGEST, ROUNDS, Solutio
 
 MOST_LAMPS = 3
 HOPELESS = 30.0  # of the logarithm of the evidence: so far below a rich model, nothing more is tried of a plain one
+DARK = 0.3  # of all light: more even light than that beside lamps is a field's. Of 14 photographs by Cycles with more
+# of it and an evidence no less than the field's, the field erred less on 11, by a third in the middle, and by 0.01 more
+# on two. On 30 real photographs under lamps it is 0.01 to 0.21, but for one.
+AS_GOOD = 3.0  # of the logarithm of the evidence, by which a model may be less probable and is not out of the question:
+# what is not strong evidence against it (Kass and Raftery 1995)
 ROUGHLY = 6  # steps of the first fit, of which the size of the discrepancy alone is taken
 FIRST_BRIGHTNESS = np.linspace(-1, 2, 31)  # of a new lamp, q3: a search begins at the best; from dimmer ones it creeps
 
@@ -38,7 +48,7 @@ def natural_light(photo: Photograph, *, rounds: int = ROUNDS, start: Solution | 
 
 
 def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
-    """The model of the largest evidence, at its most probable light; and the rich one where that is the plain one.
+    """The model that the photograph asks for, at its most probable light, and its rival: see `decided`.
 
     ``held`` : as of `rough_light`
     """
@@ -53,7 +63,30 @@ def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
     rich = exact_if_so(photo, rich)
     if plain.evidence > rich.evidence - HOPELESS:
         plain = exact_if_so(photo, plain, place=most_explained)
-    return (plain, rich) if plain.evidence > rich.evidence else (rich, None)
+    return decided(plain, rich)
+
+
+def decided(plain: Solution, rich: Solution) -> tuple[Solution, Solution | None]:
+    """Which of the two stands, and its rival, of whose light every other sample is.
+
+    The rival of the plain one is the rich one, always: of directions that the photo does not show, nobody knows that
+    they are even. That of the rich one is the plain one, where that is about as probable; else there is none.
+    """
+    if stands(plain, beside=rich):
+        return plain, rich
+    return rich, plain if plain.model.lamps and stands(plain, beside=rich, by=-AS_GOOD) else None
+
+
+def stands(plain: Solution, *, beside: Solution, by: float = 0.0) -> bool:
+    """Whether the photograph asks for the plain model, and not for the rich one beside it, or does so ``by`` less."""
+    if plain.evidence <= beside.evidence + by:
+        return False
+    return not plain.model.lamps or even_share(plain) < DARK
+
+
+def even_share(plain: Solution) -> float:
+    """How much of a plain model's light is its even light."""
+    return float(plain.model.sky(plain.white)[:, 0].mean() / plain.x[:, 0].mean())
 
 
 def exact_if_so(photo: Photograph, best: Solution, *, place=None) -> Solution:

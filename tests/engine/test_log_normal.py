@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The light of a photograph: lamps, skies and both are told apart; symmetries; what is stated; frames; derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit import log_normal, posterior
+from btfsep_engine.fit.election import decided, even_share
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.posterior import hidden_lamps, posterior_samples
@@ -64,10 +69,35 @@ def test_a_smooth_sky_has_no_lamp_and_is_a_free_one(rng):
     assert off(fit, sky()) < 0.08
 
 
-def test_a_weak_lamp_beside_much_light_is_found_where_it_is_worth_its_cost(rng):
+def test_a_weak_lamp_beside_a_bright_one_is_found_where_it_is_worth_its_cost(rng):
     """Between 5 and 50 of the logarithm of the evidence."""
-    fit, _, _ = solved(rng, even() + lamp(SUN, [0.7] * 3), noise=0.08, pixels=300)
-    assert is_plain(fit) and len(fit.lamps) == 1 and apart(fit.lamps[0], SUN) < 12
+    fit, _, _ = solved(rng, even((0.05,) * 3) + lamp(SUN, [3.0] * 3) + lamp(FILL, [0.15] * 3), noise=0.08, pixels=300)
+    assert is_plain(fit) and apart(fit.lamps[-1], FILL) < 5
+
+
+def test_bright_even_light_beside_a_lamp_is_a_sky_s_whatever_its_evidence(rng):
+    x = even() + lamp(SUN, [3.0] * 3)
+    fit, _, _ = solved(rng, x, noise=0.08, pixels=300)
+    assert not is_plain(fit) and fit.election.rival is None
+    assert len(fit.lamps) == 1 and apart(fit.lamps[0], SUN) < 5 and off(fit, x) < 0.06
+
+
+def test_of_lamps_in_the_dark_and_a_sky_the_more_probable_stands(rng):
+    """And where it is the sky, by less than 3 of the logarithm of the evidence, the lamps are in what is stated."""
+    fit, _, _ = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0] * 3))
+    lamps, sky_too = fit.election.solution, fit.election.rival
+    assert even_share(lamps) == pytest.approx(4 * np.pi * 0.1 / (4 * np.pi * 0.1 + 3), rel=0.1)
+    for more, stands, rival in ((0.1, True, True), (-2.9, False, True), (-3.1, False, False)):
+        plain = replace(lamps, evidence=sky_too.evidence + more)
+        assert decided(plain, sky_too) == ((plain, sky_too) if stands else (sky_too, plain if rival else None))
+
+
+def test_even_light_without_a_lamp_stands_by_evidence_alone(rng):
+    fit, _, _ = solved(rng, even(), noise=0.1, pixels=300)
+    alone, rich = fit.election.solution, fit.election.rival
+    for more, stand in ((0.1, True), (-0.1, False)):
+        plain = replace(alone, evidence=rich.evidence + more)
+        assert decided(plain, rich) == ((plain, rich) if stand else (rich, None))
 
 
 def test_a_sun_in_a_sky_is_told_from_it(rng):
@@ -267,3 +297,33 @@ def test_no_sample_runs_away(rng):
         size = lights[:, 0].mean(1)
         assert 0.3 * np.median(size) < size.min() and size.max() < 4 * np.median(size)
         assert np.abs(whites - solution.white).max() < 12
+
+
+def test_light_from_where_none_reaches_the_photo_is_natural_light_s_and_explains_nothing(rng):
+    """Basis images that ring where nothing comes from, as those of a horizon do, and a photo with more than light."""
+    basis, normals, _ = half_sphere(rng, pixels=600)
+    up = fibonacci_sphere(400)
+    y = sh.evaluate(9, up).astype(float)
+    reaching = up[:, 1] < 0.2
+    cut = y[reaching].T @ y[reaching] * (4 * np.pi / len(up))  # what of a light comes from there, to order 9
+    basis = np.einsum("pmc,mn->pnc", basis, cut)
+    truth = side_light() + project(lambda d: np.where(d[:, 1:2] > 0.6, 60.0, 0.0) * np.ones(3))
+    b = shown(basis, truth, rng, 0.02)
+    fits = {}
+    for hidden in (None, ~reaching):
+        solver = LightSolver(basis, normals=normals, order=4, hidden=hidden)
+        fit = solver.solve(b)
+        back = fit.election.radiance(up[~reaching]).mean() / fit.election.radiance(up[reaching]).mean()
+        fits[hidden is None] = fit, back
+    (fit, back), (loose, far) = fits[False], fits[True]
+    assert not is_plain(fit) and not is_plain(loose)
+    assert far > 30 and back < far / 3
+    np.testing.assert_allclose(fit.shown, fit.election.solution.x.T * fit.election.photo.level)
+    behind = fit.all_coefficients / fit.tint.gain - fit.shown
+    assert np.abs(behind).max() > 0.02  # it is in what is reported, and in what is stated
+    from_behind = y[up[:, 1] > 0.5] @ np.moveaxis(fit.samples, 1, 0).reshape(100, -1)
+    assert np.median(from_behind.mean(0)) > 1
+    photo, loosely = (each.election.photo for each in (fit, loose))
+    assert not (photo.reaches(photo.fields[0]) & ~photo.fields[0].reaching).any()  # no lamp is sought there
+    assert (loosely.reaches(loosely.fields[0]) & ~photo.fields[0].reaching).any()
+    np.testing.assert_array_equal(loose.shown, loose.all_coefficients / loose.tint.gain)

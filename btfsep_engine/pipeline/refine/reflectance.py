@@ -44,9 +44,9 @@ def is_simpler(trial: Fit, fit: Fit) -> bool:
 
     Under light without a lamp roughness only makes all of it a little brighter: nothing could tell.
     """
-    plain = trial.election.rival is not None
+    model = trial.election.solution.model
     fewer = trial.effective_degrees_of_freedom < SIMPLER * fit.effective_degrees_of_freedom
-    return bool(trial.election.solution.model.lamps) and (plain or fewer)
+    return bool(model.lamps) and (model.field.order == 0 or fewer)
 
 
 def nearer_materials(model, light):
