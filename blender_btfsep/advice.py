@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 LEVELS = ("GREEN", "AMBER", "RED")
 MATERIAL = "does not rule them out"  # `card` says it from the answer itself, by names
+NONE_OF_THESE = "looks like none of the library's materials"
+BY_CURVE = "with the photo read by the tone curve that was found"
+FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said but under Details
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,12 @@ KNOWN = (
     Advice("geometry and photo did not line up", "The camera is a little off; the engine made up for it", "ALIGN"),
     Advice(MATERIAL, ""),
     Advice(
-        "looks like none of the library's materials",
+        NONE_OF_THESE,
         "{0} looks like no material of the library; give its colour",
         "COLOUR",
         "AMBER",
     ),
+    Advice(BY_CURVE, "What {0} is taken for depends on the tone curve; choose its material", "MATERIAL", "AMBER"),
     Advice("the object's colour is not known", "The object's own colour is not known; give it", "COLOUR", "AMBER"),
     Advice("light from nearby", "Part of the light is near (a lamp, a window); a World is far away", level="AMBER"),
     Advice(
@@ -61,7 +65,7 @@ KNOWN = (
     Advice("is mapped by projecting patches", ""),
     Advice("is negative in some directions", ""),
     Advice("have no area and are left out", ""),
-    Advice("not all of the first four", "The photo does not tell from where the light comes", "FREEZE", "RED"),
+    Advice("not all of the first four", "The photo tells only in part from where the light comes", "FREEZE", "RED"),
     Advice("the photo speaks against", "The photo speaks against a known sun", "FREEZE", "AMBER"),
     Advice("is little more than a guess", "A known sun lights nothing that the photo shows; its power is a guess"),
     Advice("lamps whose direction is given are left out", "This preset leaves known suns out", level="AMBER"),
@@ -76,6 +80,9 @@ KNOWN = (
 
 def advice(sentence: str) -> Advice:
     """What to make of a warning; of one that is not known, how it begins."""
+    pixels = re.search(r"\b(\d+) of (\d+) pixels are", sentence)
+    if pixels and int(pixels[1]) < FEW * int(pixels[2]):
+        return Advice(pixels[0], "")
     for known in KNOWN:
         if known.phrase in sentence:
             named = re.search(r"object '([^']+)'", sentence)

@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from . import kept_light, lighting_file, request, sun_lamp, world
+from . import kept_light, lighting_file, photo, request, sun_lamp, world
 
 APPLIED = "The World is now the lighting"
 GIVEN = "surface/given"  # the engine's name for a surface by numbers
@@ -40,7 +40,8 @@ def take_estimate(scene, result: dict, ids=None, *, mode: str | None = None, lam
     """
     lighting = lighting_file.read(result["lighting"])
     sentences = take_materials(scene, result.get("objects"), ids)
-    kept_light.keep(scene, lighting, result, warnings=[*own, *(result.get("warnings") or [])])
+    said = photo.named(scene.btfsep.image, result.get("warnings") or [])
+    kept_light.keep(scene, lighting, result, warnings=[*own, *said])
     found = kept_light.card(scene.btfsep.light)
     sentences += [f"{label}: {words}".removeprefix(": ") for label, words in found["lines"]]
     if (mode or scene.btfsep.world_mode) != "NONE":

@@ -5,10 +5,11 @@ No bpy in this file. A card is plain data, kept as JSON with the scene and with 
 """
 
 import math
+import re
 
 import numpy as np
 
-from .advice import MATERIAL, advice, worst
+from .advice import BY_CURVE, MATERIAL, NONE_OF_THESE, advice, worst
 from .harmonics import LUMINANCE, evaluate, order_of
 from .light_words import (
     EVEN,
@@ -26,6 +27,7 @@ TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not state
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
+COMMANDS = re.compile(r" \([^()]*--[^()]*\)|; see stddev in lighting\.json")  # what the command line is told
 BEHIND = "what the mirror hides"
 
 
@@ -47,14 +49,17 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     """
     unsure = _unsure_materials(result)
     told = [(sentence, advice(sentence)) for sentence in warnings]
+    if any(a.phrase == NONE_OF_THESE for _, a in told):  # then it does not matter which it was taken for at first
+        told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
     shown = {a.short: {"short": a.short, "mend": a.mend, "object": ""} for _, a in told if a.short}
     error = (result.get("expected_error") or {}).get("order_2") or (result.get("expected_error") or {}).get("order_1")
     trust = "NONE"
     if error:
+        by_warnings = worst(*[a.level for _, a in told]) if told else "GREEN"
         sure = error["median"] <= GOOD and error["high"] <= FAIR  # a lamp may stand where the photo shows nothing
         trust = "GREEN" if sure else "AMBER" if error["median"] <= FAIR else "RED"
-        trust = worst(trust, *[a.level for _, a in told])
-    words = TRUST[trust]
+        trust, by_error = worst(trust, by_warnings), trust
+    words = TRUST[trust] + (", see below" if error and trust != by_error else "")
     if error:
         words += ": about {median:.0f}% off ({low:.0f}–{high:.0f}%)".format(
             **{key: 100 * error[key] for key in ("median", "low", "high")}
@@ -176,7 +181,7 @@ def _details(result: dict, lighting: dict, warnings) -> list:
         around, up = angles(lighting["suns"]["lamps"][0]["direction"])
         out.append(f"In the world the key light stands at azimuth {around:.0f}° (from +X towards +Y), {up:.0f}° up")
     out += [str(result.get("determined") or ""), *map(str, (result.get("choice") or {}).values()), *warnings]
-    return list(dict.fromkeys(capitalised(out)))
+    return list(dict.fromkeys(capitalised(COMMANDS.sub("", words) for words in out)))
 
 
 def capitalised(words) -> list:

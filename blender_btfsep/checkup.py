@@ -67,6 +67,11 @@ def _keep(state: dict) -> None:
     drawing.redraw(at_once=True)
 
 
+def words(name: str, value: str) -> str:
+    """A fact as it is shown: with what the test render ran is in lines of their own."""
+    return value.partition(", with ")[0] if name == "test render" else value
+
+
 def draw(layout) -> None:
     """The findings, the button that asks anew, and the cache."""
     state = found()
@@ -90,7 +95,7 @@ def draw(layout) -> None:
         if value:
             line = column.split(factor=0.25)
             line.label(text=label)
-            line.label(text=value)
+            line.label(text=words(name, value))
     row = box.row()
     row.label(text=f"Kept of earlier runs: {state.get('bytes', 0) / 1e6:.0f} MB")
     row.operator("btfsep.clear_cache", icon="TRASH")

@@ -70,6 +70,7 @@ def _step() -> float | None:
             elif isinstance(message, engine_process.Failed):
                 raise InputError(message.message, "", "")
     except InputError as error:
+        state.library.clear()  # what was read of another folder is not in this one
         state.library_error, state.library_for = str(error).strip("; "), folder
         if _reading is not None:
             _reading.kill()

@@ -279,6 +279,7 @@ def _heard(scene, depsgraph):
 def _left(*_):
     """Another file comes."""
     _follower.give_way()
+    runs.forget()
 
 
 @persistent

@@ -5,7 +5,7 @@ import contextlib
 
 import bpy
 
-from . import checkup, engine_process, library, request, runs
+from . import checkup, engine_process, library, photo, request, runs
 from .answer import FOUND, take_estimate, take_light, take_materials
 from .errors import InputError
 
@@ -42,6 +42,12 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     task = "Estimating"
     outlives = True
 
+    @classmethod
+    def kind(cls, scene):
+        """As of all runs; recognition takes longer than the light does."""
+        recognises = any(e.source == "RECOGNISE" for e in request.fitted(scene.btfsep).values())
+        return super().kind(scene) + " and recognising" * recognises
+
     def begin(self, context):
         self._ids = request.ids_of(context.scene.btfsep)
         folder = yield from request.job_slices(context)
@@ -61,7 +67,8 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         return done
 
     def finish(self, context, result):
-        scene, said = self.scene(), result.get("warnings") or []
+        scene = self.scene()
+        said = photo.named(scene.btfsep.image, result.get("warnings") or [])
         own = [warning.name for warning in runs.run_state().warnings if warning.name not in said]
         sentences = take_estimate(scene, result, self._ids, own=own)
         applied = scene.btfsep.world_mode != "NONE"

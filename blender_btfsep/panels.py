@@ -12,10 +12,12 @@ from . import (
     kept_light,
     library,
     mending,
+    operators,
     outlines,
     own_surface,
     photo,
     preferences,
+    reasons,
     request,
     runs,
     sequence_run,
@@ -29,6 +31,8 @@ from .card import capitalised
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
 SHOWN = 3  # candidates, or lamps, in the panel
+PREFIX = "BTFsep "  # of our lamps: their numbers at the end are what tells them apart
+PICTURE = 5  # units, the height of a material's picture
 MARGIN = 105  # pixels of the sidebar's width that a label with an icon in a box cannot have, at scale 1
 
 
@@ -72,8 +76,11 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
         column.prop(settings, "camera", placeholder=scene.camera.name if scene.camera else "None")
         there = image is not None and image.size[0]
         if there:
-            column.prop(settings, "curve", text="Read As")
-            if settings.curve == "auto":
+            floats = photo.of_floats(image)
+            row = column.row()
+            row.enabled = not floats
+            row.prop(settings, "curve", text="Read As")
+            if settings.curve == "auto" or floats:
                 read = use_photo.read_as(image, "auto")
                 _wrapped(context, layout, read[:1].upper() + read[1:], icon="INFO")
         if sequence_run.is_sequence(image):
@@ -103,7 +110,7 @@ class BTFSEP_PT_photo(_Sidebar, bpy.types.Panel):
             column.row(align=True).prop(runs.run_state(), "overlay", expand=True)
             if runs.run_state().overlay != "OFF" and outlines.too_fine(scene):
                 _wrapped(context, layout, "A mesh has too many faces to be drawn over the photo", icon="INFO")
-        _refine_alignment(layout, settings)
+            _refine_alignment(layout, settings)
 
 
 class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
@@ -161,15 +168,19 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
             row.prop(run, "library_class", text="")
             row.operator("btfsep.library_assets", text="", icon="ASSET_MANAGER")
             row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
-            layout.template_icon_view(entry, "browse", show_labels=True, scale=5, scale_popup=4.5)
+            layout.template_icon_view(entry, "browse", show_labels=True, scale=PICTURE, scale_popup=4.5)
             layout.prop_search(entry, "material", run, "library", text="", icon="MATERIAL")
-        else:  # names not read yet: a search would show any name as wrong
+        elif run.library_error:
+            layout.prop(entry, "material", text="", icon="MATERIAL")  # a search would show any name as wrong
+            for number, part in enumerate(run.library_error.split("; ")):
+                _wrapped(context, layout, part[:1].upper() + part[1:], icon="BLANK1" if number else "ERROR")
+            layout.operator("btfsep.read_library", icon="FILE_REFRESH")
+        else:  # as high as what comes, or all below would jump away from the mouse
+            layout.label(text="Reading the library …", icon="SORTTIME")
+            room = layout.box()
+            room.scale_y = PICTURE
+            room.label()
             layout.prop(entry, "material", text="", icon="MATERIAL")
-            if run.library_error:
-                _wrapped(context, layout, run.library_error, icon="ERROR")
-                layout.operator("btfsep.read_library", icon="FILE_REFRESH")
-            else:
-                layout.label(text="Reading the library …", icon="SORTTIME")
         chosen = preferences.get(context)
         if isinstance(chosen, bpy.types.AddonPreferences):
             layout.prop(chosen, "library", text="", placeholder="The library that comes with it")
@@ -186,8 +197,9 @@ class BTFSEP_PT_objects(_Sidebar, bpy.types.Panel):
             row = column.split(factor=0.7, align=True)
             row.active = candidate.name == entry.recognised
             name, picture = candidate.name, pictures.get(candidate.name)
+            own = name.rsplit("/", 1)[-1]
             shown = icons.of_file(picture) if picture else 0
-            row.operator("btfsep.use_candidate", text=name, icon_value=shown, emboss=False).material = name
+            row.operator("btfsep.use_candidate", text=own, icon_value=shown, emboss=False).material = name
             row.progress(factor=candidate.score, type="BAR", text=f"{100 * candidate.score:.0f} %")
 
 
@@ -205,15 +217,19 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             column.prop(settings, "sun_lamp")
         self._suns(context, layout)
 
+        row = layout.row(align=True)
+        row.scale_y = 1.4
         if runs.is_running():
+            # In the buttons' place stands a property: what is under the mouse when the engine ends must not be taken by
+            # Blender for a label or button that comes then, which would look like it until the mouse moves.
+            row.enabled = False
+            row.prop(run, "running", text=f"{run.task} …", toggle=True)
             row = layout.row(align=True)
-            row.progress(factor=run.fraction, type="BAR", text=f"{100 * run.fraction:.0f}%  {run.stage or run.task}")
+            row.progress(factor=run.fraction, type="BAR", text=f"{100 * run.fraction:.0f}%  {run.stage}")
             row.operator("btfsep.cancel", text="", icon="X")
             if run.message:
                 layout.label(text=run.message)
         else:
-            row = layout.row(align=True)
-            row.scale_y = 1.4
             row.operator("btfsep.recognise", icon="VIEWZOOM")
             row.operator("btfsep.estimate", icon="LIGHT_SUN")
             if sequence_run.is_sequence(settings.image):
@@ -222,6 +238,9 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             if lacking:
                 _wrapped(context, layout, lacking, icon="INFO")
             else:
+                unseen = reasons.unseen(context.scene, settings, request.fitted(settings))
+                if unseen:
+                    _wrapped(context, layout, unseen, icon="ERROR")
                 self._beside(context, layout, run)
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
@@ -240,14 +259,14 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
         for lamp in (lamp for lamp in shown if lamp.data.type == "SUN"):
             row = column.row(align=True)
             held = lamp in known
-            row.label(text=lamp.name, icon="LIGHT_SUN")
+            row.label(text=lamp.name.removeprefix(PREFIX), icon="LIGHT_SUN")
             words, icon = ("Free", "UNLOCKED") if held else ("Freeze Sun", "LOCKED")
             row.operator(f"btfsep.{'free' if held else 'freeze'}_sun", text=words, icon=icon).name = lamp.name
 
     def _beside(self, context, layout, run):
         """How long an estimate takes, and the switch that spares asking for one."""
         settings = context.scene.btfsep
-        seconds = durations.expected(f"BTFSEP_OT_estimate {settings.preset}")
+        seconds = durations.expected(operators.BTFSEP_OT_estimate.kind(context.scene))
         there = kept_light.kept(context.scene) is not None
         row = layout.split(factor=0.6) if there else layout
         if seconds is not None:
@@ -268,8 +287,9 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
             (answer.APPLIED, answer.FOUND)
         ):  # the card says it, and follows undo
             box = layout.box()
+            done = "X" if run.summary.endswith(runs.CANCELLED) else "CHECKMARK"
             for number, part in enumerate(run.summary.splitlines()):
-                _wrapped(context, box, part, icon="BLANK1" if number else "CHECKMARK")
+                _wrapped(context, box, part, icon="BLANK1" if number else done)
         if run.warnings and (run.error or run.task != "Estimating"):
             box = layout.box()
             for warning in capitalised(each.name for each in run.warnings):
@@ -313,7 +333,9 @@ class BTFSEP_PT_light(_Sidebar, bpy.types.Panel):
                 button = box.operator("btfsep.mend", text=about)
                 button.how, button.object = mend, warning["object"]
         if card.get("details"):
-            box.prop(run, "show_details", icon="TRIA_DOWN" if run.show_details else "TRIA_RIGHT", emboss=False)
+            row = box.row()
+            row.alignment = "LEFT"
+            row.prop(run, "show_details", icon="TRIA_DOWN" if run.show_details else "TRIA_RIGHT", emboss=False)
             for part in card["details"] if run.show_details else ():
                 _wrapped(context, box, part, icon="DOT")
 

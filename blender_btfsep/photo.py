@@ -3,6 +3,7 @@
 masks, depth.
 """
 
+import re
 import shutil
 from pathlib import Path
 from typing import NamedTuple
@@ -125,6 +126,14 @@ def taken_as_is(image, path: Path) -> bool:
 def is_linear(path: Path) -> bool:
     """Whether the engine takes the file ``path`` for linear light, whatever curve others have."""
     return path.suffix.lower() in FLOAT or holds_floats(path)
+
+
+def named(image, sentences) -> list:
+    """The engine's sentences with the photo's own name: in the job it is photo.png, or whatever it is.
+
+    ``image`` : the photo, or None
+    """
+    return [re.sub(r"^photo\.\w+(?=: )", lambda _: image.name, each) if image else each for each in sentences]
 
 
 def of_floats(image) -> bool:

@@ -42,13 +42,14 @@ CURVES = (
     ("srgb", "sRGB", "The file's whole numbers are coded in sRGB, and nothing else was done to them"),
     ("camera", "Camera", "A camera's or phone's own picture, with more contrast and softer highlights than sRGB alone"),
     ("linear", "Linear", "The file's whole numbers are in proportion to the light"),
+    ("unknown", "Unknown", "sRGB, the curve of a camera, or a rarer one: that which explains the photo best"),
     ("blender", "Blender Render", "A render that Blender saved: by the view transform that explains it best"),
     *(
         (name, view.words, f"A render that was saved with Blender's view transform {view.words}")
         for name, view in VIEWS.items()
     ),
-    ("unknown", "Unknown", "sRGB, the curve of a camera, or a rarer one: that which explains the photo best"),
 )
+RENDERS = 5  # of CURVES come before those of renders, from which a line parts them in the list
 OVERLAYS = (
     ("OFF", "Off", "Nothing is drawn over the photo"),
     ("OUTLINE", "Outline", "The outlines of the objects"),
@@ -185,7 +186,9 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         max=100,
     )
     curve: EnumProperty(
-        name="Photo's Curve", description="How a file of whole numbers codes the light; EXR is linear", items=CURVES
+        name="Photo's Curve",
+        description="How a file of whole numbers codes the light; EXR is linear",
+        items=(*CURVES[:RENDERS], None, *CURVES[RENDERS:]),
     )
     depth: PointerProperty(
         name="Depth",
@@ -243,7 +246,7 @@ class BTFSEP_PG_material(bpy.types.PropertyGroup):
 class BTFSEP_PG_run(bpy.types.PropertyGroup):
     """The run in progress, or the last one."""
 
-    running: BoolProperty()
+    running: BoolProperty(name="Running", description="The engine is at work; the cross below stops it")
     task: StringProperty()
     stage: StringProperty()
     fraction: FloatProperty(min=0, max=1)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Why a run cannot be begun, in sentences for tooltips: told by looks alone, before a click. Nothing here is slow."""
 
+from mathutils import Vector
+
 from . import camera as pinhole
 from . import meshes, photo, runs, upright
 
@@ -61,6 +63,40 @@ def _of_shape(scene, image) -> str:
     wide, high = pinhole.render_region(scene)[2:]
     button = "Turn Upright" if upright.asked(image) > 4 else "Use Photo"
     return f"The photo is {width} x {height}, the scene renders {wide} x {high}: press {button}"
+
+
+def unseen(scene, settings, entries: dict) -> str:
+    """That an object stands outside of the camera's picture; empty where it may be in it.
+
+    By its box alone, and as the scene was drawn last: it is said, and stops nothing.
+    """
+    camera = settings.camera or scene.camera
+    if settings.depth is not None or camera is None or of_camera(camera):
+        return ""
+    for name, entry in entries.items():
+        thing = entry.object
+        if thing.type == "EMPTY" or thing.is_instancer or any(m.type == "NODES" for m in thing.modifiers):
+            continue  # its box is not that of what it shows
+        to_camera = camera.matrix_world.inverted_safe() @ thing.matrix_world
+        corners = [to_camera @ Vector(corner) for corner in thing.bound_box]
+        if _is_outside(camera.data.view_frame(scene=scene), camera.data.type, corners):
+            return f"'{name}' stands outside of the camera's picture"
+    return ""
+
+
+def _is_outside(frame, kind: str, corners) -> bool:
+    """Whether all ``corners`` lie beyond one side of the picture, or behind the camera; in the camera's axes."""
+    if all(corner.z >= 0 for corner in corners):
+        return True
+    middle = sum(frame, Vector()) / len(frame)
+    for one, other in zip(frame, [*frame[1:], frame[0]], strict=True):
+        along = Vector((0, 0, -1)) if kind == "ORTHO" else one
+        inward = along.cross(other - one)
+        inward *= 1 if inward.dot(middle - one) > 0 else -1
+        at = one if kind == "ORTHO" else Vector()
+        if all(inward.dot(corner - at) < 0 for corner in corners):
+            return True
+    return False
 
 
 def _of_entry(name: str, entry, view_layer, settings) -> str:

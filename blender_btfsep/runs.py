@@ -13,12 +13,13 @@ import time
 
 import bpy
 
-from . import durations, engine_process, preferences, resident, sun_lamp
+from . import durations, engine_process, photo, preferences, resident, sun_lamp
 from .drawing import draw_when_due, over_panel, redraw
 from .errors import InputError
 
 INTERVAL = 0.05  # seconds between polls
 STATUS = 1.0  # seconds between changes of the status bar, which is not ours alone
+CANCELLED = "cancelled"
 RUNNING = "The engine is running: wait or cancel"
 
 give_way = None
@@ -133,11 +134,11 @@ class EngineOperator:
     def description(cls, context, properties):
         """The tooltip, with the seconds that the last run took."""
         about = (inspect.getdoc(cls) or "").strip()
-        seconds = durations.in_words(cls._kind(context.scene))
+        seconds = durations.in_words(cls.kind(context.scene))
         return f"{about}. {seconds}" if seconds else about
 
     @classmethod
-    def _kind(cls, scene) -> str:
+    def kind(cls, scene) -> str:
         """What takes about as long: the command, and the preset for what has one."""
         return f"{cls.__name__} {scene.btfsep.preset}"
 
@@ -266,7 +267,7 @@ class EngineOperator:
             context.scene.session_uid,
             context.scene.name,
         )  # the id survives undo and renaming
-        self._clock, self._told = durations.Clock(self._kind(context.scene)), 0.0
+        self._clock, self._told = durations.Clock(self.kind(context.scene)), 0.0
         state.error = state.summary = state.message = state.stage = ""
         state.fraction = 0.0
         state.warnings.clear()
@@ -305,8 +306,10 @@ class EngineOperator:
             self._clock.heard(message.whole)
             state.stage, state.message, state.fraction = message.title, message.message, self._clock.fraction()
         elif isinstance(message, engine_process.Notice):
-            state.warnings.add().name = message.message
-            self.report({"WARNING"}, message.message)
+            scene = next((each for each in bpy.data.scenes if each.session_uid == self._scene), None)
+            (sentence,) = photo.named(scene and scene.btfsep.image, [message.message])
+            state.warnings.add().name = sentence
+            self.report({"WARNING"}, sentence)
         redraw()
 
     def _end(self, context, last):
@@ -317,7 +320,7 @@ class EngineOperator:
         state.stage = state.message = ""
         redraw(at_once=True)
         if isinstance(last, engine_process.Cancelled):
-            state.summary = f"{self.task}: cancelled"
+            state.summary = f"{self.task}: {CANCELLED}"
             self.report({"WARNING"}, state.summary)
             return {"CANCELLED"}
         if isinstance(last, engine_process.Failed):
@@ -345,6 +348,13 @@ class EngineOperator:
         if scene is None:
             raise InputError(f"scene '{self._scene_name}'", "it is gone", "run it again in the scene you want")
         return scene
+
+
+def forget() -> None:
+    """What the last run said is of a file that is left: the next one's panel says nothing of it."""
+    state = run_state()
+    state.error = state.summary = ""
+    state.warnings.clear()
 
 
 def warn(sentence: str) -> None:

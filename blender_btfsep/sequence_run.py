@@ -92,7 +92,7 @@ def write_world(scene, result: dict, files, start, *, apply: bool, interpolation
     worst = max(found, key=lambda f: f["residual"])
     return (
         f"{len(lights)} lights, frames {lights[0][0]} to {lights[-1][0]}\n"
-        f"{worst['image']} fits worst, residual {worst['residual']:.3f}: {worst['determined']}"
+        f"{worst['image']} fits worst: {100 * worst['residual']:.0f}% of it is not explained"
     )
 
 

@@ -16,7 +16,7 @@ READ = {
     "srgb": "read as sRGB",
     "camera": "read by the usual curve of cameras",
     "linear": "read as linear light",
-    "blender": "which of Blender's views saved it is found from the photo",
+    "blender": "its view transform is found from the photo",
     **{name: f"read as a render saved with {each.words}" for name, each in blender_views.VIEWS.items()},
     "unknown": "its tone curve is found from the photo",
 }
@@ -54,7 +54,7 @@ def read_as(image, curve: str) -> str:
     if says.is_by_camera:
         return f"read as {space} and by the usual curve of cameras: the file names one"
     if says.is_render and space == "sRGB":
-        return f"rendered by Blender, says the file: {READ['blender']}"
+        return f"the file says that Blender rendered it; {READ['blender']}"
     return f"read as {space}"
 
 
@@ -76,12 +76,22 @@ def fit_render(scene, size) -> list:
     return words
 
 
-def put_behind(scene, camera, image, size) -> None:
-    """Makes ``image``, of ``size``, the background of ``camera``, where the photo was in the camera's picture."""
+def put_behind(scene, camera, image, size) -> list:
+    """Makes ``image``, of ``size``, the background of ``camera``, where the photo was in the camera's picture.
+
+    Gives sentences of what that hides: another picture behind the camera would lie over this one.
+    """
     data = camera.data
     data.show_background_images = True
     own = next((b for b in data.background_images if b.source == "IMAGE" and b.image in (image, None)), None)
     own = own or data.background_images.new()
+    hidden = [
+        b
+        for b in data.background_images
+        if b != own and b.image and b.source == "IMAGE" and b.display_depth == "BACK" and b.show_background_image
+    ]
+    for other in hidden:
+        other.show_background_image = False
     own.source, own.image, own.show_background_image = "IMAGE", image, True
     own.frame_method, own.display_depth, own.alpha = "FIT", "BACK", 1.0
     own.rotation, own.use_flip_x, own.use_flip_y = 0.0, False, False
@@ -96,6 +106,7 @@ def put_behind(scene, camera, image, size) -> None:
         user = own.image_user
         user.frame_start, user.frame_offset = numbers[0], numbers[0] - 1
         user.frame_duration = numbers[-1] - numbers[0] + 1
+    return [f"'{other.image.name}' behind it is hidden" for other in hidden]
 
 
 class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
@@ -151,7 +162,7 @@ def use(context) -> str:
     if not all(size):
         raise InputError(f"the photo '{image.name}'", *f"it {photo.lacks_pixels(image)}".split(": "))
     words = fit_render(scene, size)
-    put_behind(scene, camera, image, size)
+    words += put_behind(scene, camera, image, size)
     file = photo.file_at(image, camera, scene.frame_current)
     light_picture.small(image, file)  # for the picture of the light, later
     if upright.asked(image) != 1:

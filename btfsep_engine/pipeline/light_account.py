@@ -44,7 +44,11 @@ def light_words(fit: Fit) -> str:
     lamps = len(fit.lamps)
     beside = f" and {lamps} lamp{'s' if lamps > 1 else ''}" if lamps else ""
     plain = fit.election.solution.model.field.order == 0
-    return f"even light{beside}: nothing richer explains the photo better" if plain else f"a free sky{beside}"
+    return (
+        f"even light{beside}: nothing richer explains the photo better"
+        if plain
+        else f"light that is free in every direction{beside}"
+    )
 
 
 def colour_words(fit: Fit) -> str:

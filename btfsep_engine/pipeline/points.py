@@ -66,14 +66,20 @@ def photographed_regions(scene: PreparedScene, settings: Settings) -> list:
     Says where much of an object is saturated or transparent, and what becomes of it.
     """
     photo, out = scene.job.photo, []
-    for region, obj in zip(scene.regions, scene.job.objects, strict=True):
+    mirrors = {mirror.index for mirror in scene.mirrors}
+    for index, (region, obj) in enumerate(zip(scene.regions, scene.job.objects, strict=True)):
         unusable = region & ~photo.usable
         bounds = np.zeros_like(region)
         if settings.estimator == "map" and photo.clipped is not None:
             bounds = region & photo.clipped.any(-1)
         out.append(region & photo.usable | bounds)
         share = unusable.sum() / max(region.sum(), 1)
-        if share > THRESHOLDS.clipped:
+        if share > THRESHOLDS.clipped and index in mirrors:  # a few clipped pixels, spread over all that it would show
+            scene.reporter.warn(
+                f"lamps are clipped in what mirrors: how bright they are in object '{obj.name}' is not known, nor what "
+                "it tells of the light around them; give a photo with a shorter exposure, or an HDR"
+            )
+        elif share > THRESHOLDS.clipped:
             what = (
                 "; the saturated ones count as at least as bright as they are"
                 if bounds.any()

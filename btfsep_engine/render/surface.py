@@ -103,7 +103,7 @@ def object_region(view: View, job: Job, index: int) -> np.ndarray:
         raise InputError(
             f"object '{obj.name}'",
             f"the camera does not see it ({hidden})",
-            "check camera.to_world (the camera looks along its -Z), the mesh's place and metres_per_unit",
+            "check where the camera stands and looks (along its -Z), where the mesh stands, and the unit of length",
         )
     region = seen if obj.mask is None else seen & obj.mask
     if not region.any():

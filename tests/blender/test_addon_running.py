@@ -36,6 +36,8 @@ def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographe
     assert bpy.ops.btfsep.doctor() == {"FINISHED"}
     checkup._found = None  # of the next session: read from its file
     assert checkup.found() == {"ok": True, "facts": facts, "message": "", "bytes": 3_000_000}
+    assert checkup.words("test render", "right, with llvm_ad_rgb /usr/lib/libLLVM.so.19.1") == "right"
+    assert checkup.words("libLLVM", "/usr/lib/libLLVM.so.19.1") == "/usr/lib/libLLVM.so.19.1"
     (cache / "a.entry").unlink()
     fake_engine(lines=[{"type": "done", "result": {"folder": str(cache), "bytes": 0, "freed": 3_000_000}}])
     assert bpy.ops.btfsep.clear_cache() == {"FINISHED"} and checkup.found()["bytes"] == 0
@@ -130,7 +132,7 @@ def test_the_bar_is_where_the_engine_says(photographed, fake_engine, monkeypatch
 
 def test_the_bar_and_the_tooltip_go_by_the_last_run(photographed, fake_engine):
     """Half of the engine's guide was a tenth of the time: then it is a tenth the next time."""
-    from blender_btfsep import durations
+    from blender_btfsep import durations, operators
 
     now = [0.0]
     assert durations.in_words("x") == "" and durations.Clock("x").left() is None
@@ -160,6 +162,11 @@ def test_the_bar_and_the_tooltip_go_by_the_last_run(photographed, fake_engine):
     assert durations.expected("BTFSEP_OT_recognise balanced") is not None
     photographed.btfsep.preset = "draft"
     assert durations.expected("BTFSEP_OT_recognise draft") is None
+    kinds = []
+    for source in ("RECOGNISE", "COLOUR"):
+        photographed.btfsep.objects[0].source = source
+        kinds.append(operators.BTFSEP_OT_estimate.kind(photographed))
+    assert len(set(kinds)) == 2  # recognition takes longer than the light does
 
 
 def test_durations_that_make_no_sense_are_none(photographed):

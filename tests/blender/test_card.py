@@ -180,6 +180,32 @@ def test_trust_is_a_traffic_light(median, warnings, trust):
     assert found["trust"] == trust and f"about {100 * median:.0f}% off" in found["lines"][0][1]
 
 
+def test_what_lowers_the_trust_is_pointed_at():
+    result = {"expected_error": {"order_2": {"median": 0.1, "low": 0.05, "high": 0.2}}}
+    doubt = "geometry and photo do not line up: the outlines in the photo lie 2 pixels down"
+    assert card.card_of(result, lighting(), FRONT, warnings=[doubt])["lines"][0][1].startswith("Doubtful, see below: ")
+    assert card.card_of(result, lighting(), FRONT)["lines"][0][1].startswith("Good: ")
+
+
+def test_a_few_pixels_are_no_warning():
+    few, many = (f"photo.png: {n} of 388800 pixels are saturated" for n in (7, 4000))
+    found = card.card_of({}, lighting(), FRONT, warnings=[few])
+    assert not found["warnings"] and few in found["details"]
+    assert card.card_of({}, lighting(), FRONT, warnings=[many])["warnings"]
+
+
+def test_a_material_that_nothing_hangs_on_is_not_doubted_and_commands_are_left_out():
+    curve = (
+        "object 'Head' was recognised as wood/oak with the photo read by the tone curve that was found; read as sRGB"
+    )
+    none = "object 'Head' looks like none of the library's materials after all (give --material, if you know it)"
+    doubts = card.card_of({}, lighting(), FRONT, warnings=[curve])["warnings"]
+    assert [(d["short"][:10], d["mend"]) for d in doubts] == [("What Head ", "MATERIAL")]
+    found = card.card_of({}, lighting(), FRONT, warnings=[curve, none])
+    assert [d["mend"] for d in found["warnings"]] == ["COLOUR"]
+    assert found["details"][-1] == "Object 'Head' looks like none of the library's materials after all"
+
+
 def test_a_light_that_may_be_quite_another_is_not_green():
     result = {"expected_error": {"order_2": {"median": 0.1, "low": 0.06, "high": 0.7}}}
     assert card.card_of(result, lighting(), FRONT)["trust"] == "AMBER"

@@ -60,6 +60,15 @@ def presets(asked):
     return [arguments[arguments.index("--preset") + 1] for arguments in asked]
 
 
+def test_what_was_said_is_of_the_file_that_was_open(photographed, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    state = runs.run_state()
+    state.error, state.summary, state.warnings.add().name = "no", "done", "odd"
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    state = runs.run_state()
+    assert not (state.error or state.summary or len(state.warnings))
+
+
 def test_a_draft_comes_at_once_and_the_preset_when_all_is_quiet(photographed, asked):
     made, group = photographed.world, photographed.world.node_tree.nodes[0].node_tree
     made.node_tree.nodes[0].inputs["Y 0 0"].default_value = (0, 0, 0)

@@ -217,8 +217,10 @@ def test_a_library_that_cannot_be_read_is_said_once(fake_engine):
     fake_engine(
         lines=[{"type": "failed", "message": "library /x; no such folder; choose another", "exit_code": 2}], exit=2
     )
+    runs.run_state().library.add().name = "wood/oak"  # of a folder that was there
     read_now()
     assert runs.run_state().library_error == "library /x; no such folder; choose another"
+    assert not runs.run_state().library
     library.ensure()
     assert not bpy.app.timers.is_registered(library._step)
     bpy.context.preferences.addons["blender_btfsep"].preferences.engine = "/absent/engine"

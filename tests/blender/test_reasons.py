@@ -174,3 +174,28 @@ def test_what_a_render_has_finer_than_the_viewport_is_exported_so(photographed):
     render.use_simplify, cube.modifiers[0].render_levels = False, 1
     ring.data.render_resolution_u, drop.data.render_resolution = 2, 0.4
     assert all(size < coarse[name] for name, size in sizes().items())
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_what_stands_outside_of_the_picture_is_said(photographed, kind):
+    from blender_btfsep import reasons, request
+
+    camera, settings = photographed.camera, photographed.btfsep
+    camera.data.type, camera.data.ortho_scale = kind, 4
+
+    def said():
+        bpy.context.view_layer.update()
+        return reasons.unseen(photographed, settings, request.fitted(settings))
+
+    thing, place = settings.objects[0].object, settings.objects[0].object.location.copy()
+    right, ahead = camera.matrix_world.to_3x3().col[0], -camera.matrix_world.to_3x3().col[2]
+    assert said() == ""
+    for far in (20, -20):
+        thing.location = place + far * right
+        assert said() == "'Cube' stands outside of the camera's picture"
+    thing.location = place - 50 * ahead
+    assert said()
+    camera.data.shift_x, thing.location = 3.0, place
+    assert said()
+    thing.scale = (100, 100, 100)  # around the camera: it may be seen
+    assert said() == ""

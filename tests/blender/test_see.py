@@ -24,7 +24,7 @@ from blender_btfsep import (
     use_photo,
 )
 from blender_btfsep.errors import InputError
-from blender_btfsep.photo import file_at
+from blender_btfsep.photo import file_at, named
 from btfsep_engine import images
 from btfsep_engine.job.load import load_job
 from tests.blender.lit import LIGHTING
@@ -176,7 +176,7 @@ def test_a_photo_of_another_shape_than_the_region_is_one_of_the_whole_picture(ph
         ("a.png", "AgX Base sRGB", "auto", "read as AgX Base sRGB, as Blender shows it"),
         ("a.png", "Display P3", "auto", "read as Display P3"),
         ("a.png", None, "unknown", "its tone curve is found from the photo"),
-        ("a.png", None, "blender", "which of Blender's views saved it is found from the photo"),
+        ("a.png", None, "blender", "its view transform is found from the photo"),
         ("a.png", None, "agx-punchy", "read as a render saved with AgX, Punchy"),
         ("a.png", None, "linear", "read as linear light"),
         ("a.exr", None, "srgb", "read as linear light (floats)"),
@@ -194,6 +194,27 @@ def test_how_the_photo_is_read_is_what_the_job_says(photographed, tmp_path, name
     assert linear == all(each not in words.removeprefix("read as AgX Base sRGB") for each in coded)
 
 
+def test_the_engine_calls_the_photo_by_its_own_name(addon, tmp_path):
+    image = photo(tmp_path / "holiday.png", 8, 8)
+    said = ["photo.png: 7 of 64 pixels are saturated", "object 'photo.png: x' is odd"]
+    assert named(image, said) == ["holiday.png: 7 of 64 pixels are saturated", said[1]]
+    assert named(None, said) == said
+
+
+def test_another_photo_hides_the_one_before(photographed, tmp_path):
+    first, second = (photo(tmp_path / name, 64, 48) for name in ("first.png", "second.png"))
+    behind = photographed.camera.data.background_images
+    for chosen, other in ((first, None), (second, first), (first, second)):
+        photographed.btfsep.image = chosen
+        said = use_photo.use(bpy.context)
+        assert [b.image for b in behind if b.show_background_image] == [chosen]
+        assert (other is None) or f"'{other.name}' behind it is hidden" in said
+    assert len(behind) == 2
+    behind[1].show_background_image, behind[1].display_depth = True, "FRONT"  # a reference picture of the user's
+    use_photo.use(bpy.context)
+    assert behind[1].show_background_image
+
+
 def test_what_the_file_says_of_who_made_it_is_said(photographed, tmp_path):
     (tmp_path / "a.jpg").write_bytes(with_exif(".jpg", exif("Canon", "Canon EOS 6D", "<")))
     image = bpy.data.images.load(str(tmp_path / "a.jpg"))
@@ -203,7 +224,7 @@ def test_what_the_file_says_of_who_made_it_is_said(photographed, tmp_path):
     (tmp_path / "b.jpg").write_bytes(marked.replace(b"Exif", b"Exof"))
     image = bpy.data.images.load(str(tmp_path / "b.jpg"))
     assert use_photo.read_as(image, "auto") == (
-        "rendered by Blender, says the file: which of Blender's views saved it is found from the photo"
+        "the file says that Blender rendered it; its view transform is found from the photo"
     )
     assert images.read_linear(tmp_path / "b.jpg").is_render
     assert use_photo.read_as(image, "srgb") == "read as sRGB"

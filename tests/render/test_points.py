@@ -2,6 +2,7 @@
 """Which pixels enter a fit: shared by what is seen of each object, saturated ones where they count as bounds."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -53,6 +54,16 @@ def test_saturated_pixels_are_bounds_with_a_prior_and_left_out_without(job, esti
     (said,) = scene.reporter.warnings
     assert "object 'object 1'" in said and ("at least as bright" in said) == bounds
     assert int(said.split(" %")[0]) == pytest.approx(100 * (clipped | transparent).sum() / region.sum(), abs=0.5)
+
+
+def test_of_a_mirror_it_is_said_that_its_lamps_are_clipped(job):
+    _, region = scene_of(job).regions
+    clipped = region & (np.arange(96)[:, None] < 60)
+    scene = scene_with(job, clipped=clipped, usable=~clipped)
+    scene.mirrors = (SimpleNamespace(index=1),)
+    photographed_regions(scene, choose("draft"))
+    (said,) = scene.reporter.warnings
+    assert said.startswith("lamps are clipped in what mirrors") and "object 'object 1'" in said
 
 
 def test_of_what_is_transparent_alone_no_bound_is_said(job):

@@ -156,7 +156,7 @@ def test_a_table_that_is_not_known_is_found_grey_and_a_black_one_explains_nothin
     beside = solve_model(black.model, beside=known.fit)[1].fit
     assert beside.evidence < min(known.fit.evidence, unknown.fit.evidence) - 50
     assert off_as_seen(beside.coefficients, truth) > 0.1
-    assert known.choice["surroundings"] == "of 1 of 1 occluders the job says the surface"
+    assert known.choice["surroundings"] == "the surface of 1 of 1 occluders is given"
     assert known.choice["interreflections"].startswith("interreflections are modelled")
     greys = unknown.scene.greys
     assert abs(greys.albedos[0] - 0.6) < 0.2 and greys.shares.sum() == pytest.approx(1)

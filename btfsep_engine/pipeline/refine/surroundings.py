@@ -142,7 +142,7 @@ def surroundings_words(problems) -> str:
         count, seen = len(scene.job.occluders), scene.colours.values()
         unknown = sum(o.surface is None for o in scene.job.occluders)
         if unknown < count:
-            said.append(f"of {count - unknown} of {count} occluders the job says the surface")
+            said.append(f"the surface of {count - unknown} of {count} occluders is given")
         if seen:
             each = ", ".join("({:.2f}, {:.2f}, {:.2f})".format(*colour) for colour in seen)
             said.append(f"of {len(seen)} of {count} occluders the photo shows the colour: red, green, blue {each}")
