@@ -17,6 +17,7 @@ from . import (
     library_assets,
     light_controls,
     light_operators,
+    light_panel,
     live,
     looking,
     mask,
@@ -57,6 +58,7 @@ MODULES = (
     sequence_run,
     live,
     panels,
+    light_panel,
     command,
 )
 
