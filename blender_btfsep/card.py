@@ -29,6 +29,7 @@ BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
 COMMANDS = re.compile(r" \([^()]*--[^()]*\)|; see stddev in lighting\.json")  # what the command line is told
 BEHIND = "what the mirror hides"
+AROUND = "what the table, or whatever stands around, keeps away"
 
 
 def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_per_unit: float = 1.0) -> dict:
@@ -52,7 +53,8 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     if any(a.phrase == NONE_OF_THESE for _, a in told):  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
     shown = {a.short: {"short": a.short, "mend": a.mend, "object": ""} for _, a in told if a.short}
-    error = (result.get("expected_error") or {}).get("order_2") or (result.get("expected_error") or {}).get("order_1")
+    errors = result.get("expected_error_shown") or result.get("expected_error") or {}
+    error = errors.get("order_2") or errors.get("order_1")
     trust = "NONE"
     if error:
         by_warnings = worst(*[a.level for _, a in told]) if told else "GREEN"
@@ -67,7 +69,7 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     lines = [
         ("Trust", words),
         *_key_and_fill(result, lighting, to_world, metres_per_unit),
-        ("Not shown", BEHIND if "mirrors" in (result.get("choice") or {}) else _not_shown(lighting)),
+        ("Not shown", _unseen(result) or _not_shown(lighting)),
     ]
     materials = _materials(result)
     if materials:
@@ -127,6 +129,13 @@ def _beam(direction, terms: int) -> np.ndarray:
 def _in_the_world(direction) -> str:
     around, up = angles(direction)
     return f"azimuth {around:.0f}°, {abs(up):.0f}° {'up' if up >= 0 else 'down'}"
+
+
+def _unseen(result: dict) -> str:
+    """What stands between the light and the photo; empty where nothing does."""
+    if "mirrors" in (result.get("choice") or {}):
+        return BEHIND
+    return AROUND if result.get("expected_error_shown") else ""
 
 
 def _not_shown(lighting: dict) -> str:

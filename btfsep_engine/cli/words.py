@@ -14,6 +14,9 @@ def estimate(result: dict) -> str:
     if result["expected_error"]:
         errors = [f"{v['median']:.2f} up to {k.replace('_', ' ')}" for k, v in result["expected_error"].items()]
         lines.append(f"expected error: {', '.join(errors)} (relative, one free scale)")
+    if result.get("expected_error_shown"):
+        errors = [f"{v['median']:.2f} up to {k.replace('_', ' ')}" for k, v in result["expected_error_shown"].items()]
+        lines.append(f"of the light that reaches the photo, past what stands around: {', '.join(errors)}")
     lines.append(
         f"residual {result['residual']:.3f}, condition number {result['condition_number']:.0f}, "
         f"{result['seconds']['total']:.1f} s"

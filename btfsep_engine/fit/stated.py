@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from btfsep_engine import sh
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.log_field import natural_spread
 
 DETERMINED = 0.5  # of what a coefficient could be: known to better than that
@@ -122,6 +123,11 @@ class Fit:
         return self.all_coefficients if self.tint is None else self.all_coefficients / self.tint.gain
 
     @property
+    def hidden(self) -> np.ndarray | None:
+        """From where no light reaches what is photographed, as `log_field.LogField` has it; None: from nowhere."""
+        return None if self.election is None else self.election.photo.fields[0].hidden
+
+    @property
     def evidence(self) -> float | None:
         """Logarithm of how probable the photo is under the model, comparable for the same photo alone."""
         return None if self.election is None else self.election.solution.evidence
@@ -161,6 +167,19 @@ def _percentiles(samples, percentages) -> np.ndarray:
     below = np.minimum(at.astype(int), max(n - 2, 0))
     first, second = by_number[:, below], by_number[:, np.minimum(below + 1, n - 1)]
     return (first + (at - below) * (second - first)).T.reshape(-1, *samples.shape[1:])
+
+
+def of_reaching(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """All coefficients and the samples of a fit, as of its light without that which does not reach the photo."""
+    places = fibonacci_sphere(len(fit.hidden))
+    y = sh.evaluate(sh.order_of(len(fit.all_coefficients)), places)
+    to_reaching = (y[~fit.hidden].T @ y[~fit.hidden]) * (4 * np.pi / len(places))
+    return to_reaching @ fit.all_coefficients, to_reaching @ fit.samples
+
+
+def shown_error(fit: Fit) -> dict | None:
+    """`expected_error` of the light that reaches the photo; None where all light does, or without a prior."""
+    return None if fit.hidden is None or fit.samples is None else expected_error(*of_reaching(fit))
 
 
 def restated(fit: Fit, samples) -> Fit:

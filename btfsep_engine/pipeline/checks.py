@@ -7,6 +7,7 @@ from btfsep_engine import kept
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.fit.search import BESIDE, LAMP_COST
+from btfsep_engine.fit.stated import of_reaching, stated_by
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
@@ -131,11 +132,16 @@ def uncertainty_doubts(estimate) -> list[str]:
             f"the fit is badly conditioned (condition number {estimate.fit.condition:.0f}): {count} of {terms} "
             "coefficients are determined by the photo; --estimator map or a lower --order is steadier"
         )
-    if estimator == "map" and not lighting.determined[: min(terms, 4)].all():
-        out.append(
-            f"the photo determines {count} of {terms} coefficients, and not all of the first four, which hold the "
-            "main direction of the light: the others are natural light's average; see stddev in lighting.json"
-        )
+    if estimator == "map":
+        known, of_what = lighting.determined, ""
+        if estimate.fit.hidden is not None:  # of light from below a table nothing is known, and nothing needs it
+            known, of_what = stated_by(*of_reaching(estimate.fit)).determined[:terms], " of the light that reaches it"
+        if not known[: min(terms, 4)].all():
+            out.append(
+                f"the photo determines {int(known.sum())} of {terms} coefficients{of_what}, and not all of the first "
+                "four, which hold the main direction of the light: the others are natural light's average; see stddev "
+                "in lighting.json"
+            )
     # the log-normal light is positive itself: what its series lacks is in lighting.exr
     clamped = 0.0 if estimator == "map" else clamped_share(lighting.sky)
     if clamped > THRESHOLDS.clamped:

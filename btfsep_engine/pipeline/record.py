@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine import __version__, sh
-from btfsep_engine.fit.stated import expected_error
+from btfsep_engine.fit.stated import expected_error, shown_error
 from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.mending import mending_record
 from btfsep_engine.pipeline.settings import Settings
@@ -102,6 +102,7 @@ def result_record(estimate) -> dict:
         "colour_unknown": None if fit.tint is None else fit.tint.unknown,
         "determined": determined_words(fit.determined, fit.all_determined),
         "expected_error": None if fit.samples is None else expected_error(fit.coefficients, fit.samples),
+        "expected_error_shown": shown_error(fit),
         "choice": estimate.choice,
         "photos": [photo_record(p) for p in estimate.photos],
         "condition_number": fit.condition,

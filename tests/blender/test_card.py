@@ -187,6 +187,17 @@ def test_what_lowers_the_trust_is_pointed_at():
     assert card.card_of(result, lighting(), FRONT)["lines"][0][1].startswith("Good: ")
 
 
+def test_on_a_table_the_trust_is_in_the_light_that_reaches_the_photo():
+    of_all = {"order_2": {"median": 0.6, "low": 0.4, "high": 0.9}}
+    result = {"expected_error": of_all, "expected_error_shown": None}
+    found = card.card_of(result, lighting(), FRONT)
+    assert found["trust"] == "RED" and dict(map(tuple, found["lines"]))["Not shown"] != card.AROUND
+    result["expected_error_shown"] = {"order_2": {"median": 0.1, "low": 0.05, "high": 0.2}}
+    found = card.card_of(result, lighting(), FRONT)
+    assert found["trust"] == "GREEN" and found["lines"][0][1].startswith("Good: about 10% off")
+    assert dict(map(tuple, found["lines"]))["Not shown"] == card.AROUND
+
+
 def test_a_few_pixels_are_no_warning():
     few, many = (f"photo.png: {n} of 388800 pixels are saturated" for n in (7, 4000))
     found = card.card_of({}, lighting(), FRONT, warnings=[few])

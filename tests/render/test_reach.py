@@ -6,17 +6,25 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
+from btfsep_engine import sh
+from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.stated import of_reaching
 from btfsep_engine.job.model import Occluder
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.checks import uncertainty_doubts
+from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.problem import make_problem
+from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import REACHES, hidden_directions, light_solver
 from btfsep_engine.render.reach import response
 from btfsep_engine.render.sampling import spread
-from tests.render.scenes import as_mesh, ball, job_of, looking_down, scene_of
+from tests.render.scenes import as_mesh, ball, job_of, looking_down, positive_light, scene_of, with_photo
 
 WHITE = Lambertian("test/white", np.full(3, 0.8))
+WHITE_NAME = "reference/white-diffuse"
 DIRECTIONS = fibonacci_sphere(400)
 
 
@@ -71,3 +79,29 @@ def test_what_is_hidden_is_asked_only_where_something_stands_around():
             continue
         assert hidden[DIRECTIONS[:, 2] < -0.2].all() and not hidden[DIRECTIONS[:, 2] > 0.1].any()
         np.testing.assert_array_equal(light_solver([problem], choose("draft", order=2)).field.hidden, hidden)
+
+
+def test_what_is_stated_of_a_thing_on_a_table_is_of_the_light_that_reaches_it():
+    scene, points = a_ball(on_table=True)
+    light = SHLighting(positive_light(2))
+    image = np.zeros((96, 96, 3), np.float32)
+    noise = np.random.default_rng(0).normal(1, 0.02, (len(points), 3))
+    white = open_library(None).load(WHITE_NAME)
+    image[tuple(points.pixels.T)] = scene.radiance(points, white, light, directions=4096)[:, 0] * noise
+    job = with_photo(scene.job, image)
+    found = estimate(scene_of(job), open_library(None), choose("draft", order=2, bounces=1), material=WHITE_NAME)
+    record, fit = result_record(found), found.fit
+    shown, whole = (record[key]["order_2"]["median"] for key in ("expected_error_shown", "expected_error"))
+    assert shown < 0.7 * whole
+    reaching = of_reaching(fit)[0]
+    truth = np.pad(positive_light(2), ((0, 91), (0, 0)))
+    of_truth = of_reaching(replace(fit, all_coefficients=truth))[0]
+    scale = (reaching[:9] * of_truth[:9]).sum() / (reaching[:9] ** 2).sum()
+    assert np.linalg.norm(scale * reaching[:9] - of_truth[:9]) < 2 * shown * np.linalg.norm(of_truth[:9])
+    below = DIRECTIONS[DIRECTIONS[:, 2] < -0.5]
+    assert np.abs(sh.series(reaching, below)).max() < 0.2 * np.abs(sh.series(reaching, -below)).max()
+    assert not any("not all of the first four" in said for said in uncertainty_doubts(found))
+    by_itself = scene_of(replace(job, occluders=()))
+    alone = estimate(by_itself, open_library(None), choose("draft", order=2, bounces=1), material=WHITE_NAME)
+    assert result_record(alone)["expected_error_shown"] is None
+    assert any("not all of the first four" in said for said in uncertainty_doubts(alone))
