@@ -27,7 +27,7 @@ SETTLED = 1e-4  # relative change of an exposure
 ELECTED_ANEW = 0.1  # as such: the light was of another photograph
 APART = 1 << 30  # blocks' numbers of one photo
 HIDING = 400  # directions, 10 degrees apart, in which is asked whether light comes from there,
-REACHES = 0.01  # more of it than that, of the largest
+REACHES = 5e-4  # more of it than that, of the largest: as good as none. Where less than 0.01 comes, edges show still
 
 
 @dataclass(frozen=True)
