@@ -69,17 +69,20 @@ def test_a_smooth_sky_has_no_lamp_and_is_a_free_one(rng):
     assert off(fit, sky()) < 0.08
 
 
-def test_a_weak_lamp_beside_a_bright_one_is_found_where_it_is_worth_its_cost(rng):
+def test_a_weak_lamp_beside_much_light_is_found_where_it_is_worth_its_cost(rng):
     """Between 5 and 50 of the logarithm of the evidence."""
-    fit, _, _ = solved(rng, even((0.05,) * 3) + lamp(SUN, [3.0] * 3) + lamp(FILL, [0.15] * 3), noise=0.08, pixels=300)
-    assert is_plain(fit) and apart(fit.lamps[-1], FILL) < 5
+    fit, _, _ = solved(rng, even() + lamp(SUN, [0.7] * 3), noise=0.08, pixels=300)
+    assert is_plain(fit) and len(fit.lamps) == 1 and apart(fit.lamps[0], SUN) < 12
 
 
-def test_bright_even_light_beside_a_lamp_is_a_sky_s_whatever_its_evidence(rng):
-    x = even() + lamp(SUN, [3.0] * 3)
-    fit, _, _ = solved(rng, x, noise=0.08, pixels=300)
-    assert not is_plain(fit) and fit.election.rival is None
-    assert len(fit.lamps) == 1 and apart(fit.lamps[0], SUN) < 5 and off(fit, x) < 0.06
+@pytest.mark.parametrize("dark", [False, True])
+def test_bright_even_light_with_lamps_that_leaves_much_over_is_a_field_s_whatever_its_evidence(rng, dark):
+    fit, _, _ = solved(rng, even(((0.1 if dark else 1.0),) * 3) + lamp(SUN, [3.0] * 3))
+    plain, rich, photo = fit.election.solution, fit.election.rival, fit.election.photo
+    assert is_plain(fit) and even_share(plain) == pytest.approx(0.3 if dark else 0.81, abs=0.05)
+    for brighter, stand in ((0.0, True), (0.02, True), (0.15, dark)):
+        other = replace(plain, x=plain.x * (1 + brighter))
+        assert (decided(other, rich, photo)[0] is other) is stand
 
 
 def test_of_lamps_in_the_dark_and_a_sky_the_more_probable_stands(rng):
@@ -89,7 +92,9 @@ def test_of_lamps_in_the_dark_and_a_sky_the_more_probable_stands(rng):
     assert even_share(lamps) == pytest.approx(4 * np.pi * 0.1 / (4 * np.pi * 0.1 + 3), rel=0.1)
     for more, stands, rival in ((0.1, True, True), (-2.9, False, True), (-3.1, False, False)):
         plain = replace(lamps, evidence=sky_too.evidence + more)
-        assert decided(plain, sky_too) == ((plain, sky_too) if stands else (sky_too, plain if rival else None))
+        assert decided(plain, sky_too, fit.election.photo) == (
+            (plain, sky_too) if stands else (sky_too, plain if rival else None)
+        )
 
 
 def test_even_light_without_a_lamp_stands_by_evidence_alone(rng):
@@ -97,7 +102,7 @@ def test_even_light_without_a_lamp_stands_by_evidence_alone(rng):
     alone, rich = fit.election.solution, fit.election.rival
     for more, stand in ((0.1, True), (-0.1, False)):
         plain = replace(alone, evidence=rich.evidence + more)
-        assert decided(plain, rich) == ((plain, rich) if stand else (rich, None))
+        assert decided(plain, rich, fit.election.photo) == ((plain, rich) if stand else (rich, None))
 
 
 def test_a_sun_in_a_sky_is_told_from_it(rng):
