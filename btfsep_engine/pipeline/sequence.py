@@ -17,7 +17,7 @@ from btfsep_engine.atomic import write_json
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.over_time import Frame, smoothed, windows
-from btfsep_engine.fit.stated import expected_error
+from btfsep_engine.fit.stated import expected_error, shown_error
 from btfsep_engine.images import SUFFIXES
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job, Photo
@@ -116,6 +116,7 @@ class Frames:
             "residual": residual,
             "determined": determined_words(lighting.determined, fit.all_determined),
             "expected_error": expected_error(fit.coefficients, fit.samples),
+            "expected_error_shown": shown_error(fit),
             "lamps": [lamp_record(lamp) for lamp in fit.lamps],
             "saturated_pixels": photo.saturated,
             "by": found.how,

@@ -96,13 +96,13 @@ def hidden_directions(problems: list[Problem]) -> np.ndarray | None:
     if not any(p.scene.job.occluders for p in problems):
         return None
     directions = fibonacci_sphere(HIDING)
-    each = []
+    hidden = np.ones(HIDING, bool)
     for problem in problems:
-        for points in problem.points:
+        for points in filter(len, problem.points):
             of = [problem.scene.tracer.key, points.position, points.flat_normal]
-            each.append(kept.recalled("reach", of, partial(response, problem.scene.tracer, points, directions)))
-    hidden = (np.array(each) < REACHES).all(0)
-    return hidden if hidden.any() else None
+            found = kept.recalled("reach", of, partial(response, problem.scene.tracer, points, directions))
+            hidden &= found < REACHES
+    return hidden if hidden.any() and not hidden.all() else None
 
 
 def common_dye(problems: list[Problem]):

@@ -19,7 +19,7 @@ from btfsep_engine import kept
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.arrays import dr
-from btfsep_engine.render.tracer import OFFSET, Tracer
+from btfsep_engine.render.tracer import Tracer
 
 SAMPLES = 3000  # surface samples where none are named
 DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more samples would
@@ -119,18 +119,8 @@ class Network:
         arrived : (t,) numbers of the rays that meet a surface, ascending
         taps : (t, NEIGHBOURS) samples around, weights : (t, NEIGHBOURS) float32, summing to 1
         """
-        starts = position + OFFSET * self.tracer.radius * normal
-        hits = self.tracer.nearest(starts, omega)
-        arrived = np.flatnonzero(hits.mesh >= 0)
-        arrival = starts[arrived] + hits.distance[arrived, None] * omega[arrived]
-        facing = np.empty_like(arrival)
-        for number, mesh in enumerate(self.tracer.meshes):
-            mine = hits.mesh[arrived] == number
-            corners = mesh.vertices[mesh.faces[hits.face[arrived][mine]]]
-            facing[mine] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
-        facing *= -np.sign((facing * omega[arrived]).sum(1, keepdims=True))
-        feature = self._feature(arrival, facing)
+        arrived, places, facing = self.tracer.arrivals(position, normal, omega)
+        feature = self._feature(places, facing)
         distance, taps = self._tree.query(feature, k=NEIGHBOURS, workers=dr.thread_count())
         weights = (1 / (distance + 1e-3)).astype(np.float32)
         return arrived, taps, weights / weights.sum(1, keepdims=True)

@@ -7,7 +7,7 @@ are: they ring, by a tenth of the largest response. Who asks rays instead knows.
 
 import numpy as np
 
-from btfsep_engine.render.tracer import MISS, OFFSET, Tracer
+from btfsep_engine.render.tracer import Tracer
 
 PLACES = 400  # of what is photographed, and as many rays from there that end on other surfaces
 
@@ -26,13 +26,8 @@ def response(tracer: Tracer, points, directions, *, seed: int = 0) -> np.ndarray
     straight = _irradiance(tracer, some.position, some.flat_normal, directions).mean(0)
     towards = some.flat_normal + _on_sphere(random, len(some))  # as much as the cosine says
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-    starts = some.position + OFFSET * tracer.radius * some.flat_normal
-    hits = tracer.nearest(starts, towards)
-    met = np.flatnonzero(hits.mesh != MISS)
-    places = starts[met] + hits.distance[met, None] * towards[met]
-    normals = np.array([_normal(tracer, hits.mesh[i], hits.face[i]) for i in met]).reshape(-1, 3)
-    normals *= -np.sign((normals * towards[met]).sum(1, keepdims=True))
-    by_another = _irradiance(tracer, places, normals, directions).sum(0) / len(some)
+    _, places, facing = tracer.arrivals(some.position, some.flat_normal, towards)
+    by_another = _irradiance(tracer, places, facing, directions).sum(0) / len(some)
     together = straight + by_another
     return together / max(float(together.max()), 1e-300)
 
@@ -46,10 +41,3 @@ def _irradiance(tracer: Tracer, positions, normals, directions) -> np.ndarray:
 def _on_sphere(random, count: int) -> np.ndarray:
     each = random.standard_normal((count, 3))
     return each / np.linalg.norm(each, axis=1, keepdims=True)
-
-
-def _normal(tracer: Tracer, mesh: int, face: int) -> np.ndarray:
-    """(3,), unit, of a face."""
-    a, b, c = tracer.meshes[mesh].vertices[tracer.meshes[mesh].faces[face]]
-    across = np.cross(b - a, c - a)
-    return across / max(float(np.linalg.norm(across)), 1e-300)

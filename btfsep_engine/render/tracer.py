@@ -146,6 +146,27 @@ class Tracer:
         dr.eval(seen)
         return seen
 
+    def arrivals(self, positions, offset_normals, directions):
+        """Where rays of their own directions (n, 3) from points (n, 3) meet a surface.
+
+        Returns
+        -------
+        arrived : (m,) numbers of those that do, ascending
+        places : (m, 3) float64, world; facing : (m, 3), unit, the normals of the faces there, on the rays' side
+        """
+        starts = np.asarray(positions, np.float64) + OFFSET * self.radius * np.asarray(offset_normals, np.float64)
+        hits = self.nearest(starts, directions)
+        arrived = np.flatnonzero(hits.mesh != MISS)
+        places = starts[arrived] + hits.distance[arrived, None] * directions[arrived]
+        facing = np.empty_like(places)
+        for number, mesh in enumerate(self.meshes):
+            mine = hits.mesh[arrived] == number
+            corners = mesh.vertices[mesh.faces[hits.face[arrived][mine]]]
+            facing[mine] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-300)
+        facing *= -np.sign((facing * directions[arrived]).sum(1, keepdims=True))
+        return arrived, places, facing
+
     def sees_sky(self, positions, offset_normals, directions) -> np.ndarray:
         """Whether each point (n, 3) sees the sky in its own direction (n, 3): (n,) bool."""
         starts = np.asarray(positions, np.float64) + OFFSET * self.radius * np.asarray(offset_normals, np.float64)

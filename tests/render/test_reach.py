@@ -79,6 +79,8 @@ def test_what_is_hidden_is_asked_only_where_something_stands_around():
             continue
         assert hidden[DIRECTIONS[:, 2] < -0.2].all() and not hidden[DIRECTIONS[:, 2] > 0.1].any()
         np.testing.assert_array_equal(light_solver([problem], choose("draft", order=2)).field.hidden, hidden)
+        empty = replace(problem, points=[points.take(np.zeros(0, int))])
+        assert hidden_directions([empty]) is None  # which the fit refuses in words
 
 
 def test_what_is_stated_of_a_thing_on_a_table_is_of_the_light_that_reaches_it():
