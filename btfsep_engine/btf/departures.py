@@ -5,8 +5,9 @@ Each is an ordinary table over the library's views and lights, linear in what it
 to know nothing new:
 
 - a diffuse material may be rough, as plaster and clay are (Oren and Nayar 1994, the qualitative model): it brightens
-  towards grazing light and towards the lamp;
-- any material may have a thin gloss more, that of a rough dielectric (GGX, reflectance 0.04 straight on);
+  towards grazing light and towards the lamp, and has a thin gloss, that of a rough dielectric (GGX, reflectance 0.04
+  straight on), which lies on nothing smooth;
+- a tabulated one may have that gloss more;
 - a tabulated one may be duller: a part of it replaced by a diffuse one of the same albedo.
 """
 
@@ -21,7 +22,8 @@ ROUGHNESSES = (0.2, 0.3)  # sigma of Oren and Nayar's slopes, radians
 GLOSS = 0.7  # roughness of the gloss that is added, and its alpha's root
 F0 = 0.04
 DULLER = 0.4  # of the material, replaced by a diffuse one
-EACH = -3.0  # logarithm of the prior probability of one departure, against none
+EACH = -3.0  # logarithm of the prior probability of a measured material's departure, against none; nothing is as
+# Lambert has it, and that a matte surface is rough is as probable as that it is not
 LEAST_COSINE = 1e-3
 
 
@@ -44,11 +46,11 @@ def departures(material: Material) -> list[Departure]:
         return []
     gloss = gloss_lobe()
     if material.matte_albedo is not None:
-        found = [Departure("a little gloss", _table(material, _diffuse(material, 1.0) + gloss), EACH)]
+        found = []
         for i, sigma in enumerate(ROUGHNESSES):
             rough = _diffuse(material, oren_nayar(sigma)[..., None])
             words = f"roughness (Oren and Nayar's sigma {sigma}) and a little gloss"
-            found.append(Departure(words, _table(material, rough + gloss), 2 * EACH, further=i > 0))
+            found.append(Departure(words, _table(material, rough + gloss), 0.0, further=i > 0))
         return found
     mean = material.mean_material().table
     values = mean.angular[..., 0] * mean.texels[0, 0, 0] if mean.texels.shape[-1] == 1 else mean.mean_abrdf

@@ -123,7 +123,7 @@ def test_a_frame_has_the_light_of_an_estimate_in_every_digit(bowl_frames, capsys
 
 def test_what_a_thing_departs_from_its_material_by_stays(sphere_job_folder, capsys):
     folder, _ = sphere_job_folder
-    rough = departures(WHITE)[2].material
+    rough = departures(WHITE)[1].material
     photographed(folder, {"1.exr": lamp_light(), "2.exr": lamp_light(OTHER)}, rough)
     frames = answer(capsys, "sequence", folder, "--images", folder / "frames" / "*")["frames"]
     assert "roughness" in frames[0]["choice"]["reflectance"] and frames[1]["choice"] is None

@@ -167,10 +167,29 @@ def test_a_table_that_is_not_known_is_found_grey_and_a_black_one_explains_nothin
 
 def test_a_photo_does_not_argue_a_table_that_is_there_away():
     """Evidence against light between surfaces may leave out what an object sends itself, but makes no table black."""
-    worse, better = SimpleNamespace(evidence=0.0), SimpleNamespace(evidence=100.0)
+    worse, better = SimpleNamespace(evidence=0.0, residual=0.1), SimpleNamespace(evidence=100.0, residual=0.05)
     with_table, alone = (prepared(*o)[0] for o in ([table(4.0, matte(0.8))], []))
-    assert contradicted([alone], worse, better) and not contradicted([alone], better, worse)
-    assert not contradicted([with_table], worse, better)
+    assert contradicted([alone], worse, better, 0.1) and not contradicted([alone], better, worse, 0.1)
+    assert not contradicted([with_table], worse, better, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("share", "gain", "residual", "left_out"),
+    [
+        (0.1, 10, 0.2, True),
+        (0.1, 10, 0.19, False),
+        (0.1, 30, 0.2, False),
+        (0.03, 10, 0.2, False),
+        (0.1, 10, 0.21, True),
+        (0.25, 10, 0.2, False),  # other light imitates it
+    ],
+)
+def test_light_between_surfaces_that_a_photo_would_show_and_does_not_is_left_out(share, gain, residual, left_out):
+    """Of a shape that was found without it, as by photometric stereo, evidence hardly moves: nothing is explained."""
+    alone, _ = prepared()
+    without = SimpleNamespace(evidence=400.0, residual=0.2)
+    fit = SimpleNamespace(evidence=400.0 + gain, residual=residual)
+    assert contradicted([alone], fit, without, share) is left_out
 
 
 def test_what_is_stated_is_a_mixture_over_the_greys():
