@@ -184,8 +184,10 @@ def recognised(photo, region, window, recogniser: Recogniser, library, verificat
         return replace(answer, likely=None, unknown=first.unknown, unknown_score=first.unknown_score)
     if not answer.unknown or verification is None:
         return answer
-    evidence = {s: verification.explained(library.load(s), radiance).evidence for s in SURFACES}
-    return replace(answer, stand_in=max(evidence, key=evidence.get))
+    first, *others = SURFACES
+    explained = {first: verification.explained(library.load(first), radiance)}
+    explained |= {s: verification.explained(library.load(s), radiance, explained[first]) for s in others}
+    return replace(answer, stand_in=max(explained, key=lambda name: explained[name].evidence))
 
 
 def candidate_cues(radiance, vectors, recogniser: Recogniser, library, verification) -> tuple[tuple[str, ...], dict]:

@@ -55,12 +55,14 @@ class Explained:
         a lamp and go negative
     colour : (3,), the light's mean radiance
     evidence : logarithm of how probable the photo is
+    effective : how many independent channels its misfit was taken to have: evidences are compared where it is the same
     solution : of the fit
     """
 
     light: np.ndarray
     colour: np.ndarray
     evidence: float
+    effective: float
     solution: Solution
 
 
@@ -162,7 +164,7 @@ class Verification:
         count = len(names)
         materials = [load(name) for name in names[:EXPLAINED]]
         first = self.explained(materials[0], radiance)  # the others' lights are looked for from there on
-        explained = [first, *(self.explained(material, radiance, first.solution) for material in materials[1:])]
+        explained = [first, *(self.explained(material, radiance, first) for material in materials[1:])]
         evidence = np.array([e.evidence for e in explained])
         # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
         mirrors = np.array([m.mirror_reflectance is not None for m in materials])
@@ -187,10 +189,10 @@ class Verification:
         ]
         return cues | {cue: _of_all(np.array([s[cue] for s in similar]), likely, count) for cue in SIMILARITIES}
 
-    def explained(self, material, radiance, start=None) -> Explained:
+    def explained(self, material, radiance, beside: Explained | None = None) -> Explained:
         """What a material explains by its mean ABRDF of ``radiance`` (h, w, 3), the window of the photograph.
 
-        ``start`` : fit.search.Solution, another material's
+        ``beside`` : another material's, with whose evidence this one's is compared
         """
         if material.name not in self._bases:
             self._bases[material.name] = self.few_transport.radiance(material.mean_material(), SHBasis(ORDER))
@@ -199,12 +201,13 @@ class Verification:
         good = np.isfinite(b).all(-1)
         with one_thread():
             basis = Basis(self._bases[material.name][good], self.points.normal[self.few][good])
-            photo = CoarselyLit(basis, b[good])
-            if start is not None:  # another material's: from there, a light of its own is soon found roughly
-                start = solve(photo, start.model, white=start.white, v=start.v, rounds=1, steps=NEARBY)
+            photo, start = CoarselyLit(basis, b[good], effective=beside and beside.effective), None
+            if beside is not None:  # from there, a light of its own is soon found roughly
+                other = beside.solution
+                start = solve(photo, other.model, white=other.white, v=other.v, rounds=1, steps=NEARBY)
             best = natural_light(photo, rounds=2, start=start)
         light = CELLS.means(best.radiance, best.model.field.directions) * photo.level
-        return Explained(light, best.x[:, 0] * photo.level, best.evidence, best)
+        return Explained(light, best.x[:, 0] * photo.level, best.evidence, photo.effective, best)
 
     def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> dict[str, float]:
         """`SIMILARITIES` of the photograph and a material under a light: a cosine, -1 to 1, and differences, <= 0."""

@@ -38,10 +38,10 @@ class Remembering(Verification):
         super().__init__(*scene_and_more)
         self.known: dict = {}
 
-    def explained(self, material, radiance, start=None):
+    def explained(self, material, radiance, beside=None):
         key = "explained", material.name
         if key not in self.known:
-            self.known[key] = super().explained(material, radiance, start)
+            self.known[key] = super().explained(material, radiance, beside)
         return self.known[key]
 
     def similarity(self, material, *about):

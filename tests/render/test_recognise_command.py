@@ -121,6 +121,9 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
             assert cues[cue][2] == pytest.approx(cues[cue][:2].mean())
         assert cues["texture"][1] > cues["texture"][0] + 0.1 and cues["contrast"][1] > -0.1
         assert cues["evidence"].max() == 0 and cues["tint"][1] > -3
+        first, alone = (verification.explained(library.load(name), radiance) for name in (right, wrong))
+        beside = verification.explained(library.load(wrong), radiance, first)
+        assert beside.effective == first.effective != alone.effective  # or their evidences could not be compared
         again = verification.cues(names, votes, recogniser, 3 * radiance, vectors, library.load)
         np.testing.assert_allclose(again["contrast"], cues["contrast"], atol=1e-3)  # whatever the exposure
 
