@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from btfsep_engine.conventions import across
+from btfsep_engine.light.hidden_light import hidden_share
 from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, LogField
 
 OF_LAMP = 5  # unknowns
@@ -78,11 +79,29 @@ class LightModel:
         x = self.field.shown(radiance)
         return (x + self._of_lamps(of_lamps) if self.lamps else x), radiance
 
-    def whole(self, white) -> np.ndarray:
-        """Coefficients (…, 3, terms) of all of the light, be it hidden or not, of unknowns (…, k)."""
+    def whole(self, white, off=0.0) -> np.ndarray:
+        """Coefficients (…, 3, terms) of all of the light, be it hidden or not, of unknowns (…, k).
+
+        ``off`` : (…), standard deviations by which hidden light is brighter than it usually is
+        """
+        x, factor, hidden = self._with_hidden(white, off)
+        return x if hidden is None else x + (factor - 1)[..., None, None] * hidden
+
+    def radiance(self, white, directions) -> np.ndarray:
+        """The field's radiance in directions (…, 3), hidden or not, of unknowns (k,): (…, 3)."""
+        out = self.field.at(self.parts(white)[0], directions)
+        _, factor, hidden = self._with_hidden(white, 0.0)
+        if hidden is None:
+            return out
+        return out * (1 + (factor - 1) * hidden_share(self.field.hidden, directions)[..., None])
+
+    def _with_hidden(self, white, off):
+        """Coefficients of all light as the field has it, and `LogField.hidden_light`."""
         of_field, of_lamps = self.parts(white)
-        x = self.field.coefficients(self.field.radiance(of_field))
-        return x + self._of_lamps(of_lamps) if self.lamps else x
+        radiance = self.field.radiance(of_field)
+        x = self.field.coefficients(radiance)
+        x = x + self._of_lamps(of_lamps) if self.lamps else x
+        return x, *((1.0, None) if self.field.hidden is None else self.field.hidden_light(radiance, x, off))
 
     def _of_lamps(self, q) -> np.ndarray:
         """Coefficients (…, 3, terms) of the lamps alone, of their unknowns (…, lamps, 5)."""

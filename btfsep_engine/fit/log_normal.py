@@ -265,7 +265,8 @@ class LightSolver:
         if rival is not None:
             others = posterior_samples(rival, len(lights[::2]), random, model=self._loose(rival.model))[1]
             lights[::2] = others[:, : self.basis.terms]
-        hidden = hidden_lamps(self.basis, SAMPLES, random, lamps=len(model.lamps), shadowed=photo.shadowed)
+        beside = {"lamps": len(model.lamps), "field": self.field, "shadowed": photo.shadowed}
+        hidden = hidden_lamps(self.basis, SAMPLES, random, **beside)
         lights += hidden
         samples = lights * (unit * factors)[:, None]
         lamps = []
@@ -364,5 +365,4 @@ class Election:
 
     def radiance(self, directions) -> np.ndarray:
         """The field's radiance in ``directions : (m, 3)``, without lamps: (m, 3), positive."""
-        model = self.solution.model
-        return model.field.at(model.parts(self.solution.white)[0], np.asarray(directions)) * self.unit
+        return self.solution.model.radiance(self.solution.white, np.asarray(directions)) * self.unit

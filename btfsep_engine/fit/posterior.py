@@ -48,21 +48,23 @@ def posterior_samples(best: Solution, count: int, random, *, model=None) -> tupl
         better = gain > 0
         whites[moving[better]], left[moving[better]] = trial[better], left_there[better]
         moving = moving[gain > CENTRED]
-    return whites, model.whole(whites).transpose(0, 2, 1)
+    off = 0.0 if model.field.hidden is None else random.standard_normal(count)
+    return whites, model.whole(whites, off).transpose(0, 2, 1)
 
 
-def hidden_lamps(basis: Basis, count: int, random, *, lamps: int, shadowed=None) -> np.ndarray:
+def hidden_lamps(basis: Basis, count: int, random, *, lamps: int, field=None, shadowed=None) -> np.ndarray:
     """Lamps in the directions from which hardly a pixel is lit: (count, terms, 3), most of them none.
 
     A field's logarithm is Gaussian, and has no lamps; those that the photo shows, ``lamps`` of them, have been found.
     Of others, behind the object as a rule, nothing is known but that lamps are, and that they come in company: their
     density is that of the known ones where they could be seen, under a Gamma prior of `HIDDEN_LAMPS` in one sphere.
+    ``field`` : whose directions; of hidden ones natural lights say how bright they are, lamps and all.
     ``shadowed`` : as of `products.Photograph`: what else than a pixel that is lit would show a lamp.
     Each is as bright as `fit.light_model` takes lamps to be, or half of its spread from it.
     """
-    field = natural_field()
+    field = field or natural_field()
     response = basis.mean_response @ field.to_coefficients
-    places = field.directions[response < HIDDEN * response.max()]
+    places = field.directions[(response < HIDDEN * response.max()) & field.reaching]
     if shadowed is not None:
         places = places[~shadowed(places)]
     out = np.zeros((count, basis.terms, 3))

@@ -206,6 +206,7 @@ class Photograph:
         self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0, effective=None, slopes=None, field=None
     ):
         self.basis, self._stiff, self._field = basis, coarsening, field or natural_field()
+        self._even = even_field() if self._field.hidden is None else replace(even_field(), hidden=self._field.hidden)
         b = np.asarray(radiance, np.float64) / basis.response
         weight = np.ones_like(b) if weights is None else np.asarray(weights, np.float64)
         level = (weight * b).sum(0) / np.maximum(weight.sum(0), 1e-300)
@@ -235,7 +236,7 @@ class Photograph:
     @property
     def fields(self) -> tuple[LogField, LogField]:
         """The natural and the even field, with as many coefficients as the products are of."""
-        return self._field, even_field()
+        return self._field, self._even
 
     @property
     def noise_unit(self) -> np.ndarray:

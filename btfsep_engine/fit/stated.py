@@ -169,11 +169,15 @@ def _percentiles(samples, percentages) -> np.ndarray:
     return (first + (at - below) * (second - first)).T.reshape(-1, *samples.shape[1:])
 
 
+def reaching_part(hidden, order: int) -> np.ndarray:
+    """What is left of coefficients of an order without light from ``hidden`` directions: (terms, terms)."""
+    y = sh.evaluate(order, fibonacci_sphere(len(hidden))[~hidden])
+    return (y.T @ y) * (4 * np.pi / len(hidden))
+
+
 def of_reaching(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """All coefficients and the samples of a fit, as of its light without that which does not reach the photo."""
-    places = fibonacci_sphere(len(fit.hidden))
-    y = sh.evaluate(sh.order_of(len(fit.all_coefficients)), places)
-    to_reaching = (y[~fit.hidden].T @ y[~fit.hidden]) * (4 * np.pi / len(places))
+    to_reaching = reaching_part(fit.hidden, sh.order_of(len(fit.all_coefficients)))
     return to_reaching @ fit.all_coefficients, to_reaching @ fit.samples
 
 

@@ -27,6 +27,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.light.hidden_light import hidden_share, usual_brightness
 
 TABLE = Path(__file__).resolve().parents[1] / "data" / "natural_log_light.json"
 CHROMA = np.array([[1, 1 / 2, -1 / 3], [1, 0, 2 / 3], [1, -1 / 2, -1 / 3]])  # V: channels over (l, c1, c2)
@@ -109,10 +110,37 @@ class LogField:
 
     @cached_property
     def reaching(self) -> np.ndarray:
-        """(n,) bool, the directions that are not hidden."""
-        if self.hidden is None:
+        """(n,) bool, the directions that are not hidden; all that is even is shown as it is."""
+        if self.hidden is None or len(self.directions) == 1:
             return np.ones(len(self.directions), bool)
         return ~self.hidden[(self.directions @ fibonacci_sphere(len(self.hidden)).T).argmax(1)]
+
+    @cached_property
+    def _hidden_parts(self) -> tuple[np.ndarray, float]:
+        """T of the light from hidden directions, (n, terms), and how many of all are hidden."""
+        places = self.directions if len(self.directions) > 1 else fibonacci_sphere(self.count)
+        share = hidden_share(self.hidden, places)
+        if len(self.directions) > 1:
+            return self.to_coefficients.T * share[:, None], share.mean()
+        y = sh.evaluate(sh.order_of(self.terms), places) * (4 * np.pi / len(places))
+        return np.pad(share @ y, (0, len(self.to_coefficients) - self.terms))[None], share.mean()
+
+    def hidden_light(self, radiance, all_light, off=0.0) -> tuple:
+        """What hidden light is to be multiplied by, (…), and its coefficients as the field has them, (…, 3, terms).
+
+        Then its mean is to that of all other light as `usual_brightness` says.
+
+        Parameters
+        ----------
+        radiance : (…, 3, n), the field's; all_light : (…, 3, terms), with its coefficients, and lamps beside it
+        off : (…), standard deviations by which hidden light is brighter than it usually is
+        """
+        to_hidden, share = self._hidden_parts
+        found = radiance @ to_hidden.astype(radiance.dtype)
+        mean, stddev = usual_brightness(self.hidden)
+        there, everywhere = found[..., 0].sum(-1), all_light[..., 0].sum(-1)
+        usual = np.exp(mean + stddev * off) * (everywhere - there) * share / (1 - share)
+        return usual / np.maximum(there, 1e-30), found
 
     @cached_property
     def _parts(self) -> list:

@@ -13,6 +13,7 @@ from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.stated import reaching_part
 from btfsep_engine.job.model import Camera, Job, Photo, TriangleMesh
 from btfsep_engine.light.lightings import SHLighting
 from scripts.studies import stage
@@ -81,6 +82,16 @@ def answer(capsys, *command) -> dict:
     """The result of a command."""
     assert main([*map(str, command), "--json"]) == 0
     return json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
+
+
+def off_as_reaching(fit, truth) -> float:
+    """`off_as_seen` of a fit's light, and of the true one (terms, 3), without what does not reach the photo."""
+    if fit.hidden is None:
+        return off_as_seen(fit.coefficients, truth)
+    order = sh.order_of(len(fit.all_coefficients))
+    part, whole = reaching_part(fit.hidden, order), np.zeros_like(fit.all_coefficients)
+    whole[: len(truth)] = truth
+    return off_as_seen(part @ fit.all_coefficients, part @ whole)
 
 
 def off_as_seen(x, truth) -> float:

@@ -19,7 +19,16 @@ from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.reference import Reference
 from btfsep_engine.render.surface import surface_points
-from tests.render.scenes import as_mesh, ball, job_of, looking_down, off_as_seen, positive_light, scene_of, with_photo
+from tests.render.scenes import (
+    as_mesh,
+    ball,
+    job_of,
+    looking_down,
+    off_as_reaching,
+    positive_light,
+    scene_of,
+    with_photo,
+)
 
 SIZE = 64
 COLOUR = np.array([0.8, 0.25, 0.05])
@@ -71,7 +80,7 @@ def test_the_colour_is_read_and_the_light_is_that_beside_a_known_wall(shown, fou
     np.testing.assert_allclose(found.scene.colours[0], COLOUR, rtol=0.07)
     assert found.scene.greys is None and not found.scene.has_unknown
     assert "of 1 of 1 occluders the photo shows the colour: red, green, blue (0." in found.choice["surroundings"]
-    errors = [off_as_seen(f.fit.coefficients, TRUTH) for f in (known, found, unseen)]
+    errors = [off_as_reaching(f.fit, TRUTH) for f in (known, found, unseen)]
     assert errors[1] < 1.1 * errors[0] + 0.003 and errors[2] > 2 * errors[1]
 
 
@@ -155,7 +164,7 @@ def test_what_does_not_go_with_the_objects_is_not_believed(shown, painted):
     image[paint[0]] *= paint[1]
     found, unseen = estimated(image), estimated(image, usable=~wall)
     assert found.fit.evidence >= unseen.fit.evidence - 1
-    assert off_as_seen(found.fit.coefficients, TRUTH) < 1.05 * off_as_seen(unseen.fit.coefficients, TRUTH)
+    assert off_as_reaching(found.fit, TRUTH) < 1.05 * off_as_reaching(unseen.fit, TRUTH)
 
 
 def test_each_photo_is_read_in_its_own_exposure(shown):
@@ -173,4 +182,4 @@ def test_a_further_frame_keeps_the_colour(shown, found):
     frame = follower.estimate(scene)
     assert frame.how != "model chosen"
     assert np.array_equal(frame.estimate.scene.colours[0], found.scene.colours[0])
-    assert off_as_seen(frame.estimate.fit.coefficients, positive_light(2, seed=5)) < 0.08
+    assert off_as_reaching(frame.estimate.fit, positive_light(2, seed=5)) < 0.08

@@ -27,7 +27,7 @@ from tests.render.scenes import (
     ball,
     job_of,
     looking_down,
-    off_as_seen,
+    off_as_reaching,
     picture,
     positive_light,
     scene_of,
@@ -152,10 +152,10 @@ def estimated(occluder, truth):
 def test_a_table_that_is_not_known_is_found_grey_and_a_black_one_explains_nothing():
     truth = positive_light(2)
     known, unknown, black = (estimated(table(4.0, s), truth) for s in (matte(0.6), None, matte(0.0)))
-    assert off_as_seen(known.fit.coefficients, truth) < 0.05
+    assert off_as_reaching(known.fit, truth) < 0.05
     beside = solve_model(black.model, beside=known.fit)[1].fit
     assert beside.evidence < min(known.fit.evidence, unknown.fit.evidence) - 50
-    assert off_as_seen(beside.coefficients, truth) > 0.1
+    assert off_as_reaching(beside, truth) > 0.1
     assert known.choice["surroundings"] == "the surface of 1 of 1 occluders is given"
     assert known.choice["interreflections"].startswith("interreflections are modelled")
     greys = unknown.scene.greys
