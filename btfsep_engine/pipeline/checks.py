@@ -10,6 +10,7 @@ from btfsep_engine.fit.search import BESIDE, LAMP_COST
 from btfsep_engine.fit.stated import of_reaching, stated_by
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
+    albedo_words,
     alignment_doubt,
     clamped_share,
     given_lamp_doubts,
@@ -19,6 +20,7 @@ from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
+from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, surfaces_otherwise
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 
@@ -38,7 +40,7 @@ def all_doubts(estimate) -> list[str]:
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
     out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
-    out += misshapen_doubts(estimate)
+    out += misshapen_doubts(estimate) + occluder_doubts(estimate)
     out += in_front_doubts(estimate) + veil_doubts(estimate)
     return out + curve_doubts(estimate.model.problems, estimate.light)
 
@@ -46,6 +48,18 @@ def all_doubts(estimate) -> list[str]:
 def misshapen_doubts(estimate) -> list[str]:
     """That objects are of another shape than their mesh, or painted (`refine.misshapen`)."""
     return [estimate.choice[UNEXPLAINED]] if UNEXPLAINED in estimate.choice else []
+
+
+def occluder_doubts(estimate) -> list[str]:
+    """That the photo shows surroundings in another colour than the job says."""
+    if OTHERWISE in estimate.choice:
+        return [f"{estimate.choice[OTHERWISE]}; check its 'surface'"]
+    light, settings = estimate.light, estimate.model.settings
+    return [
+        f"{albedo_words(k, said, shown)}: the light is another than was found, or what is said is wrong"
+        for problem, exposure in zip(estimate.model.problems, light.exposures, strict=True)
+        for k, (said, shown) in surfaces_otherwise(problem, exposure * light.fit.all_coefficients, settings).items()
+    ]
 
 
 def in_front_doubts(estimate) -> list[str]:

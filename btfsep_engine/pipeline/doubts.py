@@ -34,6 +34,9 @@ class Thresholds:
     given : of the logarithm of the evidence, that a photo gains without a lamp whose direction is given
     given_off : degrees between it and the lamp that the photo has in its place
     given_share : of the light, under which such a lamp is as good as dark
+    albedo, albedo_times : by how much, and how many times, an occluder is brighter or darker in one channel than its
+        surface says
+    albedo_left : of its pixels, that one colour may leave unexplained
     """
 
     shift: float = 1.5
@@ -52,6 +55,9 @@ class Thresholds:
     given: float = 5.0
     given_off: float = 5.0
     given_share: float = 0.05
+    albedo: float = 0.2
+    albedo_times: float = 1.6
+    albedo_left: float = 0.6
 
 
 THRESHOLDS = Thresholds()
@@ -100,6 +106,22 @@ def given_lamp_doubts(lamp, *, gain: float, instead, shown: bool, beside: bool =
             "leave it out"
         ]
     return []
+
+
+def albedo_differs(said, shown, left: float) -> bool:
+    """Whether an occluder's colour in the photo (3,), which leaves so much of its pixels over, is not its surface's."""
+    t, off = THRESHOLDS, np.abs(said - shown)
+    times = np.maximum(said, shown) / np.maximum(np.minimum(said, shown), 1e-3)
+    return bool(left < t.albedo_left and ((off > t.albedo) & (times > t.albedo_times)).any())
+
+
+def albedo_words(number: int, said, shown) -> str:
+    """That they differ, of an occluder by its number in the job, from 0 on."""
+    words = "{:.2f}, {:.2f}, {:.2f}"
+    return (
+        f"occluder {number + 1} is said to reflect {words.format(*said)} (red, green, blue), and the photo shows about "
+        f"{words.format(*shown)} of it"
+    )
 
 
 def angles_words(direction) -> str:

@@ -35,6 +35,7 @@ from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
+from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
@@ -146,6 +147,7 @@ def left_as_it_is(model: Model, light: SolvedLight):
 
 
 REFINEMENTS = (
+    as_the_photo_shows,
     light_between_surfaces,
     without_things_in_front,
     left_as_it_is,

@@ -61,7 +61,7 @@ class PreparedScene:
         self.mirrors = ()  # mirrors.Mirror, of objects whose pictures in the photo are a rougher metal's
         self.mirror_lights = ()  # mirrors.MirrorLight, by these pictures
         self.mended_by = None  # alignment.Alignment, where the camera is not the job's
-        self.colours = {}  # number of an occluder -> (3,), of which the job does not say it and the photo does
+        self.colours = {}  # number of an occluder -> (3,), as the photo shows it and the job does not, or not so
         self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):
             beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]
@@ -113,8 +113,8 @@ class PreparedScene:
     @property
     def occluder_albedos(self) -> list:
         """Of each occluder (3,), or (n, n, 3) by its UVs: what it reflects of light from all sides."""
-        grey = np.full(3, self.grey)
-        return [self.colours.get(k, grey) if a is None else a for k, a in enumerate(self._known_albedos)]
+        known = [np.full(3, self.grey) if a is None else a for a in self._known_albedos]
+        return [self.colours.get(k, a) for k, a in enumerate(known)]
 
     @property
     def millimetres_per_unit(self) -> float:

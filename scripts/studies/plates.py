@@ -11,7 +11,7 @@ is*), with the camera in line (*in line*), with nothing said of what it is made 
 plastic (*as any plastic*), and a render that was saved with AgX also as if nothing were known of that but what the file
 says (*not said*), or as if it were sRGB (*taken for sRGB*). Objects of the set *several* have three such materials, and
 are estimated with their mean, too (*as their mean*). The error of plates with a table is that of the light from above
-it: what comes from below, nothing in such a photo shows.
+it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
 
 from dataclasses import replace
@@ -43,6 +43,7 @@ SETS = {
     "fourth": 6,
     "fifth": 7,
     "sixth": 8,
+    "seventh": 9,
 }  # seeds; what was chosen by which of them, docs/accuracy.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -176,6 +177,7 @@ def judged(plate, job) -> dict:
     scene, true = scene_of(job), truth(plate)
     found = estimated(scene)
     row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth(found, true, free_scale=True)
+    row["of all light"] = row["order2"]
     if plate["table"]:
         light, samples = above(found.fit.all_coefficients), np.array([above(sample) for sample in found.fit.samples])
         row |= errors(light, above(true)) | {"stated2": expected_error(light, samples)["order_2"]["median"]}
@@ -207,6 +209,7 @@ def shown(plate, folder: Path) -> list:
 COLUMNS = (
     ("plates", lambda rows: len(rows)),
     ("error", tables.spread_of("order2")),
+    ("of all light", tables.spread_of("of all light")),
     ("direction", tables.spread_of("direction", "{:.1f}°")),
     ("stated", tables.median_of("stated2")),
     ("over stated", tables.spread_of("over")),

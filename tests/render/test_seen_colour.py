@@ -12,8 +12,10 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.following import Follower
+from btfsep_engine.pipeline.refine.said_surface import OTHERWISE
 from btfsep_engine.pipeline.refine.seen_colour import BRIGHTEST, LEAST_COSINE, seen_colours, seen_places, sent
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -67,6 +69,10 @@ def estimated(image, surface=None, *, usable=None, mask=None, others=()):
 
     scenes = [scene_with(each) for each in (image, *others)]
     return estimate(scenes[0], open_library(None), SETTINGS, material="reference/white-diffuse", others=scenes[1:])
+
+
+def grey_photo(job):
+    return with_photo(job, np.full((SIZE, SIZE, 3), 0.3))
 
 
 @pytest.fixture(scope="module")
@@ -183,3 +189,40 @@ def test_a_further_frame_keeps_the_colour(shown, found):
     assert frame.how != "model chosen"
     assert np.array_equal(frame.estimate.scene.colours[0], found.scene.colours[0])
     assert off_as_reaching(frame.estimate.fit, positive_light(2, seed=5)) < 0.08
+
+
+@pytest.mark.parametrize("said", [(0.0,) * 3, (0.8,) * 3], ids=["black", "a stand-in's grey"])
+def test_a_wall_that_the_photo_shows_in_another_colour_than_the_job_says_is_as_the_photo_shows_it(shown, found, said):
+    otherwise = estimated(photo_of(shown), Surface(said, roughness=1.0, specular=0.0))
+    np.testing.assert_allclose(otherwise.scene.colours[0], COLOUR, rtol=0.1)
+    words = "occluder 1 is said to reflect {:.2f}, {:.2f}, {:.2f} (red, green, blue)".format(*said)
+    assert words in otherwise.choice[OTHERWISE] and "(by evidence)" in otherwise.choice[OTHERWISE]
+    assert any(words in doubt for doubt in all_doubts(otherwise))
+    assert "the surface of" not in otherwise.choice["surroundings"]
+    assert off_as_reaching(otherwise.fit, TRUTH) < 1.2 * off_as_reaching(found.fit, TRUTH) + 0.003
+
+
+def test_a_wall_that_is_as_the_job_says_is_neither_doubted_nor_read(shown):
+    known = estimated(photo_of(shown), Surface(tuple(COLOUR), roughness=1.0, specular=0.0))
+    assert OTHERWISE not in known.choice and not known.scene.colours
+    assert not any("occluder" in doubt for doubt in all_doubts(known))
+
+
+def test_what_the_objects_speak_against_stays_as_it_is_said_and_is_doubted(shown):
+    """A wall that was painted over in the photo: its pixels say one thing, the ball's another."""
+    image = photo_of(shown)
+    image[shown[1]] = image[shown[1]].mean() * np.array([0.05, 0.3, 1.5])
+    known = estimated(image, Surface(tuple(COLOUR), roughness=1.0, specular=0.0))
+    assert OTHERWISE not in known.choice and not known.scene.colours
+    (doubt,) = (doubt for doubt in all_doubts(known) if "occluder" in doubt)
+    assert "is said to reflect 0.80, 0.25, 0.05" in doubt and "what is said is wrong" in doubt
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [Surface((0.1,) * 3, metallic=1.0), Surface((0.1,) * 3, emission=(0.2, 0, 0))],
+    ids=["metal", "what shines"],
+)
+def test_of_what_shows_no_colour_of_its_own_nothing_is_read(surface):
+    assert seen_places(scene_of(grey_photo(job_with(surface))), said=True) == {}
+    assert seen_places(scene_of(grey_photo(job_with(Surface((0.1,) * 3)))), said=True)

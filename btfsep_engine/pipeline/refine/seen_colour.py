@@ -26,6 +26,7 @@ ROUNDS = 2  # of colours and the light that they are seen under
 SETTLED = 0.05  # of a colour: a change by less is not followed
 AGREE = 0.12  # of what is seen, not explained: one colour leaves 0.03 to 0.12, under hard lamps 0.2, checks 0.5
 AGAINST = 5.0  # of the logarithm of the evidence
+METAL = 0.5  # metallic: what is more of a metal shows the light, and no colour of its own
 LEAST_COSINE = 0.1  # of the way to the objects: one that looks past their middle lights a part of them
 
 
@@ -42,17 +43,20 @@ class Read:
     sure: bool
 
 
-def by_own_pixels(direct, model, light, with_reflections) -> Read | None:
+def by_own_pixels(direct, model, light, with_reflections, of=None) -> Read | None:
     """What the photos show of occluders whose surface is not known; None where they show nothing of it.
 
     Parameters
     ----------
     direct, model : Model without and with light between surfaces; light : SolvedLight of the second
     with_reflections : Model -> the same with light between surfaces
+    of : numbers of occluders in each photograph, which have a surface, instead
     """
     if light.fit.evidence is None:
         return None
-    places = [seen_places(problem.scene) for problem in model.problems]
+    places = [seen_places(problem.scene, said=of is not None) for problem in model.problems]
+    if of is not None:
+        places = [{k: each[k] for k in own} for each, own in zip(places, of, strict=True)]
     if not any(places):
         return None
     first, before = light.fit.evidence, np.inf
@@ -77,10 +81,18 @@ def with_colours(model, colours):
     return model.changed(lambda p, own: replace(p, scene=p.scene.with_colours(own)), colours)
 
 
-def seen_places(scene) -> dict:
-    """{number of an occluder: (SurfacePoints, photo (p, 3))} of those that the photo shows and the job does not say."""
-    seen = {k: places_of(scene, k) for k, o in enumerate(scene.job.occluders) if o.surface is None}
+def seen_places(scene, *, said: bool = False) -> dict:
+    """{number of an occluder: (SurfacePoints, photo (p, 3))} of those that the photo shows and the job does not say.
+
+    ``said`` : of those of which the job says that they are matte or plastic, and do not shine themselves
+    """
+    asked = [k for k, o in enumerate(scene.job.occluders) if _is_asked(o.surface, said)]
+    seen = {k: places_of(scene, k) for k in asked if not (said and k in scene.colours)}
     return {k: places for k, places in seen.items() if places and places[1].any()}  # all black: what was cut out
+
+
+def _is_asked(surface, said: bool) -> bool:
+    return surface is None if not said else bool(surface and surface.metallic < METAL and not any(surface.emission))
 
 
 def seen_colours(problem, places, x, settings) -> dict:

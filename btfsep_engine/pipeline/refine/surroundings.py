@@ -140,9 +140,10 @@ def surroundings_words(problems) -> str:
     said = []
     for scene in (p.scene for p in problems):
         count, seen = len(scene.job.occluders), scene.colours.values()
-        unknown = sum(o.surface is None for o in scene.job.occluders)
-        if unknown < count:
-            said.append(f"the surface of {count - unknown} of {count} occluders is given")
+        given = sum(o.surface is not None and k not in scene.colours for k, o in enumerate(scene.job.occluders))
+        unknown = count - given
+        if given:
+            said.append(f"the surface of {given} of {count} occluders is given")
         if seen:
             each = ", ".join("({:.2f}, {:.2f}, {:.2f})".format(*colour) for colour in seen)
             said.append(f"of {len(seen)} of {count} occluders the photo shows the colour: red, green, blue {each}")
