@@ -35,7 +35,7 @@ from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
-from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows
+from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows, unlike_surroundings
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
@@ -164,6 +164,7 @@ REFINEMENTS = (
     mirrored,
     left_out,
     misshapen,
+    unlike_surroundings,
     misplaced,
 )
 

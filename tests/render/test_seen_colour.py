@@ -10,12 +10,20 @@ import trimesh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.fit.stated import shown_error, widened
 from btfsep_engine.job.model import Occluder, Photo
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.following import Follower
-from btfsep_engine.pipeline.refine.said_surface import OTHERWISE
+from btfsep_engine.pipeline.refine.said_surface import (
+    ERROR,
+    OTHERWISE,
+    UNLIKE,
+    WIDEST,
+    brighter_than_said,
+    unlike_surroundings,
+)
 from btfsep_engine.pipeline.refine.seen_colour import BRIGHTEST, LEAST_COSINE, seen_colours, seen_places, sent
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -226,3 +234,26 @@ def test_what_the_objects_speak_against_stays_as_it_is_said_and_is_doubted(shown
 def test_of_what_shows_no_colour_of_its_own_nothing_is_read(surface):
     assert seen_places(scene_of(grey_photo(job_with(surface))), said=True) == {}
     assert seen_places(scene_of(grey_photo(job_with(Surface((0.1,) * 3)))), said=True)
+
+
+def test_of_a_wall_that_is_brighter_than_the_light_makes_it_at_least_that_error_is_stated(shown):
+    """As where a light is wrong and the wall is as it is said to be: which of both is, nobody knows."""
+    for times, brighter in ((0.8, "25"), (1.0, "")):
+        found = estimated(photo_of(shown), Surface(tuple(COLOUR * times), roughness=1.0, specular=0.0))
+        assert OTHERWISE not in found.choice
+        problem, x = found.model.problems[0], found.fit.all_coefficients
+        (seen,) = brighter_than_said(problem, x, found.settings)
+        assert np.exp(seen) == pytest.approx(1 / times, rel=0.06)
+        sure = replace(found.light, fit=widened(found.fit, 0.1))
+        _, light, words = unlike_surroundings(found.model, sure)
+        assert (UNLIKE in words) is bool(brighter)
+        if brighter:
+            assert "% brighter in the photo than its 'surface'" in words[UNLIKE]
+            stated = shown_error(light.fit)["order_2"]["median"]
+            assert stated == pytest.approx(
+                min(ERROR * seen, WIDEST * shown_error(sure.fit)["order_2"]["median"]), rel=0.1
+            )
+            said = replace(found, choice=found.choice | words)
+            assert any(words[UNLIKE] in doubt for doubt in all_doubts(said))
+        else:
+            assert light is sure

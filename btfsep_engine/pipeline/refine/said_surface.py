@@ -5,19 +5,28 @@ A matte surface shows its albedo times what a white one in its place would show 
 (`refine.seen_colour`): of tables that are as the job says, that is right to a tenth. One that is far from it is taken
 as the photo shows it, where the objects are explained clearly better so; where they are not, that the photo shows
 another colour is a doubt (`pipeline.checks`): of the light, or of the surface.
+
+Which of both, nobody knows; but where the surface is as it is said to be, how much brighter or darker it is than the
+light makes it tells how much the light errs: of 77 plates on tables of a known colour that was 0.04 in the median; 15
+where it was more than 0.1 erred by 1.4 times that in the median, and up to 4.9 times what they stated. So that is the
+least that is stated.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.pipeline.doubts import albedo_differs, albedo_words
+from btfsep_engine.fit.stated import expected_error, shown_error, widened
+from btfsep_engine.pipeline.doubts import THRESHOLDS, albedo_differs, albedo_words
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
-from btfsep_engine.pipeline.refine.seen_colour import by_own_pixels, seen_colours, seen_places
+from btfsep_engine.pipeline.refine.seen_colour import DARKEST, by_own_pixels, seen_colours, seen_places
 from btfsep_engine.pipeline.refine.surroundings import by_photo
 
 CLEARLY = 5.0  # of the logarithm of the evidence
 OTHERWISE = "said_surface"  # its name among what is chosen
+DIFFERS, ERROR = 0.1, 1.4  # logarithm of how many times as bright; the error that is stated at least, over it
+WORTH, WIDEST = 1.25, 4.0  # times what the fit states
+UNLIKE = "surfaces_unlike"  # its name
 
 
 def surfaces_otherwise(problem, x, settings) -> dict:
@@ -54,3 +63,42 @@ def as_the_photo_shows(model, light):
         for k, (said, _) in own.items()
     ]
     return shown, replace(brighter, suns=light.suns), {OTHERWISE: "; ".join(dict.fromkeys(words))}
+
+
+def brighter_than_said(problem, x, settings) -> list:
+    """Logarithms of how many times as bright as their surface says the photo shows occluders, under a light.
+
+    ``x`` : (terms, 3), in the photo's own exposure
+    """
+    scene, places = problem.scene, seen_places(problem.scene, said=True)
+    shown = seen_colours(problem, places, x, settings, brightest=np.inf)
+    said = {k: np.asarray(scene.occluder_albedos[k]).reshape(-1, 3).mean(0) for k in places}
+    plain = [k for k, (_, left) in shown.items() if left < THRESHOLDS.albedo_left and said[k].max() > DARKEST]
+    return [float(np.log(shown[k][0].sum() / said[k].sum())) for k in plain]
+
+
+def unlike_surroundings(model, light):
+    """The refinement: wider ranges where surfaces that are known are not as bright as the light makes them."""
+    if light.fit.samples is None or light.solver is None:
+        return model, light, {}
+    most = max(
+        (
+            times
+            for problem, exposure in zip(model.problems, light.exposures, strict=True)
+            for times in brighter_than_said(problem, exposure * light.fit.all_coefficients, model.settings)
+        ),
+        key=abs,
+        default=0.0,
+    )
+    if abs(most) < DIFFERS:
+        return model, light, {}
+    of_shown = shown_error(light.fit) or expected_error(light.fit.all_coefficients, light.fit.samples)
+    factor = min(ERROR * abs(most) / max(of_shown["order_2"]["median"], 1e-9), WIDEST)
+    if factor < WORTH:
+        return model, light, {}
+    way = "brighter" if most > 0 else "darker"
+    words = (
+        f"what stands around is {100 * np.expm1(abs(most)):.0f} % {way} in the photo than its 'surface' is under the "
+        f"light that was found; what is known of the light is stated {factor:.1f} times as wide; check its 'surface'"
+    )
+    return model, replace(light, fit=widened(light.fit, factor)), {UNLIKE: words}

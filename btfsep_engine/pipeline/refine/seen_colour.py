@@ -95,13 +95,14 @@ def _is_asked(surface, said: bool) -> bool:
     return surface is None if not said else bool(surface and surface.metallic < METAL and not any(surface.emission))
 
 
-def seen_colours(problem, places, x, settings) -> dict:
+def seen_colours(problem, places, x, settings, *, brightest: float = BRIGHTEST) -> dict:
     """{number of an occluder: (what it reflects (3,), what that leaves of its pixels, relative)}, under a light x.
 
     Parameters
     ----------
     places : as of `seen_places`
     x : (terms, 3), in the photo's own exposure
+    brightest : that is believed
     """
     out, scene, light = {}, problem.scene, SHLighting(np.asarray(x))
     indirect = scene.indirect(problem.materials, light, settings, bounces=MODELLED_BOUNCES) if places else None
@@ -111,7 +112,7 @@ def seen_colours(problem, places, x, settings) -> dict:
         weight = sent(points, scene.tracer)[:, None]
         colour = (weight * photo).sum(0) / np.maximum((weight * white).sum(0), 1e-300)
         left = (weight * np.square(photo - colour * white)).sum() / (weight * np.square(photo)).sum()
-        colour *= min(1, BRIGHTEST / colour.max())  # brighter than white: the light is, and the hue stays
+        colour *= min(1, brightest / colour.max())  # brighter than white: the light is, and the hue stays
         out[k] = np.maximum(colour, DARKEST), float(np.sqrt(left))
     return out
 
