@@ -29,15 +29,21 @@ WORTH, WIDEST = 1.25, 4.0  # times what the fit states
 UNLIKE = "surfaces_unlike"  # its name
 
 
-def surfaces_otherwise(problem, x, settings) -> dict:
-    """{number of an occluder: (what its surface says (3,), what the photo shows (3,))} where these differ.
+def said_and_shown(problem, x, settings, **how) -> list:
+    """Number, colour (3,) that its surface says, colour (3,) that the photo shows of it, and what that leaves of its
+    pixels, relative, of each occluder that has a surface and is seen.
 
-    ``x`` : (terms, 3), the light in the photo's own exposure
+    ``x`` : (terms, 3), the light in the photo's own exposure; ``how`` : as of `seen_colours`
     """
-    places = seen_places(problem.scene, said=True)
-    said = {k: np.asarray(problem.scene.occluder_albedos[k]).reshape(-1, 3).mean(0) for k in places}
-    shown = seen_colours(problem, places, x, settings)
-    return {k: (said[k], c) for k, (c, left) in shown.items() if albedo_differs(said[k], c, left)}
+    places, albedos = seen_places(problem.scene, said=True), problem.scene.occluder_albedos
+    shown = seen_colours(problem, places, x, settings, **how)
+    return [(k, np.asarray(albedos[k]).reshape(-1, 3).mean(0), *each) for k, each in shown.items()]
+
+
+def surfaces_otherwise(problem, x, settings) -> dict:
+    """{number of an occluder: (what its surface says (3,), what the photo shows (3,))} where these differ."""
+    found = said_and_shown(problem, x, settings)
+    return {k: (said, shown) for k, said, shown, left in found if albedo_differs(said, shown, left)}
 
 
 def as_the_photo_shows(model, light):
@@ -66,15 +72,12 @@ def as_the_photo_shows(model, light):
 
 
 def brighter_than_said(problem, x, settings) -> list:
-    """Logarithms of how many times as bright as their surface says the photo shows occluders, under a light.
-
-    ``x`` : (terms, 3), in the photo's own exposure
-    """
-    scene, places = problem.scene, seen_places(problem.scene, said=True)
-    shown = seen_colours(problem, places, x, settings, brightest=np.inf)
-    said = {k: np.asarray(scene.occluder_albedos[k]).reshape(-1, 3).mean(0) for k in places}
-    plain = [k for k, (_, left) in shown.items() if left < THRESHOLDS.albedo_left and said[k].max() > DARKEST]
-    return [float(np.log(shown[k][0].sum() / said[k].sum())) for k in plain]
+    """Logarithms of how many times as bright as their surface says the photo shows occluders, under a light x."""
+    return [
+        float(np.log(shown.sum() / said.sum()))
+        for _, said, shown, left in said_and_shown(problem, x, settings, brightest=np.inf)
+        if left < THRESHOLDS.albedo_left and said.max() > DARKEST
+    ]
 
 
 def unlike_surroundings(model, light):
