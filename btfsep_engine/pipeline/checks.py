@@ -10,7 +10,6 @@ from btfsep_engine.fit.search import BESIDE, LAMP_COST
 from btfsep_engine.fit.stated import of_reaching, stated_by
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
-    albedo_words,
     alignment_doubt,
     clamped_share,
     given_lamp_doubts,
@@ -20,7 +19,7 @@ from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
-from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE, surfaces_otherwise
+from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 
@@ -51,16 +50,8 @@ def misshapen_doubts(estimate) -> list[str]:
 
 
 def occluder_doubts(estimate) -> list[str]:
-    """That the photo shows surroundings in another colour than the job says."""
-    if OTHERWISE in estimate.choice:
-        return [f"{estimate.choice[OTHERWISE]}; check its 'surface'"]
-    light, settings = estimate.light, estimate.model.settings
-    differ = [
-        f"{albedo_words(k, said, shown)}: the light is another than was found, or what is said is wrong"
-        for problem, exposure in zip(estimate.model.problems, light.exposures, strict=True)
-        for k, (said, shown) in surfaces_otherwise(problem, exposure * light.fit.all_coefficients, settings).items()
-    ]
-    return differ or [estimate.choice[key] for key in (UNLIKE,) if key in estimate.choice]
+    """That the photo shows surroundings in another colour than the job says (`refine.said_surface`)."""
+    return [estimate.choice[key] for key in (OTHERWISE, UNLIKE) if key in estimate.choice]
 
 
 def in_front_doubts(estimate) -> list[str]:

@@ -25,6 +25,7 @@ from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
+from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows
 from btfsep_engine.pipeline.refine.seen_colour import with_colours
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.together import SolvedLight, fit_together, light_solver
@@ -34,7 +35,7 @@ from btfsep_engine.threads import one_thread
 WORSE = 1.2  # of the residual of the photo that the model was chosen by
 STILL = 0.1  # of what is stated of a light (root mean square): one that moves by less stands still
 AS_WELL = 0.03  # of the residual: by as much that of a light that stands still may change
-OF_LIGHT = tuple(r for r in REFINEMENTS if r not in (light_between_surfaces, nearer_materials))
+OF_LIGHT = tuple(r for r in REFINEMENTS if r not in (as_the_photo_shows, light_between_surfaces, nearer_materials))
 CHOSEN, ELECTED, FOLLOWED = "model chosen", "light elected", "light followed"
 
 

@@ -21,7 +21,8 @@ from btfsep_engine.pipeline.refine.said_surface import (
     OTHERWISE,
     UNLIKE,
     WIDEST,
-    brighter_than_said,
+    log_brighter,
+    said_and_shown,
     unlike_surroundings,
 )
 from btfsep_engine.pipeline.refine.seen_colour import BRIGHTEST, LEAST_COSINE, seen_colours, seen_places, sent
@@ -242,7 +243,8 @@ def test_of_a_wall_that_is_brighter_than_the_light_makes_it_at_least_that_error_
         found = estimated(photo_of(shown), Surface(tuple(COLOUR * times), roughness=1.0, specular=0.0))
         assert OTHERWISE not in found.choice
         problem, x = found.model.problems[0], found.fit.all_coefficients
-        (seen,) = brighter_than_said(problem, x, found.settings)
+        ((_, *colours),) = said_and_shown(problem, x, found.settings)
+        seen = log_brighter(*colours)
         assert np.exp(seen) == pytest.approx(1 / times, rel=0.06)
         sure = replace(found.light, fit=widened(found.fit, 0.1))
         _, light, words = unlike_surroundings(found.model, sure)

@@ -64,44 +64,40 @@ def as_the_photo_shows(model, light):
     if brighter.fit.evidence < as_said.fit.evidence + CLEARLY:
         return model, light, {}
     words = [
-        f"{albedo_words(k, said, problem.scene.colours[k])}, which it was taken to reflect (by evidence)"
+        f"{albedo_words(k, said, problem.scene.colours[k])}, which it was taken to reflect (by evidence); check its "
+        "'surface'"
         for problem, own in zip(shown.problems, each, strict=True)
         for k, (said, _) in own.items()
     ]
     return shown, replace(brighter, suns=light.suns), {OTHERWISE: "; ".join(dict.fromkeys(words))}
 
 
-def brighter_than_said(problem, x, settings) -> list:
-    """Logarithms of how many times as bright as their surface says the photo shows occluders, under a light x."""
-    return [
-        float(np.log(shown.sum() / said.sum()))
-        for _, said, shown, left in said_and_shown(problem, x, settings, brightest=np.inf)
-        if left < THRESHOLDS.albedo_left and said.max() > DARKEST
-    ]
-
-
 def unlike_surroundings(model, light):
-    """The refinement: wider ranges where surfaces that are known are not as bright as the light makes them."""
+    """The refinement: doubts, and wider ranges, where known surfaces are not as the light makes them."""
     if light.fit.samples is None or light.solver is None:
         return model, light, {}
-    most = max(
-        (
-            times
-            for problem, exposure in zip(model.problems, light.exposures, strict=True)
-            for times in brighter_than_said(problem, exposure * light.fit.all_coefficients, model.settings)
-        ),
-        key=abs,
-        default=0.0,
-    )
-    if abs(most) < DIFFERS:
-        return model, light, {}
+    found = [
+        each
+        for problem, exposure in zip(model.problems, light.exposures, strict=True)
+        for each in said_and_shown(problem, exposure * light.fit.all_coefficients, model.settings, brightest=np.inf)
+    ]
+    far = [albedo_words(k, said, shown) for k, said, shown, left in found if albedo_differs(said, shown, left)]
+    words = [f"{'; '.join(far)}: the light is another than was found, or what is said is wrong"] if far else []
+    most = max((log_brighter(*each) for _, *each in found), key=abs, default=0.0)
     of_shown = shown_error(light.fit) or expected_error(light.fit.all_coefficients, light.fit.samples)
     factor = min(ERROR * abs(most) / max(of_shown["order_2"]["median"], 1e-9), WIDEST)
-    if factor < WORTH:
-        return model, light, {}
-    way = "brighter" if most > 0 else "darker"
-    words = (
-        f"what stands around is {100 * np.expm1(abs(most)):.0f} % {way} in the photo than its 'surface' is under the "
-        f"light that was found; what is known of the light is stated {factor:.1f} times as wide; check its 'surface'"
-    )
-    return model, replace(light, fit=widened(light.fit, factor)), {UNLIKE: words}
+    if abs(most) > DIFFERS and factor > WORTH:
+        way = "brighter" if most > 0 else "darker"
+        words.append(
+            f"what stands around is {100 * np.expm1(abs(most)):.0f} % {way} in the photo than its 'surface' is under "
+            f"the light that was found; what is known of the light is stated {factor:.1f} times as wide; check its "
+            "'surface'"
+        )
+        light = replace(light, fit=widened(light.fit, factor))
+    return model, light, {UNLIKE: "; ".join(words)} if words else {}
+
+
+def log_brighter(said, shown, left: float) -> float:
+    """Logarithm of how many times as bright as its surface says a photo shows an occluder; 0 where it does not tell."""
+    tells = left < THRESHOLDS.albedo_left and said.max() > DARKEST
+    return float(np.log(shown.sum() / said.sum())) if tells else 0.0
