@@ -16,15 +16,17 @@ FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said 
 
 @dataclass(frozen=True)
 class Advice:
-    """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object); "" hides it under
-    Details; ``mend`` : key of `mending.MENDS`, or "ALIGN", "UPRIGHT", "FREEZE" (the suns), which have their own
-    buttons; ``level`` : the trust that is left at best
+    """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object, {1}: how much
+    brighter or darker it is); "" hides it under Details; ``mend`` : key of `mending.MENDS`, or "ALIGN", "UPRIGHT",
+    "FREEZE" (the suns), which have their own buttons; ``level`` : the trust that is left at best; ``objects`` : what
+    the engine's sentence names
     """
 
     phrase: str
     short: str
     mend: str = ""
     level: str = "GREEN"
+    objects: tuple = ()
 
 
 KNOWN = (
@@ -53,6 +55,22 @@ KNOWN = (
         "brighter or darker than the light makes",
         "Shape, pose or paint of {0} is not what the photo shows",
         level="AMBER",
+    ),
+    Advice(
+        "which it was taken to reflect",
+        "The photo shows {0} in another colour than Blender has; the light goes by the photo's",
+        "SELECT",
+    ),
+    Advice(
+        "or what is said is wrong",
+        "The photo shows {0} in another colour than Blender has: the material is wrong, or the light",
+        "SELECT",
+        "AMBER",
+    ),
+    Advice(
+        "in the photo than its 'surface' is under",
+        "{0} is {1} in the photo than in this light: the material is wrong, or the light",
+        "SELECT",
     ),
     Advice("the mesh is coarse", "The mesh is coarse for its smooth shading; give a finer one", level="AMBER"),
     Advice(
@@ -85,12 +103,20 @@ def advice(sentence: str) -> Advice:
         return Advice(pixels[0], "")
     for known in KNOWN:
         if known.phrase in sentence:
-            named = re.search(r"object '([^']+)'", sentence)
-            return Advice(
-                known.phrase, known.short.format(named[1] if named else "the object"), known.mend, known.level
-            )
+            named = tuple(dict.fromkeys(re.findall(r"(?:object|occluder) '(.+?)'(?= |:|;|$)", sentence)))
+            called, mend = ", ".join(named), known.mend
+            if not named:  # of what has no name, nothing can be selected
+                called, mend = ("what stands around", "") if mend == "SELECT" else ("the object", mend)
+                called = called[:1].upper() + called[1:] if known.short.startswith("{0}") else called
+            return Advice(known.phrase, known.short.format(called, _how_much(sentence)), mend, known.level, named)
     first = re.match(r".{30,}?(?=[;:] | \(|$)|.*", sentence)[0].strip()
     return Advice("", first[:1].upper() + first[1:])
+
+
+def _how_much(sentence: str) -> str:
+    """How much brighter or darker something is said to be: "25 % brighter"; of nothing, that it is not the same."""
+    told = re.search(r"\d+ % (?:brighter|darker)", sentence)
+    return told[0] if told else "brighter or darker"
 
 
 def worst(*levels) -> str:

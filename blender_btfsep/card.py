@@ -28,6 +28,7 @@ LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
 COMMANDS = re.compile(r" \([^()]*--[^()]*\)|; see stddev in lighting\.json")  # what the command line is told
+GIVEN, SURFACE = ("surface/given", "The material as given"), ("its 'surface'", "its material")  # words of jobs
 BEHIND = "what the mirror hides"
 AROUND = "what the table, or whatever stands around, keeps away"
 
@@ -46,13 +47,13 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     Returns
     -------
     dict of "trust" (GREEN, AMBER, RED or NONE), "lines" (pairs of a label and words), "warnings" (dicts of "short",
-    "mend" and "object", a name or ""), "details" (sentences)
+    "mend" and "object", a name or "", of "SELECT" several, a line each), "details" (sentences)
     """
     unsure = _unsure_materials(result)
     told = [(sentence, advice(sentence)) for sentence in warnings]
     if any(a.phrase == NONE_OF_THESE for _, a in told):  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
-    shown = {a.short: {"short": a.short, "mend": a.mend, "object": ""} for _, a in told if a.short}
+    shown = {a.short: {"short": a.short, "mend": a.mend, "object": _to_select(a)} for _, a in told if a.short}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}
     error = errors.get("order_2") or errors.get("order_1")
     trust = "NONE"
@@ -77,9 +78,14 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     return {
         "trust": trust,
         "lines": [list(line) for line in lines],
-        "warnings": [*unsure, *shown.values()],
+        "warnings": [*unsure, *sorted(shown.values(), key=lambda doubt: doubt["mend"] != "SELECT")],  # causes first
         "details": _details(result, lighting, [s for s, a in told if a.phrase != MATERIAL or not unsure]),
     }
+
+
+def _to_select(advised) -> str:
+    """What the button of a doubt is told of the objects that the doubt names."""
+    return "\n".join(advised.objects) if advised.mend == "SELECT" else ""
 
 
 def _key_and_fill(result: dict, lighting: dict, to_world, metres_per_unit: float) -> list:
@@ -190,7 +196,8 @@ def _details(result: dict, lighting: dict, warnings) -> list:
         around, up = angles(lighting["suns"]["lamps"][0]["direction"])
         out.append(f"In the world the key light stands at azimuth {around:.0f}° (from +X towards +Y), {up:.0f}° up")
     out += [str(result.get("determined") or ""), *map(str, (result.get("choice") or {}).values()), *warnings]
-    return list(dict.fromkeys(capitalised(COMMANDS.sub("", words) for words in out)))
+    plain = (COMMANDS.sub("", words).replace(*GIVEN).replace(*SURFACE) for words in out)
+    return list(dict.fromkeys(capitalised(plain)))
 
 
 def capitalised(words) -> list:

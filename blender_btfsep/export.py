@@ -177,8 +177,8 @@ def _told_apart(name: str, part: dict) -> tuple:
 
 
 def _dark(mesh: str) -> dict:
-    """An occluder that sends no light."""
-    return {"mesh": mesh, "to_world": None, "surface": surroundings.BLACK}
+    """An occluder that sends no light; a metal, so that nobody asks the photo for its colour."""
+    return {"mesh": mesh, "to_world": None, "surface": surroundings.BLACK | {"metallic": 1.0}}
 
 
 def _without(name: str, surface: dict | None, left: list, warn) -> dict | None:
@@ -208,7 +208,7 @@ def _occluders(parts: dict, folder: Path, names, *, around, warn) -> list:
         given = {} if surface is None else {"surface": surface}
         if getattr(thing, "btfsep_evidence", False):  # an export alone knows no panel
             given["evidence"] = True
-        out.append({"mesh": _write(folder, names.of(thing.name), part), "to_world": None, **given})
+        out.append({"mesh": _write(folder, names.of(thing.name), part), "to_world": None, "name": thing.name, **given})
     return out
 
 

@@ -276,7 +276,7 @@ def _occluder(reader: _Folder, schema, what: str, notes: list) -> Occluder:
     surface = _surface(reader, schema.surface, mesh, what)
     if surface is not None and any(surface.emission):
         notes.append(f"{what}: surface; it has emission, which is left out; what it reflects is followed")
-    return Occluder(mesh, surface, schema.evidence)
+    return Occluder(mesh, surface, schema.evidence, schema.name or "")
 
 
 def _object_surface(reader: _Folder, schema, mesh: TriangleMesh) -> Surface | None:

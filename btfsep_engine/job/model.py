@@ -57,12 +57,13 @@ class Occluder:
     """Geometry that casts shadows and reflects light and is not fitted.
 
     ``surface`` : what it is made of, by numbers (one with an image has a mesh with ``corner_uv``), or None: not known.
-    ``evidence`` : whether its own pixels tell of the light.
+    ``evidence`` : whether its own pixels tell of the light. ``name`` : for people; empty: it has none.
     """
 
     mesh: TriangleMesh
     surface: Surface | None = None
     evidence: bool = False
+    name: str = ""
 
 
 @dataclass(frozen=True)

@@ -95,10 +95,13 @@ class ObjectSchema(Strict):
 
 
 class OccluderSchema(Strict):
+    """``name`` : what people call it; null: its number in the list."""
+
     mesh: RelativePath
     to_world: Matrix | None = None
     surface: SurfaceSchema | None = None
     evidence: bool = False
+    name: Name | None = None
 
 
 class KnownLampSchema(Strict):

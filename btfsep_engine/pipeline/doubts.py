@@ -115,11 +115,16 @@ def albedo_differs(said, shown, left: float) -> bool:
     return bool(left < t.albedo_left and ((off > t.albedo) & (times > t.albedo_times)).any())
 
 
-def albedo_words(number: int, said, shown) -> str:
-    """That they differ, of an occluder by its number in the job, from 0 on."""
+def occluder_words(number: int, name: str = "") -> str:
+    """An occluder for people: its name, or else its number in the job, which is given from 0 on."""
+    return f"occluder '{name}'" if name else f"occluder {number + 1}"
+
+
+def albedo_words(called: str, said, shown) -> str:
+    """That they differ, of an occluder that is ``called`` so."""
     words = "{:.2f}, {:.2f}, {:.2f}"
     return (
-        f"occluder {number + 1} is said to reflect {words.format(*said)} (red, green, blue), and the photo shows about "
+        f"{called} is said to reflect {words.format(*said)} (red, green, blue), and the photo shows about "
         f"{words.format(*shown)} of it"
     )
 

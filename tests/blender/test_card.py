@@ -217,6 +217,43 @@ def test_a_material_that_nothing_hangs_on_is_not_doubted_and_commands_are_left_o
     assert found["details"][-1] == "Object 'Head' looks like none of the library's materials after all"
 
 
+def test_surfaces_that_are_not_as_the_light_makes_them_are_said_by_name_with_the_way_to_their_material():
+    between = "is said to reflect 0.08, 0.08, 0.08 (red, green, blue), and the photo shows about 0.79, 0.74, 0.70 of it"
+    otherwise = (
+        f"occluder 'Table' {between}, which it was taken to reflect (by evidence); check its 'surface'; occluder "
+        f"'John's wall' {between}, which it was taken to reflect (by evidence); check its 'surface'"
+    )
+    far = f"occluder 2 {between}: the light is another than was found, or what is said is wrong"
+    unlike = (
+        "occluder 'Table' is 25 % brighter in the photo than its 'surface' is under the light that was found; what is "
+        "known of the light is stated 3.8 times as wide; check its 'surface'"
+    )
+    first = "the photo determines 2 of 25 coefficients, and not all of the first four"
+    found = card.card_of({}, lighting(), FRONT, warnings=[first, otherwise, far, unlike])
+    assert [(w["short"], w["mend"], w["object"].splitlines()) for w in found["warnings"][:3]] == [
+        (
+            "The photo shows Table, John's wall in another colour than Blender has; the light goes by the photo's",
+            "SELECT",
+            ["Table", "John's wall"],
+        ),
+        (
+            "Table is 25 % brighter in the photo than in this light: the material is wrong, or the light",
+            "SELECT",
+            ["Table"],
+        ),
+        (
+            "The photo tells only in part from where the light comes",  # which comes of it
+            "FREEZE",
+            [],
+        ),
+    ]
+    unnamed = (
+        "The photo shows what stands around in another colour than Blender has: the material is wrong, or the light"
+    )
+    assert (found["warnings"][3]["short"], found["warnings"][3]["mend"]) == (unnamed, "")
+    assert not any("surface'" in words for words in found["details"])
+
+
 def test_a_light_that_may_be_quite_another_is_not_green():
     result = {"expected_error": {"order_2": {"median": 0.1, "low": 0.06, "high": 0.7}}}
     assert card.card_of(result, lighting(), FRONT)["trust"] == "AMBER"

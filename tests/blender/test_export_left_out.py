@@ -10,6 +10,7 @@ import trimesh
 from blender_btfsep import export, meshes
 from blender_btfsep.errors import InputError
 from btfsep_engine.job.load import load_job
+from btfsep_engine.pipeline.refine.seen_colour import _is_asked
 from scripts.cycles import materials
 from tests.blender.test_export import add_cube, make_photo
 
@@ -109,6 +110,7 @@ def test_panes_and_lights_of_an_object_hide_what_is_behind_them_and_are_not_fitt
     job = json.loads((tmp_path / "job" / "job.json").read_text())
     assert isinstance(fitted["surface"]["base_color"], str) and len(warnings) == 2
     assert [o["surface"]["base_color"] for o in job["occluders"]] == [[0, 0, 0]]
+    assert not _is_asked(load_job(tmp_path / "job").occluders[0].surface, said=True)  # its pixels have another colour
     load_job(tmp_path / "job")
     faces = [len(trimesh.load(tmp_path / "job" / each["mesh"]).faces) for each in (fitted, job["occluders"][0])]
     assert faces == [8, 4]

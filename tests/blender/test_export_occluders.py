@@ -36,6 +36,7 @@ def test_occluders_are_what_the_render_shows(scene, tmp_path, add_camera):
     path = export.export_job(scene, tmp_path / "job", image_path=make_photo(tmp_path), camera=camera, objects=[thing])
     job = json.loads(path.read_text())
     assert [o["mesh"] for o in job["occluders"]] == ["Floor.ply", "Instancer.ply"]
+    assert [o["name"] for o in job["occluders"]] == ["Floor", "Instancer"]
     assert len(trimesh.load(path.parent / "Floor.ply").faces) == 36
     assert np.allclose(trimesh.load(path.parent / "Instancer.ply").centroid, (5, 0, 7))
 

@@ -372,6 +372,21 @@ def test_icons_show_the_picture_that_is_kept(lit):
     assert middle[1] > max(middle[0], middle[2]) and middle[3] == 1
 
 
+def test_what_stands_around_is_selected_to_look_at_its_material(photographed):
+    bpy.ops.mesh.primitive_plane_add()
+    table = bpy.context.object
+    table.name = "Table"
+    bpy.ops.mesh.primitive_monkey_add()
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert bpy.ops.btfsep.mend(how="SELECT", object="Gone\nTable") == {"FINISHED"}
+    assert bpy.context.selected_objects == [table] and bpy.context.object == table and table.mode == "OBJECT"
+    spaces = [area.spaces.active for screen in bpy.data.screens for area in screen.areas]
+    shown = {space.context for space in spaces if space.type == "PROPERTIES" and space.id_data == bpy.context.screen}
+    assert shown <= {"MATERIAL"}
+    with pytest.raises(RuntimeError, match="'Gone'; no object of this view layer has that name"):
+        bpy.ops.btfsep.mend(how="SELECT", object="Gone")
+
+
 @pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE", "AGX", "CAMERA"])
 def test_doubts_are_mended_where_they_arise(photographed, how):
     bpy.ops.mesh.primitive_monkey_add()

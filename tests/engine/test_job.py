@@ -56,8 +56,10 @@ def test_a_whole_job(job):
     assert cube.mesh.faces.shape == (12, 3) and cube.mesh.corner_uv.shape == (12, 3, 2)
     floor = result.occluders[0].mesh
     np.testing.assert_array_equal(floor.vertices.min(0), [-9, -9, -4])
+    assert result.occluders[0].name == ""
     assert result.camera.fx == 14 and result.metres_per_unit == 1 and result.exposure_ev == 0
     assert load_job(job.folder / "job.json").digest == result.digest
+    assert load_job(job.write(changed(job.copy(), "occluders.0.name", "Floor"))).occluders[0].name == "Floor"
 
 
 def test_a_camera_with_a_lens_and_one_without_a_centre(job):

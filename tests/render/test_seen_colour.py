@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A wall of which the job does not say the colour, and the photo shows it: against the path tracer."""
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from btfsep_engine.pipeline.refine.said_surface import (
     OTHERWISE,
     UNLIKE,
     WIDEST,
+    called,
     log_brighter,
     said_and_shown,
     unlike_surroundings,
@@ -239,21 +242,25 @@ def test_of_what_shows_no_colour_of_its_own_nothing_is_read(surface):
 
 def test_of_a_wall_that_is_brighter_than_the_light_makes_it_at_least_that_error_is_stated(shown):
     """As where a light is wrong and the wall is as it is said to be: which of both is, nobody knows."""
-    for times, brighter in ((0.8, "25"), (1.0, "")):
+    for times, way in ((0.8, "brighter"), (1.15, "darker"), (1.0, "")):
         found = estimated(photo_of(shown), Surface(tuple(COLOUR * times), roughness=1.0, specular=0.0))
         assert OTHERWISE not in found.choice
         problem, x = found.model.problems[0], found.fit.all_coefficients
-        ((_, *colours),) = said_and_shown(problem, x, found.settings)
+        ((_, name, *colours),) = said_and_shown(problem, x, found.settings)
+        named = replace(problem.scene.job.occluders[0], name="Wall")
+        job = replace(problem.scene.job, occluders=(named,))
+        assert (name, called(SimpleNamespace(job=job), 0)) == ("occluder 1", "occluder 'Wall'")
         seen = log_brighter(*colours)
         assert np.exp(seen) == pytest.approx(1 / times, rel=0.06)
         sure = replace(found.light, fit=widened(found.fit, 0.1))
         _, light, words = unlike_surroundings(found.model, sure)
-        assert (UNLIKE in words) is bool(brighter)
-        if brighter:
-            assert "% brighter in the photo than its 'surface'" in words[UNLIKE]
+        assert (UNLIKE in words) is bool(way)
+        if way:
+            told = re.search(rf"(\d+) % {way} in the photo than its 'surface'", words[UNLIKE])
+            assert int(told[1]) == pytest.approx(100 * abs(np.exp(seen) - 1), abs=0.51)
             stated = shown_error(light.fit)["order_2"]["median"]
             assert stated == pytest.approx(
-                min(ERROR * seen, WIDEST * shown_error(sure.fit)["order_2"]["median"]), rel=0.1
+                min(ERROR * abs(seen), WIDEST * shown_error(sure.fit)["order_2"]["median"]), rel=0.1
             )
             said = replace(found, choice=found.choice | words)
             assert any(words[UNLIKE] in doubt for doubt in all_doubts(said))

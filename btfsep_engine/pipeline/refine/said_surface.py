@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.fit.stated import expected_error, shown_error, widened
-from btfsep_engine.pipeline.doubts import THRESHOLDS, albedo_differs, albedo_words
+from btfsep_engine.pipeline.doubts import THRESHOLDS, albedo_differs, albedo_words, occluder_words
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
 from btfsep_engine.pipeline.refine.seen_colour import DARKEST, by_own_pixels, seen_colours, seen_places
 from btfsep_engine.pipeline.refine.surroundings import by_photo
@@ -30,20 +30,27 @@ UNLIKE = "surfaces_unlike"  # its name
 
 
 def said_and_shown(problem, x, settings, **how) -> list:
-    """Number, colour (3,) that its surface says, colour (3,) that the photo shows of it, and what that leaves of its
-    pixels, relative, of each occluder that has a surface and is seen.
+    """Number and name, for people, colour (3,) that its surface says, colour (3,) that the photo shows of it, and what
+    that leaves of its pixels, relative, of each occluder that has a surface and is seen.
 
     ``x`` : (terms, 3), the light in the photo's own exposure; ``how`` : as of `seen_colours`
     """
     places, albedos = seen_places(problem.scene, said=True), problem.scene.occluder_albedos
     shown = seen_colours(problem, places, x, settings, **how)
-    return [(k, np.asarray(albedos[k]).reshape(-1, 3).mean(0), *each) for k, each in shown.items()]
+    return [
+        (k, called(problem.scene, k), np.asarray(albedos[k]).reshape(-1, 3).mean(0), *each) for k, each in shown.items()
+    ]
+
+
+def called(scene, number: int) -> str:
+    """An occluder of a scene, for people."""
+    return occluder_words(number, scene.job.occluders[number].name)
 
 
 def surfaces_otherwise(problem, x, settings) -> dict:
     """{number of an occluder: (what its surface says (3,), what the photo shows (3,))} where these differ."""
     found = said_and_shown(problem, x, settings)
-    return {k: (said, shown) for k, said, shown, left in found if albedo_differs(said, shown, left)}
+    return {k: (said, shown) for k, _, said, shown, left in found if albedo_differs(said, shown, left)}
 
 
 def as_the_photo_shows(model, light):
@@ -64,8 +71,8 @@ def as_the_photo_shows(model, light):
     if brighter.fit.evidence < as_said.fit.evidence + CLEARLY:
         return model, light, {}
     words = [
-        f"{albedo_words(k, said, problem.scene.colours[k])}, which it was taken to reflect (by evidence); check its "
-        "'surface'"
+        albedo_words(called(problem.scene, k), said, problem.scene.colours[k])
+        + ", which it was taken to reflect (by evidence); check its 'surface'"
         for problem, own in zip(shown.problems, each, strict=True)
         for k, (said, _) in own.items()
     ]
@@ -81,15 +88,16 @@ def unlike_surroundings(model, light):
         for problem, exposure in zip(model.problems, light.exposures, strict=True)
         for each in said_and_shown(problem, exposure * light.fit.all_coefficients, model.settings, brightest=np.inf)
     ]
-    far = [albedo_words(k, said, shown) for k, said, shown, left in found if albedo_differs(said, shown, left)]
+    far = [albedo_words(name, *both) for _, name, *both, left in found if albedo_differs(*both, left)]
     words = [f"{'; '.join(far)}: the light is another than was found, or what is said is wrong"] if far else []
-    most = max((log_brighter(*each) for _, *each in found), key=abs, default=0.0)
+    times = [(log_brighter(*each), name) for _, name, *each in found]
+    most, name = max(times, key=lambda each: abs(each[0]), default=(0.0, ""))
     of_shown = shown_error(light.fit) or expected_error(light.fit.all_coefficients, light.fit.samples)
     factor = min(ERROR * abs(most) / max(of_shown["order_2"]["median"], 1e-9), WIDEST)
     if abs(most) > DIFFERS and factor > WORTH:
         way = "brighter" if most > 0 else "darker"
         words.append(
-            f"what stands around is {100 * np.expm1(abs(most)):.0f} % {way} in the photo than its 'surface' is under "
+            f"{name} is {100 * abs(np.expm1(most)):.0f} % {way} in the photo than its 'surface' is under "
             f"the light that was found; what is known of the light is stated {factor:.1f} times as wide; check its "
             "'surface'"
         )
