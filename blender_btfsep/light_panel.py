@@ -67,6 +67,8 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         light = kept_light.kept(context.scene)
         if light is not None:
             self._card(context, layout, run, light)
+        elif world.is_ours(context.scene.world):
+            layout.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
         layout.operator("btfsep.apply", icon="WORLD")
         if world.is_ours(context.scene.world):
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")

@@ -3,7 +3,7 @@
 
 import bpy
 
-from . import blender_views, camera_look, kept_light, runs, use_photo
+from . import blender_views, camera_look, kept_light, runs, use_photo, world
 from .errors import InputError
 
 STANDARD = {"view_transform": "Standard", "look": "None", "exposure": 0.0, "gamma": 1.0}
@@ -88,7 +88,8 @@ class BTFSEP_OT_rendered_view(runs.Greyed, runs.AtOnce, bpy.types.Operator):
 
     @staticmethod
     def reason(context) -> str:
-        return "" if kept_light.kept(context.scene) else "Estimate the light first, or import a lighting"
+        lit = kept_light.kept(context.scene) or world.is_ours(context.scene.world)  # that of a sequence has no card
+        return "" if lit else "Estimate the light first, or import a lighting"
 
     def do(self, context):
         scene, view = context.scene, context.scene.view_settings

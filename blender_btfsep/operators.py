@@ -24,6 +24,10 @@ class BTFSEP_OT_recognise(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     task = "Recognising"
 
+    @staticmethod
+    def reason(context) -> str:
+        return request.missing(context) or request.nothing_to_recognise(context.scene.btfsep)
+
     def begin(self, context):
         self._ids = request.ids_of(context.scene.btfsep)
         folder = yield from request.job_slices(context)

@@ -57,6 +57,13 @@ def missing(context) -> str:
     return reasons.of(context.scene, context.view_layer, settings, fitted(settings))
 
 
+def nothing_to_recognise(settings) -> str:
+    """Why there is nothing to recognise, as a sentence for a tooltip; empty where there is something."""
+    if any(entry.source == "RECOGNISE" for entry in fitted(settings).values()):
+        return ""
+    return "It is said what everything is made of: set Made Of to Recognise where that is to be found"
+
+
 def job_folder(scene) -> Path:
     """Where the job of ``scene`` goes: beside the .blend, or where Blender cleans up when it quits."""
     name = bpy.path.clean_name(scene.name)

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
-from . import colour, sh_nodes
+from . import colour, lamp_collection, sh_nodes
 
 LAMP_NAME = "BTFsep Sun"
 LAMP_TAG = "btfsep_sun"
@@ -112,6 +112,7 @@ def put(scene, suns) -> None:
     scene : bpy.types.Scene, whose World is ours where there are suns
     suns : list of "lamps" of what lighting_file.read returns; one without light gives no lamp
     """
+    lamp_collection.leave_shared(scene)
     for copy in _copies(_tagged(scene)):
         del copy[LAMP_TAG]
     free, held = [], []
@@ -130,7 +131,7 @@ def put(scene, suns) -> None:
         lamp = max(free, key=lambda old: np.dot(_tag(old)["direction"], sun["direction"]), default=None)
         if lamp is None:
             lamp = bpy.data.objects.new(LAMP_NAME, bpy.data.lights.new(LAMP_NAME, "SUN"))
-            scene.collection.objects.link(lamp)
+            lamp_collection.put(scene, lamp)
             lamp[LAMP_TAG] = {}
             _turn_with(scene.world, lamp)
         else:
@@ -140,6 +141,7 @@ def put(scene, suns) -> None:
         _stay(old, {"irradiance": (0.0, 0.0, 0.0), "size_degrees": _tag(old)["size_degrees"]}, scene.world)
     for old in free:
         _remove(scene, old)
+    lamp_collection.tidy(scene)
 
 
 def _is(direction, other) -> bool:

@@ -108,6 +108,19 @@ def test_it_is_said_before_the_click(photographed, tmp_path, lacks, words):
     bpy.context.window_manager.btfsep.library.clear()
 
 
+def test_where_all_materials_are_said_there_is_nothing_to_recognise(photographed):
+    from blender_btfsep import request
+
+    entry = photographed.btfsep.objects[0]
+    assert bpy.ops.btfsep.recognise.poll() and request.nothing_to_recognise(photographed.btfsep) == ""
+    for source in ("COLOUR", "BLENDER"):
+        entry.source = source
+        assert bpy.ops.btfsep.estimate.poll() and not bpy.ops.btfsep.recognise.poll()
+        assert "set Made Of to Recognise" in request.nothing_to_recognise(photographed.btfsep)
+    photographed.btfsep.objects.add().object = entry.object
+    assert request.nothing_to_recognise(photographed.btfsep) == ""  # the second is to be
+
+
 def test_a_packed_photo_needs_no_file(photographed, tmp_path):
     from blender_btfsep import request
 

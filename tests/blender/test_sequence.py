@@ -168,6 +168,7 @@ def test_from_photos_by_cycles_to_keyframes_by_the_engine(addon, scene, render, 
     settings.preset, settings.order, settings.occluders = "draft", 2, "NONE"
     assert bpy.ops.btfsep.estimate_sequence() == {"FINISHED"}
     assert "2 lights, frames 12 to 14" in bpy.context.window_manager.btfsep.summary
+    assert bpy.ops.btfsep.rendered_view.poll()  # though no card is kept
 
     errors = {}
     for number in photos:
