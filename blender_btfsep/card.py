@@ -29,6 +29,8 @@ BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
 COMMANDS = re.compile(r" \([^()]*--[^()]*\)|; see stddev in lighting\.json")  # what the command line is told
 GIVEN, SURFACE = ("surface/given", "The material as given"), ("its 'surface'", "its material")  # words of jobs
+SAVED_BY = re.compile(r"of what Blender saved by evidence (?:Blender's view transform )?(.+?) \(probability ([\d.]+)\)")
+SURE = 0.9  # of the view by which a render was saved: of what is more probable, nothing is asked
 BEHIND = "what the mirror hides"
 AROUND = "what the table, or whatever stands around, keeps away"
 
@@ -75,10 +77,11 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     materials = _materials(result)
     if materials:
         lines.append(("Material", materials))
+    doubts = sorted(shown.values(), key=lambda doubt: doubt["mend"] != "SELECT")  # causes before what comes of them
     return {
         "trust": trust,
         "lines": [list(line) for line in lines],
-        "warnings": [*unsure, *sorted(shown.values(), key=lambda doubt: doubt["mend"] != "SELECT")],  # causes first
+        "warnings": [*unsure, *_unsure_view(result), *doubts],
         "details": _details(result, lighting, [s for s, a in told if a.phrase != MATERIAL or not unsure]),
     }
 
@@ -187,6 +190,16 @@ def _unsure_materials(result: dict) -> list:
         sentence = f"The material of {found['name']} is not certain ({listed}); choose it for a surer light"
         out.append({"short": sentence, "mend": "MATERIAL", "object": str(found["name"])})
     return out
+
+
+def _unsure_view(result: dict) -> list:
+    """A warning, in the card's form, where a render may have been saved with another view than it was read by."""
+    found = SAVED_BY.search(str((result.get("choice") or {}).get("curve") or ""))
+    if found is None or float(found[2]) >= SURE:
+        return []
+    view, other, mend = (found[1], "Standard", "STANDARD") if found[1] != "sRGB" else ("Standard", "AgX", "AGX")
+    sentence = f"Taken for a render saved with {view} ({100 * float(found[2]):.0f} % sure); if it was {other}, say so"
+    return [{"short": sentence, "mend": mend, "object": ""}]
 
 
 def _details(result: dict, lighting: dict, warnings) -> list:

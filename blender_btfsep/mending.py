@@ -13,11 +13,16 @@ MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
     ("MATERIAL", "Choose Material", "Choose the object's material in the library"),
     ("AGX", "Read as AgX", "Read the photo as a render that was saved with AgX; estimate again afterwards"),
+    (
+        "STANDARD",
+        "Read as Standard",
+        "Read the photo as a render that was saved with Standard; estimate again afterwards",
+    ),
     ("CAMERA", "Read as a Camera's", "Read the photo by the usual curve of cameras; estimate again afterwards"),
     ("SELECT", "Go to Its Material", "Select what is in doubt, and show its material in the properties"),
     ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
 )
-READ_AS = {"AGX": "agx", "CAMERA": "camera", "CURVE": "unknown"}
+READ_AS = {"AGX": "agx", "STANDARD": "srgb", "CAMERA": "camera", "CURVE": "unknown"}
 
 
 class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):

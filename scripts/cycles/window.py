@@ -93,16 +93,19 @@ def steps(out: Path):
     blender_btfsep.register()
     state, settings = runs.run_state(), bpy.context.scene.btfsep
     settings.image = bpy.data.images.load(photographed(tempfile.mkdtemp()))
+    settings.curve = "srgb"  # it was saved with Standard, which a dark picture does not tell
     area, side, region = view()
     area.spaces.active.show_region_ui = True
     with in_view():
         bpy.ops.btfsep.add_objects()
         bpy.ops.btfsep.use_photo()
     yield 1.0
+    with in_view():
+        bpy.ops.view3d.view_center_camera()
     side.active_panel_category = "BTFsep"
     state.overlay = "OUTLINE"
     yield 2.0
-    picture(out / "overlay.jpg", region)
+    picture(out / "overlay.jpg", region, below=region.height // 12)
     state.overlay, settings.objects[0].source = "OFF", "LIBRARY"
     yield 1.0
     while not state.library and not state.library_error:

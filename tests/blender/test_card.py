@@ -2,6 +2,7 @@
 """The card of a light: its words against lights that are known, and that it stays with the file."""
 
 import json
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -17,13 +18,17 @@ from blender_btfsep import (
     light_picture,
     light_words,
     lighting_file,
+    mending,
     pixels,
     sh_nodes,
     sun_lamp,
     world,
 )
 from btfsep_engine import sh
+from btfsep_engine.fit import tone_curve
 from btfsep_engine.images import write_exr
+from btfsep_engine.pipeline.refine.curves import curve_words
+from btfsep_engine.pipeline.tone import Curves
 from tests.blender.lit import LIGHTING
 
 SAID = {
@@ -252,6 +257,26 @@ def test_surfaces_that_are_not_as_the_light_makes_them_are_said_by_name_with_the
     )
     assert (found["warnings"][3]["short"], found["warnings"][3]["mend"]) == (unnamed, "")
     assert not any("surface'" in words for words in found["details"])
+
+
+@pytest.mark.parametrize(("found", "words", "mend"), [
+    (tone_curve.AGX, "AgX (76 % sure); if it was Standard", "STANDARD"),
+    (tone_curve.VIEWS["agx-punchy"], "AgX, Punchy (76 % sure); if it was Standard", "STANDARD"),
+    (tone_curve.SRGB, "Standard (76 % sure); if it was AgX", "AGX"),
+])  # fmt: skip
+def test_where_a_render_may_have_been_saved_with_another_view_it_is_asked(found, words, mend):
+    job = SimpleNamespace(
+        image_colorspace="auto", photo=SimpleNamespace(bits=8, is_render=True, camera="", profile=None)
+    )
+    for share, asked in ((0.76, True), (0.9, False)):
+        curves = Curves(None, (found, tone_curve.VIEWS["filmic"]), np.array([share, 1 - share]))
+        said = curve_words([SimpleNamespace(scene=SimpleNamespace(job=job, curves=curves))])
+        doubts = card.card_of({"choice": {"curve": said}}, lighting(), FRONT)["warnings"]
+        assert [(d["short"], d["mend"]) for d in doubts] == asked * [
+            (f"Taken for a render saved with {words}, say so", mend)
+        ]
+    assert mending.READ_AS[mend] in {"agx", "srgb"}
+    assert not card.card_of({"choice": {"curve": "the photo's tone curve is sRGB"}}, lighting(), FRONT)["warnings"]
 
 
 def test_a_light_that_may_be_quite_another_is_not_green():

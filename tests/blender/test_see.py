@@ -387,13 +387,13 @@ def test_what_stands_around_is_selected_to_look_at_its_material(photographed):
         bpy.ops.btfsep.mend(how="SELECT", object="Gone")
 
 
-@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE", "AGX", "CAMERA"])
+@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE", "AGX", "STANDARD", "CAMERA"])
 def test_doubts_are_mended_where_they_arise(photographed, how):
     bpy.ops.mesh.primitive_monkey_add()
     photographed.btfsep.objects.add().object = bpy.context.object
     assert bpy.ops.btfsep.mend(how=how, object="Suzanne") == {"FINISHED"}
     if how in mending.READ_AS:
-        assert photographed.btfsep.curve == {"CURVE": "unknown", "AGX": "agx", "CAMERA": "camera"}[how]
+        assert photographed.btfsep.curve == mending.READ_AS[how]
         return
     assert photographed.btfsep.active_object == 1
     assert [e.source for e in photographed.btfsep.objects] == ["RECOGNISE", {"MATERIAL": "LIBRARY"}.get(how, how)]
