@@ -10,6 +10,7 @@ from dataclasses import dataclass
 LEVELS = ("GREEN", "AMBER", "RED")
 MATERIAL = "does not rule them out"  # `card` says it from the answer itself, by names
 NONE_OF_THESE = "looks like none of the library's materials"
+MISFIT = "does not go with the photo"
 BY_CURVE = "with the photo read by the tone curve that was found"
 FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said but under Details
 
@@ -47,7 +48,7 @@ KNOWN = (
         "Something that is not in the scene throws light on the object; add it",
         level="AMBER",
     ),
-    Advice("does not go with the photo", "The material does not quite fit the photo", "MATERIAL", "AMBER"),
+    Advice(MISFIT, "The material does not quite fit the photo", "MATERIAL", "AMBER"),
     Advice("poorly (relative residual", "The light explains {0} poorly: material, shape or camera", "ALIGN", "RED"),
     Advice("show something else than the light explains", "What stands before {0} is left out; a mask is surer"),
     Advice("lies over the photo and never met them", "Haze or stray light over the photo is taken off", level="AMBER"),

@@ -9,7 +9,7 @@ import re
 
 import numpy as np
 
-from .advice import BY_CURVE, MATERIAL, NONE_OF_THESE, advice, worst
+from .advice import BY_CURVE, MATERIAL, MISFIT, NONE_OF_THESE, advice, worst
 from .harmonics import LUMINANCE, evaluate, order_of
 from .light_words import (
     EVEN,
@@ -28,7 +28,11 @@ LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
 COMMANDS = re.compile(r" \([^()]*--[^()]*\)|; see stddev in lighting\.json")  # what the command line is told
-GIVEN, SURFACE = ("surface/given", "The material as given"), ("its 'surface'", "its material")  # words of jobs
+OF_JOBS = {  # what jobs call things, and what the panel does
+    "surface/given": "The material as given",
+    "or its 'surface'": "or its colour",
+    "its 'surface'": "its material",
+}
 SAVED_BY = re.compile(r"of what Blender saved by evidence (?:Blender's view transform )?(.+?) \(probability ([\d.]+)\)")
 SURE = 0.9  # of the view by which a render was saved: of what is more probable, nothing is asked
 BEHIND = "what the mirror hides"
@@ -53,9 +57,12 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     """
     unsure = _unsure_materials(result)
     told = [(sentence, advice(sentence)) for sentence in warnings]
+    idle = ()
     if any(a.phrase == NONE_OF_THESE for _, a in told):  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
-    shown = {a.short: {"short": a.short, "mend": a.mend, "object": _to_select(a)} for _, a in told if a.short}
+        idle = (MISFIT,)  # its colour is asked for already
+    which = [a for _, a in told if a.short and a.phrase not in idle]
+    shown = {a.short: {"short": a.short, "mend": a.mend, "object": _to_select(a)} for a in which}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}
     error = errors.get("order_2") or errors.get("order_1")
     trust = "NONE"
@@ -209,8 +216,15 @@ def _details(result: dict, lighting: dict, warnings) -> list:
         around, up = angles(lighting["suns"]["lamps"][0]["direction"])
         out.append(f"In the world the key light stands at azimuth {around:.0f}° (from +X towards +Y), {up:.0f}° up")
     out += [str(result.get("determined") or ""), *map(str, (result.get("choice") or {}).values()), *warnings]
-    plain = (COMMANDS.sub("", words).replace(*GIVEN).replace(*SURFACE) for words in out)
-    return list(dict.fromkeys(capitalised(plain)))
+    return list(dict.fromkeys(capitalised(map(plain, out))))
+
+
+def plain(sentence: str) -> str:
+    """One of the engine's sentences without the words of its command line and of jobs."""
+    sentence = COMMANDS.sub("", sentence)
+    for word, here in OF_JOBS.items():
+        sentence = sentence.replace(word, here)
+    return sentence
 
 
 def capitalised(words) -> list:

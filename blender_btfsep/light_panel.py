@@ -18,7 +18,7 @@ from . import (
     sun_lamp,
     world,
 )
-from .card import capitalised
+from .advice import advice
 
 SHOWN = 3  # lamps in the panel
 PREFIX = "BTFsep "  # of our lamps: their numbers at the end are what tells them apart
@@ -114,8 +114,9 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             for number, part in enumerate(run.summary.splitlines()):
                 sidebar.wrapped(context, box, part, icon="BLANK1" if number else done)
         if run.warnings and (run.error or run.task != "Estimating"):
-            box = layout.box()
-            for warning in capitalised(each.name for each in run.warnings):
+            said = list(dict.fromkeys(filter(None, (advice(each.name).short for each in run.warnings))))
+            box = layout.box() if said else None
+            for warning in said:  # all of each is in the Info editor
                 sidebar.wrapped(context, box, warning, icon="ERROR")
 
     def _card(self, context, layout, run, light):

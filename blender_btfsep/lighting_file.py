@@ -13,6 +13,7 @@ MAX_ORDER = 64
 MAX_BYTES = 8 << 20
 MOST_LAMPS = 64
 LARGEST = 3e38  # Blender's numbers are single precision: more would be infinite
+ROUNDING = 1e-9  # of a unit vector's length
 _REMEDY = "export the lighting again with BTFsep"
 
 
@@ -117,7 +118,8 @@ def _lamp(lamp, key: str, name: str) -> dict:
         raise InputError(name, f"'size_degrees' of '{key}' is {size!r}, not a number from 0 to 180", _REMEDY)
     near = _near(lamp["near"], key, name) if lamp.get("near") is not None else None
     return {
-        "direction": [value / length for value in direction],
+        # one that is a unit vector but for rounding stays as it is, or what is written and read again would be another
+        "direction": [float(value) if abs(length - 1) < ROUNDING else value / length for value in direction],
         "irradiance": [float(value) for value in irradiance],
         "size_degrees": float(size),
         **({"near": near} if near else {}),

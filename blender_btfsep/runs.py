@@ -13,7 +13,7 @@ import time
 
 import bpy
 
-from . import durations, engine_process, photo, preferences, resident, sun_lamp
+from . import card, durations, engine_process, photo, preferences, resident, sun_lamp
 from .drawing import draw_when_due, over_panel, redraw
 from .errors import InputError
 
@@ -309,7 +309,7 @@ class EngineOperator:
             scene = next((each for each in bpy.data.scenes if each.session_uid == self._scene), None)
             (sentence,) = photo.named(scene and scene.btfsep.image, [message.message])
             state.warnings.add().name = sentence
-            self.report({"WARNING"}, sentence)
+            self.report({"WARNING"}, card.plain(sentence))
         redraw()
 
     def _end(self, context, last):

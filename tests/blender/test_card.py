@@ -130,6 +130,18 @@ def sunny(size=0.5):
     return lighting(coefficients=whole.tolist(), suns={"lamps": [lamp], "sky": sky.tolist()})
 
 
+def test_a_light_that_is_kept_is_known_again_whatever_its_sun_is(photographed):
+    """Else it would be kept anew, without its card and report, by what makes it the World."""
+    suns = np.random.default_rng(0).normal(size=(40, 3))
+    photographed.btfsep.sun_lamp = True
+    for direction in suns / np.linalg.norm(suns, axis=1, keepdims=True):
+        found = sunny()
+        found["suns"]["lamps"][0]["direction"] = direction.tolist()
+        kept_light.keep(photographed, lighting_file.validate(lighting_file.as_data(found)), SAID)
+        answer.apply_light(photographed, kept_light.lighting_of(photographed.btfsep.light))
+        assert kept_light.card(photographed.btfsep.light)["lines"][0] == ["Trust", "Good: about 12% off (8–20%)"]
+
+
 def test_a_sunny_light_in_an_artists_words():
     lines = card.card_of({}, sunny(), FRONT)["lines"]
     assert len(lines) <= 6
@@ -220,6 +232,18 @@ def test_a_material_that_nothing_hangs_on_is_not_doubted_and_commands_are_left_o
     found = card.card_of({}, lighting(), FRONT, warnings=[curve, none])
     assert [d["mend"] for d in found["warnings"]] == ["COLOUR"]
     assert found["details"][-1] == "Object 'Head' looks like none of the library's materials after all"
+    misfit = "the material (surface/plastic) does not go with the photo: its gloss or its class may be wrong"
+    assert [d["mend"] for d in card.card_of({}, lighting(), FRONT, warnings=[misfit])["warnings"]] == ["MATERIAL"]
+    both = card.card_of({}, lighting(), FRONT, warnings=[misfit, none])
+    assert [d["mend"] for d in both["warnings"]] == ["COLOUR"] and len(both["details"]) == 2
+
+
+def test_words_of_jobs_and_commands_are_not_the_panels():
+    told = "object 'A' may be one (give --material, if you know it); give its material, or its 'surface'"
+    assert card.plain(told) == "object 'A' may be one; give its material, or its colour"
+    assert card.plain("surface/given has no texture; check its 'surface'") == (
+        "The material as given has no texture; check its material"
+    )
 
 
 def test_surfaces_that_are_not_as_the_light_makes_them_are_said_by_name_with_the_way_to_their_material():
