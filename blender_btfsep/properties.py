@@ -176,7 +176,7 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
     objects: CollectionProperty(type=BTFSEP_PG_object)
     active_object: IntProperty(name="Active Object")
     occluders: EnumProperty(name="Occluders", description="What else casts shadows", items=OCCLUDERS)
-    mapping: EnumProperty(name="Material Mapping", description="How materials lie on the objects", items=MAPPINGS)
+    mapping: EnumProperty(name="Mapping", description="How materials lie on the objects", items=MAPPINGS)
     exposure_ev: FloatProperty(
         name="Exposure",
         description="Stops that had been applied to the photo; it is kept with the light and changes no colour",

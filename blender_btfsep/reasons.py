@@ -109,7 +109,7 @@ def _of_entry(name: str, entry, view_layer, settings) -> str:
         if thing.name not in view_layer.objects:
             return f"'{name}' is in no collection of this view layer: include its collection, or take it off the list"
         if settings.mapping == "OWN" and thing.type == "MESH" and not thing.data.uv_layers and not thing.modifiers:
-            return f"'{name}' has no UV map: unwrap it, or take another Material Mapping"
+            return f"'{name}' has no UV map: unwrap it, or take another Mapping (Advanced)"
     if entry.source == "LIBRARY":
         if not entry.material:
             return f"Choose the material of '{name}', or have it recognised"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of the real window for the user guide: a photo is used, its light estimated, and each step photographed.
+"""Pictures of the real window for the user guide: a photo is used, the example estimated, each step photographed.
 
     blender --factory-startup --python scripts/cycles/window.py -- FOLDER
 
 in a Blender with a window (an Xvfb will do), with ImageMagick's ``import`` and a checkout that has its .venv. FOLDER
-gets overlay.jpg (the 3D view), library.png, panel.png (the sidebar after the estimate), report.png and rendered.png.
+gets overlay.jpg (the 3D view), library.png, and of the example panel.png (the sidebar), report.png and rendered.png.
 """
 
 import subprocess
@@ -114,8 +114,9 @@ def steps(out: Path):
     area.tag_redraw()
     yield 2.0
     picture(out / "library.png", side, below=side.height // 2)
-    settings.objects[0].material = ""
-    settings.objects[0].source = "BLENDER"
+    with in_view():
+        bpy.ops.btfsep.open_example()
+    yield 1.0
     with in_view():
         bpy.ops.btfsep.estimate("INVOKE_DEFAULT")
     while state.running:
