@@ -3,8 +3,9 @@
 
     blender --factory-startup --python scripts/cycles/window.py -- FOLDER
 
-in a Blender with a window (an Xvfb will do), with ImageMagick's ``import`` and a checkout that has its .venv. FOLDER
-gets overlay.jpg (the 3D view), library.png, and of the example panel.png (the sidebar), report.png and rendered.png.
+in a Blender with a window (an Xvfb of 1600 x 1490 will do), with ImageMagick's ``import`` and a checkout that has its
+.venv. FOLDER gets overlay.jpg (the 3D view), library.png, and of the example panel.png (the sidebar), report.png and
+rendered.png.
 """
 
 import subprocess
@@ -58,6 +59,7 @@ def photographed(folder) -> str:
         bpy.ops.mesh.primitive_monkey_add(rotation=(-0.5, 0, 0.6))
         bpy.ops.object.shade_smooth()
     head = bpy.context.view_layer.objects.active
+    head.name = "Head"  # the example's has Blender's own name
     head.modifiers.new("Smooth", "SUBSURF").render_levels = 2
     own = bpy.data.materials.new("Clay")
     own.use_nodes = True
