@@ -62,7 +62,7 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
         idle = (MISFIT,)  # its colour is asked for already
     which = [a for _, a in told if a.short and a.phrase not in idle]
-    shown = {a.short: {"short": a.short, "mend": a.mend, "object": _to_select(a)} for a in which}
+    shown = {a.short: doubt_of(a) for a in which}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}
     error = errors.get("order_2") or errors.get("order_1")
     trust = "NONE"
@@ -93,9 +93,10 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     }
 
 
-def _to_select(advised) -> str:
-    """What the button of a doubt is told of the objects that the doubt names."""
-    return "\n".join(advised.objects) if advised.mend == "SELECT" else ""
+def doubt_of(advised) -> dict:
+    """A doubt as a card has it, of its `advice.Advice`."""
+    told = "\n".join(advised.objects) if advised.mend == "SELECT" else "".join(advised.objects[:1])
+    return {"short": advised.short, "mend": advised.mend, "object": told if advised.mend else ""}
 
 
 def _key_and_fill(result: dict, lighting: dict, to_world, metres_per_unit: float) -> list:

@@ -19,6 +19,7 @@ from . import (
     world,
 )
 from .advice import advice
+from .card import doubt_of
 
 SHOWN = 3  # lamps in the panel
 PREFIX = "BTFsep "  # of our lamps: their numbers at the end are what tells them apart
@@ -114,10 +115,24 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             for number, part in enumerate(run.summary.splitlines()):
                 sidebar.wrapped(context, box, part, icon="BLANK1" if number else done)
         if run.warnings and (run.error or run.task != "Estimating"):
-            said = list(dict.fromkeys(filter(None, (advice(each.name).short for each in run.warnings))))
+            said = {found.short: found for found in (advice(each.name) for each in run.warnings) if found.short}
             box = layout.box() if said else None
-            for warning in said:  # all of each is in the Info editor
-                sidebar.wrapped(context, box, warning, icon="ERROR")
+            for found in said.values():  # all of each is in the Info editor
+                self._doubt(context, box, doubt_of(found))
+
+    def _doubt(self, context, box, doubt):
+        """A doubt of a card, with the button that mends it."""
+        sidebar.wrapped(context, box, doubt["short"], icon="ERROR")
+        mend, about = doubt["mend"], next((w for n, w, _ in mending.MENDS if n == doubt["mend"]), "")
+        if mend == "ALIGN":
+            sidebar.refine_alignment(box, context.scene.btfsep)
+        elif mend == "UPRIGHT":
+            box.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
+        elif mend == "FREEZE":
+            self._suns(context, box)
+        elif mend:
+            button = box.operator("btfsep.mend", text=about)
+            button.how, button.object = mend, doubt["object"]
 
     def _card(self, context, layout, run, light):
         card = kept_light.card(light)
@@ -145,17 +160,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             shine = f"{', '.join(others[:SHOWN])}{' …' * (len(others) > SHOWN)} shine{'s' * (len(others) == 1)}"
             sidebar.wrapped(context, box, f"{shine} beside this light: hide in renders what should not", icon="INFO")
         for warning in card.get("warnings") or ():
-            sidebar.wrapped(context, box, warning["short"], icon="ERROR")
-            mend, about = warning["mend"], next((w for n, w, _ in mending.MENDS if n == warning["mend"]), "")
-            if mend == "ALIGN":
-                sidebar.refine_alignment(box, context.scene.btfsep)
-            elif mend == "UPRIGHT":
-                box.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
-            elif mend == "FREEZE":
-                self._suns(context, box)
-            elif mend:
-                button = box.operator("btfsep.mend", text=about)
-                button.how, button.object = mend, warning["object"]
+            self._doubt(context, box, warning)
         if card.get("details"):
             row = box.row()
             row.alignment = "LEFT"

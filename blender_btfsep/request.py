@@ -61,7 +61,7 @@ def nothing_to_recognise(settings) -> str:
     """Why there is nothing to recognise, as a sentence for a tooltip; empty where there is something."""
     if any(entry.source == "RECOGNISE" for entry in fitted(settings).values()):
         return ""
-    return "It is said what everything is made of: set Made Of to Recognise where that is to be found"
+    return "Every material is given already: set Made Of to Recognise where one is to be found"
 
 
 def job_folder(scene) -> Path:

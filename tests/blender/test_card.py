@@ -235,7 +235,7 @@ def test_a_material_that_nothing_hangs_on_is_not_doubted_and_commands_are_left_o
     misfit = "the material (surface/plastic) does not go with the photo: its gloss or its class may be wrong"
     assert [d["mend"] for d in card.card_of({}, lighting(), FRONT, warnings=[misfit])["warnings"]] == ["MATERIAL"]
     both = card.card_of({}, lighting(), FRONT, warnings=[misfit, none])
-    assert [d["mend"] for d in both["warnings"]] == ["COLOUR"] and len(both["details"]) == 2
+    assert [(d["mend"], d["object"]) for d in both["warnings"]] == [("COLOUR", "Head")] and len(both["details"]) == 2
 
 
 def test_words_of_jobs_and_commands_are_not_the_panels():

@@ -79,6 +79,7 @@ def test_its_faults_are_passed_on_and_nothing_is_left(large):
 
 def test_an_operator_waits_for_it(large, fake_engine, tmp_path):
     fake_engine(log=str(tmp_path / "log"), lines=[{"type": "done", "result": FOUND}])
+    large.btfsep.objects[0].source = "RECOGNISE"
     assert bpy.ops.btfsep.recognise() == {"FINISHED"}
     folder = json.loads((tmp_path / "log").read_text())[1]
     assert "Cube" in [o["name"] for o in json.loads(open(f"{folder}/job.json").read())["objects"]]
@@ -89,7 +90,7 @@ def test_an_operator_waits_for_it(large, fake_engine, tmp_path):
     large.btfsep.objects[0].object.data.materials.append(glass)
     large.btfsep.objects[0].source = "BLENDER"  # which only the export finds out
     with pytest.raises(RuntimeError, match="light goes through material 'Glass'"):
-        bpy.ops.btfsep.recognise()
+        bpy.ops.btfsep.estimate()
     assert not bpy.context.window_manager.btfsep.running
 
 
