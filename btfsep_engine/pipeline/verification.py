@@ -16,18 +16,21 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from btfsep_engine import sh
+from btfsep_engine import kept, sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.election import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import Solution, solve
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.log_field import coarse_field, even_field
-from btfsep_engine.recognise.contrast import Contrast, contrast, unlike
-from btfsep_engine.recognise.descriptors import extract
+from btfsep_engine.recognise.contrast import Contrast, contrast_of, unlike
+from btfsep_engine.recognise.descriptors import described
 from btfsep_engine.recognise.judgement import judgements, utilities
+from btfsep_engine.recognise.masked import Masked
 from btfsep_engine.recognise.recogniser import Recogniser
+from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.sampling import choose_pixels
+from btfsep_engine.render.surface import with_texture
 from btfsep_engine.threads import one_thread
 
 EXPLAINED = 24  # the first of the classifier's; others keep what the worst of these has
@@ -72,12 +75,12 @@ class Photographed:
 
     Attributes
     ----------
-    usable : (p,) bool, the pixels of the region that have a value in the photograph
+    seen : recognise.masked.Masked, the pixels of the region that have a value in the photograph
     texture : (length,) SIFT's part of the VLAD of the whole object, of unit length
     contrast : recognise.contrast.Contrast
     """
 
-    usable: np.ndarray
+    seen: Masked
     texture: np.ndarray
     contrast: Contrast
 
@@ -143,13 +146,19 @@ class Verification:
     """
 
     def __init__(self, scene, index: int, region, window, settings):
-        self.points = scene.points(index, region=region, textured=True)
+        obj, unit = scene.job.objects[index], scene.millimetres_per_unit
+
+        def chosen():
+            points = with_texture(scene.bare_points(index, region=region), scene.job, index)
+            return points, points.take(choose_pixels(points, PIXELS, seed=settings.seed))
+
+        physical_uv(obj.mesh, obj.uv, millimetres_per_unit=unit, reporter=scene.reporter)  # says what is to be said
+        parts = [scene.seen, index, np.packbits(region), region.shape, obj.uv, float(unit), settings.seed]
+        self.points, few = kept.recalled("candidates' points", parts, chosen)
         self.transport = scene.transport(self.points, directions=settings.training_directions)
-        self.few = choose_pixels(self.points, PIXELS, seed=settings.seed)
-        self.few_transport = scene.transport(self.points.take(self.few), directions=settings.training_directions)
+        self.few_transport = scene.transport(few, directions=settings.training_directions)
         self.region, self.window, self.seed = region[window], window, settings.seed
         self.every = False  # whether candidates are rendered, not the likeliest alone
-        self._bases: dict = {}  # of the materials that were asked for: they are the same for every photo
 
     def cues(self, names, votes, recogniser: Recogniser, radiance, vectors, load) -> dict:
         """{cue: (candidates,) float} of the materials ``names``, the classifier's likeliest first.
@@ -179,8 +188,8 @@ class Verification:
             enough = odds[likely[0]] - HOPELESS
             likely = [i for i in likely[:RENDERED] if odds[i] > enough or mirrors[i]]
         texture = recogniser.encoder.part(vectors[-1], "sift")
-        usable = np.isfinite(radiance[self.region]).all(-1)
-        photo = Photographed(usable, texture, contrast(radiance, self.region))
+        seen = Masked(self.region, self.region & np.isfinite(radiance).all(-1))
+        photo = Photographed(seen, texture, contrast_of(seen.of(radiance), seen))
         similar = [
             dict.fromkeys(SIMILARITIES, np.nan)
             if mirrors[i]
@@ -194,13 +203,11 @@ class Verification:
 
         ``beside`` : another material's, with whose evidence this one's is compared
         """
-        if material.name not in self._bases:
-            self._bases[material.name] = self.few_transport.radiance(material.mean_material(), SHBasis(ORDER))
-        rows, columns = (self.points.pixels[self.few] - [s.start for s in self.window]).T
+        rows, columns = (self.few_transport.points.pixels - [s.start for s in self.window]).T
         b = radiance[rows, columns]
         good = np.isfinite(b).all(-1)
         with one_thread():
-            basis = Basis(self._bases[material.name][good], self.points.normal[self.few][good])
+            basis = self._basis(material, good)
             photo, start = CoarselyLit(basis, b[good], effective=beside and beside.effective), None
             if beside is not None:  # from there, a light of its own is soon found roughly
                 other = beside.solution
@@ -209,24 +216,33 @@ class Verification:
         light = CELLS.means(best.radiance, best.model.field.directions) * photo.level
         return Explained(light, best.x[:, 0] * photo.level, best.evidence, photo.effective, best)
 
+    def _basis(self, material, good) -> Basis:
+        """The basis images of a material's mean ABRDF at the few points that are ``good`` (n,) bool.
+
+        Of all points they are the same for every photograph, and kept.
+        """
+
+        def made(which=slice(None)):
+            images = self.few_transport.radiance(material.mean_material(), SHBasis(ORDER))
+            basis = Basis(images[which], self.few_transport.points.normal[which])
+            _ = basis.axes  # is kept with it
+            return basis
+
+        return kept.recalled("candidate", [self.few_transport.key, material], made) if good.all() else made(good)
+
     def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> dict[str, float]:
         """`SIMILARITIES` of the photograph and a material under a light: a cosine, -1 to 1, and differences, <= 0."""
         under, light = self.transport.radiance(material, CELLS), light.astype(np.float32)
         pixels = np.stack([under[..., c] @ light[:, c] for c in range(3)], 1)
-        pixels[~photo.usable] = np.nan
-        differences = unlike(contrast(self._image(pixels), self.region), photo.contrast)
-        mean = max(float(pixels[photo.usable].mean()), 1e-30)
-        noisy = pixels + NOISE * np.sqrt(np.maximum(pixels, 0) * mean) * self._noise
-        image = self._image(np.maximum(noisy, 1e-4 * mean))
-        descriptors = extract(image, self.region, settings=recogniser.settings)
+        usable = photo.seen.valid[self.region]
+        pixels = pixels[usable]
+        differences = unlike(contrast_of(pixels, photo.seen), photo.contrast)
+        mean = max(float(pixels.mean()), 1e-30)
+        noisy = pixels + NOISE * np.sqrt(np.maximum(pixels, 0) * mean) * self._noise[usable]
+        noisy = np.maximum(noisy, 1e-4 * mean)
+        descriptors = described(noisy, photo.seen, settings=recogniser.settings, colour=False)
         texture = recogniser.encoder.whole(descriptors, "sift") @ photo.texture
         return {"texture": float(texture)} | {name: -value for name, value in differences.items()}
-
-    def _image(self, pixels) -> np.ndarray:
-        """(h, w, 3), of the values (p, 3) of the region's pixels; NaN elsewhere."""
-        image = np.full((*self.region.shape, 3), np.nan, np.float32)
-        image[self.region] = pixels
-        return image
 
     @cached_property
     def _noise(self) -> np.ndarray:

@@ -13,7 +13,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from btfsep_engine.recognise.descriptors import Settings, normalise, smoothed
+from btfsep_engine.recognise.descriptors import Settings, normalise, normalised
+from btfsep_engine.recognise.masked import Masked
 
 SIGMAS = (0.8, 1.6, 3.2, 6.4, 12.8)  # pixels; an octave lies between two
 BORDER = 7  # pixels of the outline: a silhouette is no texture
@@ -44,22 +45,29 @@ class Contrast:
 
 def contrast(radiance, mask) -> Contrast:
     """The contrast of ``radiance`` (h, w, 3), linear, NaN where unusable, within ``mask`` (h, w) bool."""
-    valid = mask & np.isfinite(radiance).all(-1)
-    image, weight = normalise(radiance, valid, settings=GREY_WORLD), valid.astype(np.float32)
-    both = np.dstack([image, weight])
-    smooth = [s[..., :3] / np.maximum(s[..., 3:], 1e-3) for s in (smoothed(both, sigma) for sigma in SIGMAS)]
-    inside = cv2.erode(weight, np.ones((BORDER, BORDER)), borderValue=0) > 0
-    inside = inside if inside.sum() >= FEWEST else valid
-    seen = [
-        np.ascontiguousarray(image[inside].T) for image in smooth
-    ]  # a channel's pixels side by side: they are summed
-    octaves = np.stack([fine - coarse for fine, coarse in pairwise(seen)])
+    seen = Masked(mask, mask & np.isfinite(radiance).all(-1))
+    return contrast_of(seen.of(radiance), seen)
+
+
+def contrast_of(radiance, seen: Masked) -> Contrast:
+    """The same of the usable pixels alone: ``radiance`` (n, 3), of ``seen.pixels``."""
+    image = seen.image(normalised(radiance, settings=GREY_WORLD))
+    inside = seen.once("inside", lambda: np.flatnonzero(_inside(seen)))
+    # a channel's pixels side by side: they are summed
+    means = [np.ascontiguousarray(seen.mean(image, sigma, inside).T) for sigma in SIGMAS]
+    octaves = np.stack([fine - coarse for fine, coarse in pairwise(means)])
     octaves -= octaves.mean(2, keepdims=True)
     deviation = np.sqrt(np.square(octaves).mean(2))
     octaves /= np.maximum(deviation, 1e-6)[..., None]
     lightness = octaves[:, :1]
     skewness = (lightness[:, 0] ** 2 * lightness[:, 0]).mean(1)
     return Contrast(deviation, skewness, (lightness * octaves[:, 1:]).mean(2))
+
+
+def _inside(seen: Masked) -> np.ndarray:
+    """(h, w) bool, usable pixels away from those that are not, where these are enough."""
+    inside = cv2.erode(seen.weight, np.ones((BORDER, BORDER)), borderValue=0) > 0
+    return inside if inside.sum() >= FEWEST else seen.valid
 
 
 def unlike(a: Contrast, b: Contrast) -> dict[str, float]:

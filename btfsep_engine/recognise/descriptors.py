@@ -13,6 +13,7 @@ import numpy as np
 
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
+from btfsep_engine.recognise.masked import Masked
 from btfsep_engine.srgb import linear_to_srgb
 
 TAPS = 3  # a colour patch has TAPS x TAPS samples
@@ -112,7 +113,13 @@ def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
     ``settings.colours`` asks, display values 0 to 1: red, green, blue
     """
     out = np.zeros(radiance.shape, np.float32)
-    colours = np.maximum(radiance[valid], 0)
+    out[valid] = normalised(radiance[valid], settings=settings)
+    return out
+
+
+def normalised(colours, *, settings=DEFAULT) -> np.ndarray:
+    """As `normalise`, of the pixels alone: (n, 3) float32 of radiance (n, 3)."""
+    colours = np.maximum(colours, 0)
     largest = float(colours.max(initial=0))
     if not largest > 0:
         raise InputError("the region to recognise", "is black in the photo", "use a photo in which it is lit")
@@ -127,11 +134,10 @@ def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
     cast = (mean / mean_luminance) ** settings.white_balance
     colours /= (mean_luminance * cast).astype(np.float32)
     if settings.colours == "display":
-        out[valid] = linear_to_srgb(np.clip(GREY * colours, 0, 1))
-        return out
+        return linear_to_srgb(np.clip(GREY * colours, 0, 1)).astype(np.float32)
     logs = np.log2(colours + np.float32(settings.floor))
     red, green, blue = logs.T
-    out[valid] = np.stack(
+    return np.stack(
         [
             logs @ np.float32(REC709_LUMINANCE),
             settings.chroma * (red - green),
@@ -139,7 +145,6 @@ def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
         ],
         1,
     )
-    return out
 
 
 def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise") -> Descriptors:
@@ -171,61 +176,50 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise")
     valid = mask & np.isfinite(radiance).all(-1)
     if not valid.any():
         raise InputError(what, "has no finite pixel in the photo", "export the image again")
-    image = _fill(normalise(radiance, valid, settings=settings), valid)
-    if settings.shading:
-        image[..., 0] -= _local_mean(image[..., 0], valid, settings.shading)
-    lightness = image[..., 0] if settings.colours == "opponent" else image @ np.float32(REC709_LUMINANCE)
-    seen = image, lightness, orientation_maps(lightness, settings.sift_sigma), mask, valid
-    parts = [_at_scale(*seen, edge, settings) for edge in settings.bins]
-    for edge in FALLBACK_BINS:
-        if sum(map(len, parts)) >= settings.minimum:
-            break
-        parts.append(_at_scale(*seen, edge, settings))
-    if (count := sum(map(len, parts))) < settings.minimum:
-        raise InputError(
-            what,
-            f"covers only {int(mask.sum())} pixels, room for {count} of the {settings.minimum} patches needed",
-            "take a closer or larger photo, or name the material in the job",
-        )
-    every = joined(parts)
+    seen = Masked(mask, valid)
+    every = described(seen.of(radiance), seen, settings=settings, what=what)
     return replace(every, xy=every.xy + np.array([left, top], np.float32))
 
 
-def smoothed(values, sigma: float) -> np.ndarray:
-    """Values (h, w) or (h, w, c) float32, blurred by a Gaussian of ``sigma`` pixels; a wide one on fewer pixels."""
-    h, w = values.shape[:2]
-    coarser = max(1, min(int(sigma / 1.6), h // 4, w // 4))
-    if coarser == 1:
-        return cv2.GaussianBlur(values, (0, 0), sigma)
-    small = cv2.resize(values, (w // coarser, h // coarser), interpolation=cv2.INTER_AREA)
-    return cv2.resize(cv2.GaussianBlur(small, (0, 0), sigma / coarser), (w, h), interpolation=cv2.INTER_LINEAR)
+def described(radiance, seen: Masked, *, settings=DEFAULT, what="the region to recognise", colour=True) -> Descriptors:
+    """As `extract`, of the usable pixels alone, places in the mask's own image.
+
+    Parameters
+    ----------
+    radiance : (n, 3) float32, of ``seen.pixels``
+    colour : whether colour patches are taken; else there are (n, 0)
+    """
+    colours, opponent = normalised(radiance, settings=settings), settings.colours == "opponent"
+    luminance = np.float32(REC709_LUMINANCE)
+    image = seen.image(colours if colour else colours[:, 0] if opponent else colours @ luminance)
+    first = image[..., 0] if colour else image
+    shade = seen.mean(np.ascontiguousarray(first), settings.shading) if settings.shading else 0
+    seen.fill(image, _reach(settings))
+    first -= shade
+    lightness = np.ascontiguousarray(first) if opponent or not colour else image @ luminance
+    of_image = image if colour else None, lightness, orientation_maps(lightness, settings.sift_sigma), seen
+    parts = [_at_scale(*of_image, edge, settings) for edge in settings.bins]
+    for edge in FALLBACK_BINS:
+        if sum(map(len, parts)) >= settings.minimum:
+            break
+        parts.append(_at_scale(*of_image, edge, settings))
+    if (count := sum(map(len, parts))) < settings.minimum:
+        raise InputError(
+            what,
+            f"covers only {int(seen.mask.sum())} pixels, room for {count} of the {settings.minimum} patches needed",
+            "take a closer or larger photo, or name the material in the job",
+        )
+    return joined(parts)
 
 
-def _fill(image, valid):
-    """Pixels that are not ``valid`` take the smooth mean of those around them, so that no edge arises there."""
-    if valid.all():
-        return image
-    weights = valid.astype(np.float32)
-    both = np.dstack([image * weights[..., None], weights])
-    out, open_ = image.copy(), ~valid
-    for sigma in (1.5, 6.0, 24.0):
-        smooth = smoothed(both, sigma)
-        reached = open_ & (smooth[..., 3] > 0.02)
-        out[reached] = smooth[reached, :3] / smooth[reached, 3:]
-        open_ &= ~reached
-    out[open_] = image[valid].mean(0)
-    return out
+def _reach(settings) -> int:
+    """How far from the mask pixels are looked at: by the mean about a pixel at the edge of a patch that lies in it."""
+    return max(2 * max(*settings.bins, *FALLBACK_BINS), int(5 * settings.sift_sigma)) + CELLS
 
 
-def _local_mean(values, valid, radius: float):
-    """Mean of the ``valid`` of ``values : (h, w)`` within about ``radius`` pixels (a Gaussian)."""
-    weights = valid.astype(np.float32)
-    both = smoothed(np.dstack([values * weights, weights]), radius)
-    return both[..., 0] / np.maximum(both[..., 1], 1e-3)
-
-
-def _places(mask, valid, half, settings):
+def _places(seen: Masked, half, settings):
     """Centres (x, y) of a regular grid of patches of edge 2 half + 1 that lie in the mask whole."""
+    mask, valid = seen.mask, seen.valid
     # with a border of zeros a patch cannot reach beyond the image either
     inside = cv2.erode(mask.astype(np.uint8), np.ones((2 * half + 1,) * 2, np.uint8), borderValue=0) > 0
     finite = cv2.blur(valid.astype(np.float32), (2 * half + 1,) * 2)
@@ -246,9 +240,16 @@ def orientation_maps(lightness, sigma: float) -> np.ndarray:
     smooth = cv2.GaussianBlur(lightness, (0, 0), sigma)
     right, up = cv2.filter2D(smooth, -1, DIFFERENCE), cv2.filter2D(smooth, -1, -DIFFERENCE.T)
     size, angle = cv2.cartToPolar(right, up, angleInDegrees=True)
-    apart = np.abs(angle[..., None] * (DIRECTIONS / 360) - np.arange(DIRECTIONS, dtype=np.float32))
-    share = np.maximum(1 - np.minimum(apart, DIRECTIONS - apart), 0)
-    return share * size[..., None]
+    place = angle.ravel() * np.float32(DIRECTIONS / 360)
+    below = place.astype(int)
+    above = (place - below) * size.ravel()
+    out, first = (
+        np.zeros((lightness.size, DIRECTIONS), np.float32),
+        np.arange(0, lightness.size * DIRECTIONS, DIRECTIONS),
+    )
+    out.ravel()[first + below % DIRECTIONS] = size.ravel() - above
+    out.ravel()[first + (below + 1) % DIRECTIONS] = above
+    return out.reshape(*lightness.shape, DIRECTIONS)
 
 
 def dense_sift(maps, x, y, edge: int) -> np.ndarray:
@@ -266,40 +267,49 @@ def dense_sift(maps, x, y, edge: int) -> np.ndarray:
     h, w = maps.shape[:2]
     rows = np.clip(y[:, None] + offset, 0, h - 1)[:, :, None]
     columns = np.clip(x[:, None] + offset, 0, w - 1)[:, None, :]
-    out = (cells[rows, columns] * np.outer(window, window)[..., None]).reshape(len(x), -1)
+    out = cells[rows, columns]
+    out *= np.outer(window, window)[..., None]
+    out = _of_length_1(out.reshape(len(x), -1))
     for _ in range(2):
-        out = np.minimum(out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12), LARGEST)
-    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
-    return np.minimum(512 * out, 255).round().astype(np.uint8)
+        out = _of_length_1(np.minimum(out, LARGEST, out=out))
+    out *= 512
+    return np.rint(np.minimum(out, 255, out=out), out=out).astype(np.uint8)
 
 
-def _at_scale(image, lightness, maps, mask, valid, edge, settings) -> Descriptors:
+def _of_length_1(vectors) -> np.ndarray:
+    """Vectors (n, k) float32 over their lengths, in place."""
+    vectors /= np.maximum(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)), 1e-12)[:, None]
+    return vectors
+
+
+def _at_scale(image, lightness, maps, seen: Masked, edge, settings) -> Descriptors:
     """The descriptors of one scale; ``edge`` is the edge of a SIFT cell in pixels."""
     half = 2 * edge
-    x, y = _places(mask, valid, half, settings)
-    n = len(x)
+    x, y = seen.once((half, settings), lambda: _places(seen, half, settings))
+    n, taken = len(x), 0 if image is None else 3 * TAPS * TAPS
     if not n:
         empty = np.zeros((0, 2), np.float32)
         return Descriptors(
-            np.zeros((0, 3 * TAPS * TAPS), np.float32),
-            np.zeros((0, SIFT_LENGTH), np.uint8),
-            np.zeros(0, np.float32),
-            empty,
+            np.zeros((0, taken), np.float32), np.zeros((0, SIFT_LENGTH), np.uint8), np.zeros(0, np.float32), empty
         )
-    # colour: taps a quarter of a cell apart, on an image blurred to match
-    spread = max(1, edge // 4)
-    smooth = cv2.GaussianBlur(image, (0, 0), 0.5 * spread)
-    h, w = mask.shape
-    offsets = spread * (np.arange(TAPS) - TAPS // 2)
-    taps = [smooth[np.clip(y + dy, 0, h - 1), np.clip(x + dx, 0, w - 1)] for dy in offsets for dx in offsets]
     # SIFT is normalised for contrast, so a flat patch would be described by its noise: the contrast is kept beside
     box = (2 * half + 1,) * 2
     local_mean = cv2.blur(lightness, box)
     # its running sums leave less than nothing where all is black but for a lamp's spot beside
     variance = np.maximum(cv2.blur((lightness - local_mean) ** 2, box)[y, x], 0)
     return Descriptors(
-        np.concatenate(taps, 1).astype(np.float32),
+        _patches(image, x, y, edge) if taken else np.zeros((n, 0), np.float32),
         dense_sift(maps, x, y, edge),
         np.sqrt(variance).astype(np.float32),
         np.stack([x, y], 1).astype(np.float32) + 0.5,
     )
+
+
+def _patches(image, x, y, edge: int) -> np.ndarray:
+    """Colour patches (n, 27) float32: taps a quarter of a cell apart, on an image blurred to match."""
+    spread = max(1, edge // 4)
+    smooth = cv2.GaussianBlur(image, (0, 0), 0.5 * spread)
+    h, w = image.shape[:2]
+    offsets = spread * (np.arange(TAPS) - TAPS // 2)
+    taps = [smooth[np.clip(y + dy, 0, h - 1), np.clip(x + dx, 0, w - 1)] for dy in offsets for dx in offsets]
+    return np.concatenate(taps, 1).astype(np.float32)

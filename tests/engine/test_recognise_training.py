@@ -14,6 +14,7 @@ import pytest
 from btfsep_engine.recognise import descriptors as dense
 from btfsep_engine.recognise import training, vlad
 from btfsep_engine.recognise.classifier import Nearest, scores
+from btfsep_engine.recognise.masked import smoothed
 from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.srgb import linear_to_srgb
 
@@ -140,5 +141,5 @@ def test_a_wide_blur_on_fewer_pixels_is_that_of_a_gaussian(rng, sigma):
     image = cv2.GaussianBlur(rng.normal(size=(130, 170, 4)).astype(np.float32), (0, 0), 2.0)
     expected = cv2.GaussianBlur(image, (0, 0), sigma)
     inner = np.s_[30:-30, 30:-30]
-    difference = dense.smoothed(image, sigma)[inner] - expected[inner]
+    difference = smoothed(image, sigma)[inner] - expected[inner]
     assert np.sqrt(np.square(difference).mean()) < 0.2 * expected[inner].std()
