@@ -10,7 +10,7 @@ from btfsep_engine.cache import digest
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings
-from btfsep_engine.pipeline.verification import Verification
+from btfsep_engine.pipeline.verification import CELLS, Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.model_file import cached, known_materials
@@ -114,7 +114,10 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Reco
 
         def render(material):
             images = np.full((lights.count, *region[window].shape, 3), np.nan, np.float32)
-            images[:, region[window]] = transport.radiance(material, lights).transpose(1, 0, 2)
+            # those under cells are what `Verification` asks for next: they are kept
+            more = (CELLS,) if settings.verify and material.mirror_reflectance is None else ()
+            seen, *_ = transport.radiances(material, lights, *more)
+            images[:, region[window]] = seen.transpose(1, 0, 2)
             return images
 
         return train(

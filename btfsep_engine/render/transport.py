@@ -41,7 +41,7 @@ class Transport:
         self.tracer, self.points, self.millimetres_per_unit = tracer, points, millimetres_per_unit
         self.directions = fibonacci_sphere(directions)
         self._seen = {}
-        self._lit = None, None
+        self._lit = (), []
 
     @cached_property
     def visible(self) -> np.ndarray:
@@ -69,13 +69,14 @@ class Transport:
             self._seen[part.start] = seen
         return seen
 
-    def _light(self, lightings) -> np.ndarray:
-        """The lightings in the shared directions, 1 or 3 channels of (n, M) float32; kept for the next material."""
-        known, light = self._lit
-        if known is not lightings:
-            light = np.ascontiguousarray(np.moveaxis(lightings.cell_averages(self.directions), 2, 0), np.float32)
-            self._lit = lightings, light
-        return light
+    def _lights(self, lightings: tuple) -> list:
+        """Each in the shared directions, 1 or 3 channels of (n, M) float32; kept for the next material."""
+        known, lights = self._lit
+        if len(known) != len(lightings) or any(a is not b for a, b in zip(known, lightings, strict=True)):
+            averages = [np.moveaxis(each.cell_averages(self.directions), 2, 0) for each in lightings]
+            lights = [np.ascontiguousarray(each, np.float32) for each in averages]
+            self._lit = lightings, lights
+        return lights
 
     def radiance(self, material: Material, lightings) -> np.ndarray:
         """Radiance towards the camera by the light that comes straight from outside the scene.
@@ -89,31 +90,47 @@ class Transport:
         -------
         (p, M, 3) float32, the channels outermost in memory; of a basis it is kept for the next photo, and not writable
         """
-        if lightings.returns:
-            return kept.recalled("basis", [self.key, material, lightings], lambda: self._radiance(material, lightings))
-        return self._radiance(material, lightings)
+        return self.radiances(material, lightings)[0]
+
+    def radiances(self, material: Material, *lightings) -> list[np.ndarray]:
+        """`radiance` of each of several lightings: what the material makes of the shared directions is found once."""
+        found: list = []
+
+        def made(number: int) -> np.ndarray:
+            if not found:
+                found.extend(self._radiances(material, lightings))
+            return found[number]
+
+        return [
+            kept.recalled("basis", [self.key, material, each], lambda number=number: made(number))
+            if each.returns
+            else made(number)
+            for number, each in enumerate(lightings)
+        ]
 
     @cached_property
     def key(self) -> str:
         """Of rays and points, whatever the material (`kept.content`)."""
         return kept.content([self.tracer.key, self.points, len(self.directions), float(self.millimetres_per_unit)])
 
-    def _radiance(self, material: Material, lightings) -> np.ndarray:
+    def _radiances(self, material: Material, lightings: tuple) -> list[np.ndarray]:
         if material.mirror_reflectance is not None:
-            return self._mirror(material, lightings)
-        light = self._light(lightings)
+            return [self._mirror(material, each) for each in lightings]
+        lights = self._lights(lightings)
         weights = self.weights(material)
-        out = np.empty((3, len(self.points), light.shape[2]), np.float32)
+        outs = [np.empty((3, len(self.points), light.shape[2]), np.float32) for light in lights]
         for part in self._parts():
             channels = weights.of_all(self.points.take(part), self._visible(part))
-            for c in range(3):
-                if c and len(channels) == len(light) == 1:
-                    out[c, part] = out[0, part]
-                else:
-                    np.matmul(channels[min(c, len(channels) - 1)], light[min(c, len(light) - 1)], out=out[c, part])
-        if (weights.colour != 1).any():
-            out *= weights.colour[:, None, None]
-        return out.transpose(1, 2, 0)
+            for light, out in zip(lights, outs, strict=True):
+                for c in range(3):
+                    if c and len(channels) == len(light) == 1:
+                        out[c, part] = out[0, part]
+                    else:
+                        np.matmul(channels[min(c, len(channels) - 1)], light[min(c, len(light) - 1)], out=out[c, part])
+        for out in outs:
+            if (weights.colour != 1).any():
+                out *= weights.colour[:, None, None]
+        return [out.transpose(1, 2, 0) for out in outs]
 
     def weights(self, material: Material) -> Weights:
         """What the material makes of light from the shared directions."""

@@ -23,6 +23,7 @@ from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.render.transport import Transport
+from btfsep_engine.render.weights import Weights
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
 
 FEW = ("leather/brown-grain", "wood/oak-boards", "felt/green-coarse")
@@ -102,13 +103,13 @@ def test_one_more_material_is_all_that_is_made(monkeypatch, scene, library, tmp_
     """And the training is, bit for bit, that from the start."""
     settings = RecognitionSettings(training_pixels=3000, training_directions=32, training_turns=1)
     fewer = replace(library, entries={name: library.entries[name] for name in FEW[:2]})
-    rendered, radiance = [], Transport.radiance
+    rendered, radiances = [], Transport.radiances
 
-    def seen(self, material, lightings):
+    def seen(self, material, *lightings):
         rendered.append(material.name)
-        return radiance(self, material, lightings)
+        return radiances(self, material, *lightings)
 
-    monkeypatch.setattr(Transport, "radiance", seen)
+    monkeypatch.setattr(Transport, "radiances", seen)
 
     def made(library, folder):
         monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / folder))
@@ -226,6 +227,34 @@ def test_cells_of_light_make_the_picture_that_the_light_makes(scene, library, na
     found = np.einsum("pmc,mc->pc", transport.radiance(library.load(name), CELLS), cells)
     expected = transport.radiance(library.load(name), light)[:, 0]
     assert np.sqrt(np.square(found - expected).mean()) < 0.05 * np.sqrt(np.square(expected).mean())
+
+
+def test_a_photo_after_others_is_answered_as_the_first_of_a_process(monkeypatch, scene, library, settings, tmp_path):
+    """Bit for bit; and what a training has rendered is not rendered again, be it under its lights or the photo's."""
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path))
+    photos = [photographed(scene, library, name, seed=seed) for name, seed in ((FEW[0], 5), (FEW[1], 6))]
+    photos[1].usable[60:64, 80:90] = False  # some of the few pixels that lights are found from among them
+    rendered, of_all = [], Weights.of_all
+
+    def seen(self, points, active):
+        rendered.append(len(points))
+        return of_all(self, points, active)
+
+    monkeypatch.setattr(Weights, "of_all", seen)
+
+    def answered(photo):
+        scene.job = replace(scene.job, photo=photo)
+        return recognise_object(scene, 0, library, settings)
+
+    STORE.forget()
+    trained_recogniser(scene, 0, library, settings)
+    trained, large = len(rendered), max(rendered)
+    answers = [answered(photo) for photo in photos]
+    assert 0 < max(rendered[trained:]) < large  # the few pixels that lights are found from
+    for photo, before in zip(photos, answers, strict=True):
+        STORE.forget()
+        assert answered(photo) == before
+    assert rendered[-1] == large
 
 
 def test_what_is_far_behind_is_not_rendered(monkeypatch, scene, library, settings):
