@@ -147,7 +147,7 @@ def normalised(colours, *, settings=DEFAULT) -> np.ndarray:
     )
 
 
-def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise") -> Descriptors:
+def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise", shared=None) -> Descriptors:
     """The descriptors of one masked image.
 
     Pixels that are not finite (mark saturated ones as NaN) are filled from their neighbours; a patch is used
@@ -158,6 +158,7 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise")
     radiance : (h, w, 3) float32, linear Rec.709, any exposure
     mask : (h, w) bool
     what : names the region in errors, as in "object 'bunny'"
+    shared : a dict, empty at first, in which what depends on the usable pixels alone goes from image to image
 
     Raises
     ------
@@ -176,7 +177,11 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise")
     valid = mask & np.isfinite(radiance).all(-1)
     if not valid.any():
         raise InputError(what, "has no finite pixel in the photo", "export the image again")
-    seen = Masked(mask, valid)
+    key, shared = (mask.shape, mask.tobytes(), valid.tobytes()), {} if shared is None else shared
+    if key not in shared:
+        shared.clear()
+        shared[key] = Masked(mask, valid)
+    seen = shared[key]
     every = described(seen.of(radiance), seen, settings=settings, what=what)
     return replace(every, xy=every.xy + np.array([left, top], np.float32))
 

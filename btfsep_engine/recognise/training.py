@@ -185,12 +185,12 @@ def _light_of(sample) -> str:
 
 def _one_by_one(samples, seed, reporter, method, expected):
     """Each sample and its descriptors."""
-    reporter, random = reporter or Reporter(), {}
+    reporter, random, shared = reporter or Reporter(), {}, {}
     with reporter.stage("training images"):
         for number, sample in enumerate(samples):
             own = random.setdefault(sample.material, randomness(sample.material, seed))
             image = as_photo(sample.radiance, sample.mask, own) if method.as_photos else sample.radiance
-            yield sample, dense.extract(image, sample.mask, settings=method.settings)
+            yield sample, dense.extract(image, sample.mask, settings=method.settings, shared=shared)
             reporter.progress("training images", (number + 1) / max(expected or 0, number + 2), sample.material)
 
 

@@ -70,6 +70,16 @@ def test_images_of_the_same_pixels_are_described_as_if_each_were_alone(rng, hole
             np.testing.assert_array_equal(value, getattr(other, name))
 
 
+def test_what_is_shared_is_that_of_the_same_pixels(rng, holed):
+    shared: dict = {}
+    for picture, valid in ((image(rng), holed.valid), (image(rng), MASK), (image(rng), MASK)):
+        radiance = np.where(valid[..., None], picture, np.nan)
+        one, other = (descriptors.extract(radiance, MASK, **how) for how in ({"shared": shared}, {}))
+        for name, value in vars(one).items():
+            np.testing.assert_array_equal(value, getattr(other, name))
+    assert len(shared) == 1
+
+
 @pytest.mark.parametrize("settings", [descriptors.DEFAULT, descriptors.PAPER])
 def test_no_patch_looks_farther_than_is_filled(rng, monkeypatch, holed, settings):
     values = holed.of(image(rng))
