@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from btfsep_engine import kept
 from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.cache import digest
 from btfsep_engine.light.maps import training_lights
@@ -20,6 +21,7 @@ from btfsep_engine.recognise.vlad import WORDS
 from btfsep_engine.threads import one_thread
 
 WINDOW = 64  # edge in pixels of the windows that a large object is cut down to
+KEPT = 0.5  # of all that a process may keep: so much at most are pictures that a training leaves
 # One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials. Surfaces by
 # numbers are what a person knows of an object, no material that it could be told to be.
 INDISTINGUISHABLE = {"reference/grey18", *SURFACES}
@@ -112,10 +114,13 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Reco
             points = scene.points(index, region=region, textured=True)
             transport = scene.transport(points, directions=settings.training_directions)
 
+        # under cells of light is what `Verification` asks for next: kept, of as many as leave room for all else
+        each = CELLS.count * 3 * np.float32().nbytes * len(points)
+        most = KEPT * kept.STORE.most_bytes / each if settings.verify else 0
+
         def render(material):
             images = np.full((lights.count, *region[window].shape, 3), np.nan, np.float32)
-            # those under cells are what `Verification` asks for next: they are kept
-            more = (CELLS,) if settings.verify and material.mirror_reflectance is None else ()
+            more = (CELLS,) if material.mirror_reflectance is None and names.index(material.name) < most else ()
             seen, *_ = transport.radiances(material, lights, *more)
             images[:, region[window]] = seen.transpose(1, 0, 2)
             return images

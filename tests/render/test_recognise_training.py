@@ -257,6 +257,17 @@ def test_a_photo_after_others_is_answered_as_the_first_of_a_process(monkeypatch,
     assert rendered[-1] == large
 
 
+def test_a_training_leaves_room_for_all_else(monkeypatch, scene, library, settings, tmp_path):
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path))
+    pixels = recognition.training_region(scene.regions[0], settings.training_pixels).sum()
+    each = 12 * CELLS.count * pixels
+    for room, left in ((1.5, 2), (10.0, 4)):  # three materials, and white; chrome is never rendered under cells
+        monkeypatch.setattr(STORE, "most_bytes", int(room * each / recognition.KEPT))
+        STORE.forget()
+        trained_recogniser(scene, 0, library, replace(settings, seed=left))
+        assert sum(size > each for _, size in STORE._things.values()) == left
+
+
 def test_what_is_far_behind_is_not_rendered(monkeypatch, scene, library, settings):
     """One that the classifier is sure of, and whose light explains as much as any."""
     scene.job = replace(scene.job, photo=photographed(scene, library, FEW[0]))
