@@ -15,7 +15,8 @@ FILLED = (1.5, 6.0, 24.0)  # pixels, of the means that other pixels are filled w
 
 
 class Masked:
-    """
+    """The usable pixels of a mask; what is found of them once is there for the next image.
+
     Parameters
     ----------
     mask : (h, w) bool
