@@ -10,10 +10,8 @@ set of points. A weak prior about the start holds what the photo does not determ
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter1d
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from btfsep_engine.job.camera import Camera
 
@@ -28,6 +26,7 @@ OUTLINE = 3.0  # the outlines' weight in the objective; the shading's is at most
 CAPPED = 2.0  # robust deviations of the shading's residual at which it counts less
 LEAST_LEFT = 0.01  # of the brightness: no model of the shading is better
 STEP = 0.2  # pixels, of finite differences
+LONGEST_STEP = 6.0  # pixels, where nothing is known of how far a step may be believed
 PARAMETERS = 7
 
 
@@ -63,7 +62,7 @@ class Frame:
         c = world[:3, :3].T @ (self.centre - world[:3, 3])
         shift = np.array([q[3] / camera.fx, -q[4] / camera.fy, 0]) * (1 if flat else -c[2])
         move = np.eye(4)
-        move[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+        move[:3, :3] = cv2.Rodrigues(turn)[0]
         # a larger picture is a nearer object
         move[:3, 3] = c * (1 if flat else np.exp(zoom - scale)) + shift - move[:3, :3] @ c
         growth = np.exp(zoom + scale * flat)
@@ -94,6 +93,12 @@ class Marks:
     light: np.ndarray
 
 
+def blurred(image, sigma: float) -> np.ndarray:
+    """An image (h, w, …) float64 under a Gaussian of ``sigma`` pixels."""
+    reach = int(4 * sigma + 0.5)
+    return cv2.GaussianBlur(image, (2 * reach + 1,) * 2, sigma, borderType=cv2.BORDER_REFLECT)
+
+
 class Picture:
     """A photograph, ready to be looked up at one scale.
 
@@ -110,32 +115,35 @@ class Picture:
     def __init__(self, radiance, usable, about, *, blur: float, cubic: bool = False):
         self.cubic = cubic
         radiance = np.maximum(np.asarray(radiance, np.float64), 0)
-        weight = gaussian_filter(usable.astype(np.float64), blur)
+        weight = blurred(usable.astype(np.float64), blur)
         level = np.median(radiance[about & usable], 0)
         level = np.maximum(level, 1e-3 * level.max())
-        sigmas = (blur, blur, 0)
-        known = gaussian_filter(np.where(usable[..., None], np.minimum(radiance / level, GLARE), 0), sigmas)
+        known = blurred(np.where(usable[..., None], np.minimum(radiance / level, GLARE), 0), blur)
         self.radiance = known / np.maximum(weight, 1e-6)[..., None]
         self.usable = weight > 0.5
-        logs = gaussian_filter(np.log(radiance / level + DARK), sigmas)
+        logs = blurred(np.log(radiance / level + DARK), blur)
         self.slopes = np.concatenate(np.gradient(logs, axis=(0, 1)), -1)  # (h, w, 2 * 3), down and right
         size = np.sqrt((self.slopes**2).sum(-1))
         self.half = max(float(np.percentile(size[about], SATURATES)), 1e-12)
         self.shape = self.usable.shape
         if cubic:
+            from scipy.ndimage import spline_filter1d  # slow to import, and most jobs have meshes
+
             self.radiance, self.slopes = (
                 spline_filter1d(spline_filter1d(i, axis=0, mode="nearest"), axis=1, mode="nearest")
                 for i in (self.radiance, self.slopes)
             )
 
     def _look(self, image, at):
-        """Of an image (h, w, c) at image positions (n, 2): (n, c)."""
+        """Of an image (h, w, c) at image positions (…, 2): (…, c)."""
+        shape, at = at.shape[:-1], at.reshape(-1, 2)
         if self.cubic:
             places = at[:, 1] - 0.5, at[:, 0] - 0.5
+            from scipy.ndimage import map_coordinates
+
             channels = np.moveaxis(image.reshape(*self.shape, -1), -1, 0)
-            return np.stack(
-                [map_coordinates(c, places, order=3, mode="nearest", prefilter=False) for c in channels], -1
-            )
+            each = [map_coordinates(c, places, order=3, mode="nearest", prefilter=False) for c in channels]
+            return np.stack(each, -1).reshape(*shape, -1)
         (h, w), cell = self.shape, at - 0.5
         cell = np.clip(cell, 0, [w - 1.001, h - 1.001])
         first = cell.astype(np.int64)
@@ -143,7 +151,7 @@ class Picture:
         flat, at_first = image.reshape(h * w, -1), first[:, 1] * w + first[:, 0]
         above = flat[at_first] * (1 - right) + flat[at_first + 1] * right
         below = flat[at_first + w] * (1 - right) + flat[at_first + w + 1] * right
-        return above * (1 - down) + below * down
+        return (above * (1 - down) + below * down).reshape(*shape, -1)
 
     def inside(self, at) -> np.ndarray:
         """(n,) bool: which image positions are in the picture and usable."""
@@ -153,13 +161,13 @@ class Picture:
         return within & self.usable[row, column]
 
     def missing(self, at, across) -> np.ndarray:
-        """How little of an edge there is at image positions (n, 2), in [0, 1]: 0 a strong one, 1 none."""
-        slopes = self._look(self.slopes, at).reshape(-1, 2, 3)
-        change = ((slopes * across[:, ::-1, None]).sum(1) ** 2).sum(1)
+        """How little of an edge there is at image positions (…, n, 2), in [0, 1]: 0 a strong one, 1 none: (…, n)."""
+        slopes = self._look(self.slopes, at).reshape(*at.shape, 3)
+        change = ((slopes * across[:, ::-1, None]).sum(-2) ** 2).sum(-1)
         return self.half / (self.half + np.sqrt(change))
 
     def colours(self, at) -> np.ndarray:
-        """(n, 3) at image positions, over the objects' median."""
+        """(…, 3) at image positions (…, 2), over the objects' median."""
         return self._look(self.radiance, at)
 
 
@@ -175,30 +183,32 @@ class Misfit:
         # the ridge holds lights that these points cannot tell apart
         ridge = 1e-2 * np.sqrt((light**2).sum(0).mean()) * np.eye(light.shape[1])
         self.plane = np.linalg.qr(np.concatenate([light, ridge]))[0][: len(light)]
-        left = self.left(camera)
+        left = self.left([camera])[0]
         self.scale = np.maximum(1.4826 * np.median(np.abs(left), 0), LEAST_LEFT)
 
-    def left(self, camera: Camera) -> np.ndarray:
-        """What no light explains, (n, 3), over the objects' median colour."""
-        b = self.picture.colours(camera.project(self.surface))
+    def left(self, cameras) -> np.ndarray:
+        """What no light explains from each of k cameras, (k, n, 3), over the objects' median colour."""
+        b = self.picture.colours(np.stack([camera.project(self.surface) for camera in cameras]))
         return b - self.plane @ (self.plane.T @ b)
 
-    def edges(self, camera: Camera) -> np.ndarray:
-        """(m,) `Picture.missing` of the outlines."""
-        return self.picture.missing(camera.project(self.outline), self.across)
+    def edges(self, cameras) -> np.ndarray:
+        """(k, m) `Picture.missing` of the outlines."""
+        return self.picture.missing(np.stack([camera.project(self.outline) for camera in cameras]), self.across)
 
-    def residuals(self, camera: Camera) -> np.ndarray:
-        """Of outlines and shading: the sum of their squares is the objective without the prior."""
-        edges = self.edges(camera) * np.sqrt(OUTLINE / max(len(self.outline), 1))
+    def residuals(self, cameras) -> np.ndarray:
+        """Of outlines and shading from each of k cameras, (k, numbers): the sum of a camera's squares is the objective
+        without the prior. All at once, since a call costs as much as a thousand points."""
+        edges = self.edges(cameras) * np.sqrt(OUTLINE / max(len(self.outline), 1))
         if not self.shading:
             return edges
-        left = self.left(camera) / (CAPPED * self.scale)
-        soft = np.sign(left) * np.sqrt(2 * (np.sqrt(1 + left**2) - 1))  # soft_l1, signed: its square is the cost
-        return np.concatenate([edges, soft.ravel() * np.sqrt(self.shading / max(soft.size, 1))])
+        left = self.left(cameras) / (CAPPED * self.scale)
+        soft = np.copysign(np.sqrt(2 * (np.sqrt(1 + left**2) - 1)), left)  # soft_l1, signed: its square is the cost
+        soft = soft.reshape(len(edges), -1)
+        return np.concatenate([edges, soft * np.sqrt(self.shading / max(soft.shape[1], 1))], 1)
 
     def values(self, camera: Camera) -> tuple[float, float]:
         """What is missing of the outlines, in [0, 1], and the shading's residual over the objects' median colour."""
-        edges, left = self.edges(camera), np.abs(self.left(camera))
+        edges, left = self.edges([camera])[0], np.abs(self.left([camera])[0])
         return float(edges.mean()), float(np.minimum(left, np.percentile(left, 90)).mean())
 
 
@@ -227,7 +237,7 @@ def gained(misfits, before: Camera, after: Camera, *, tile: float) -> Gain:
     """
     tiles, edge, gains = [], [], []
     for misfit in misfits:
-        one, other = (misfit.residuals(camera) ** 2 / 2 for camera in (before, after))
+        one, other = misfit.residuals([before, after]) ** 2 / 2
         at = [before.project(points) for points in (misfit.outline, np.repeat(misfit.surface, 3, 0))]
         tiles.append((np.concatenate(at)[: len(one)] / tile).astype(np.int64))
         edge.append(np.arange(len(one)) < len(misfit.outline))
@@ -239,24 +249,61 @@ def gained(misfits, before: Camera, after: Camera, *, tile: float) -> Gain:
     return Gain(float(sums[0].sum()), float(sums[1].sum()), both, shading)
 
 
+class Objective:
+    """A misfit and the prior as functions of those of seven numbers that are ``free`` (7,) bool; the others are q's."""
+
+    def __init__(self, misfit: Misfit, frame: Frame, q, free):
+        self.misfit, self.frame = misfit, frame
+        self.q, self.free = np.array(q, np.float64), np.asarray(free, bool)
+
+    def every(self, moved) -> np.ndarray:
+        """(k, 7), of k sets of free numbers."""
+        out = np.tile(self.q, (len(moved), 1))
+        out[:, self.free] = moved
+        return out
+
+    def residuals(self, moved) -> np.ndarray:
+        """(k, numbers), of k sets of free numbers."""
+        every = self.every(moved)
+        prior = np.sqrt(PRIOR) * every / self.frame.deviations
+        return np.concatenate([self.misfit.residuals([self.frame.at(q) for q in every]), prior], 1)
+
+    def slopes(self, moved) -> np.ndarray:
+        """(numbers, free), their derivatives at one set, by differences."""
+        steps = STEP * np.eye(len(moved))
+        ahead, behind = np.split(self.residuals(np.concatenate([moved + steps, moved - steps])), 2)
+        return (ahead - behind).T / (2 * STEP)
+
+
 def refined(misfit: Misfit, frame: Frame, q, *, free, rounds: int = 6) -> np.ndarray:
     """Seven numbers of a camera near ``q`` with the least misfit; ``free`` : (7,) bool, the others stay."""
-    q, free = np.array(q, np.float64), np.asarray(free, bool)
-    deviations = frame.deviations
+    from scipy.optimize import least_squares  # slow to import, and most cameras are in place
 
-    def residuals(moved):
-        every = q.copy()
-        every[free] = moved
-        return np.concatenate([misfit.residuals(frame.at(every)), np.sqrt(PRIOR) * every / deviations])
+    objective = Objective(misfit, frame, q, free)
+    found = least_squares(
+        lambda moved: objective.residuals(moved[None])[0],
+        objective.q[objective.free],
+        jac=objective.slopes,
+        method="lm",
+        max_nfev=rounds,
+        x_scale=1.0,
+    )
+    return objective.every(found.x[None])[0]
 
-    def slopes(moved):
-        steps = STEP * np.eye(len(moved))
-        return np.stack([(residuals(moved + s) - residuals(moved - s)) / (2 * STEP) for s in steps], -1)
 
-    found = least_squares(residuals, q[free], jac=slopes, method="lm", max_nfev=rounds, x_scale=1.0)
-    out = q.copy()
-    out[free] = found.x
-    return out
+def first_steps(misfit: Misfit, frame: Frame, *, free, steps: int) -> np.ndarray:
+    """Seven numbers to which Gauss and Newton's first steps from the start lead, as long as the misfit shrinks."""
+    objective = Objective(misfit, frame, np.zeros(PARAMETERS), free)
+    moved = np.zeros(int(objective.free.sum()))
+    left = objective.residuals(moved[None])[0]
+    for _ in range(steps):
+        step = np.linalg.lstsq(objective.slopes(moved), -left, rcond=None)[0]
+        further = moved + step * min(1.0, LONGEST_STEP / max(float(np.linalg.norm(step)), 1e-12))
+        after = objective.residuals(further[None])[0]
+        if not np.square(after).sum() < np.square(left).sum():
+            break
+        moved, left = further, after
+    return objective.every(moved[None])[0]
 
 
 def best_shifts(misfit: Misfit, frame: Frame, *, step: float, keep: int, apart: float) -> list[np.ndarray]:
@@ -264,7 +311,8 @@ def best_shifts(misfit: Misfit, frame: Frame, *, step: float, keep: int, apart: 
     reach = np.arange(-REACH, REACH + step / 2, step)
     grid = [np.array([0, 0, 0, x, y, 0, 0]) for x in reach for y in reach if np.hypot(x, y) <= 1.1 * REACH]
     values = [
-        float((misfit.residuals(frame.at(q)) ** 2).sum() + PRIOR * ((q / frame.deviations) ** 2).sum()) for q in grid
+        float(np.square(misfit.residuals([frame.at(q)])).sum() + PRIOR * np.square(q / frame.deviations).sum())
+        for q in grid
     ]
     out: list = []
     for i in np.argsort(values):

@@ -8,12 +8,13 @@ A depth knows no other side, and is one piece with its mask and its camera: the 
 import copy
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 
-from btfsep_engine import sh
+from btfsep_engine import kept, sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.misalignment import blurred_slopes
 from btfsep_engine.fit.pose import (
     LEAST_LEFT,
     PARAMETERS,
@@ -24,6 +25,7 @@ from btfsep_engine.fit.pose import (
     Picture,
     Shifts,
     best_shifts,
+    first_steps,
     gained,
     refined,
 )
@@ -37,6 +39,7 @@ SIDE = 256  # pixels of a photo's longer edge, at most, of what is looked at
 SIDE_OF_A_DEPTH = 512  # the same, where marks are made but once
 DIRECTIONS = fibonacci_sphere(96)  # light is smooth
 ORDER, LOBE_ORDER = 2, 3  # of the light by its cosine, and from the mirror direction
+EDGE_BLUR = 1.5  # pixels, of the picture of depths in which an outline's direction is found
 DEEP = 0.03  # of the objects' radius: where depth jumps by more, one surface ends before another
 HALVINGS = 4  # of the pixel in which an outline lies
 NEAR = 12  # pixels about the objects, in which the photo's edges are measured
@@ -53,6 +56,8 @@ WORSE = 2.0  # deviations by which the shading may become worse; the outlines ma
 ZOOM_GAIN = 0.03  # least logarithm that another focal length has to gain beside a move
 STARTS, KEPT, APART = 3, 2, 1.5  # shifts to start from beside none; how many go on; pixels between two ways
 LEAST_MOVE = 0.3  # pixels of the photo
+# What an estimate looks at first: cameras that are a degree or a pixel off ask for up to 1.3 pixels, true ones up to 1.
+FIRST_LEVEL, FIRST_STEPS, OFF = 1, 3, 1.5  # pixels of what is looked at
 
 
 @dataclass(frozen=True)
@@ -118,6 +123,13 @@ def camera_keys(camera: Camera) -> dict:
     return {"fx": camera.fx, "fy": camera.fy, "to_world": camera.to_world.tolist()}
 
 
+def grown(mask, pixels: int, *, beyond: bool = False) -> np.ndarray:
+    """A mask (h, w) bool and all that is so many steps to a side, up or down from it; ``beyond`` : and the frame."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    edge = {"borderType": cv2.BORDER_CONSTANT, "borderValue": int(beyond)}
+    return cv2.dilate(np.asarray(mask, np.uint8), cross, iterations=pixels, **edge).astype(bool)
+
+
 def with_camera(scene: PreparedScene, camera: Camera) -> PreparedScene:
     """The same scene seen by another camera, of a picture of the same size; the mask of a depth goes with it.
 
@@ -147,7 +159,7 @@ def outline_of(view, camera: Camera, tracer, *, limit: float):
     """
     distance = np.where(view.mesh >= 0, view.distance, np.inf)
     nearness = np.where(view.mesh >= 0, 1 / np.maximum(view.distance, 1e-300), 0.0)
-    slope = np.stack([gaussian_filter(nearness, 1.5, order=o) for o in ((0, 1), (1, 0))], -1)
+    slope = np.stack(blurred_slopes(nearness, EDGE_BLUR)[::-1], -1)  # to the right and down
     pairs = []  # of pixels: row and column of the nearer, row and column of the farther
     for down, right in ((1, 0), (0, 1)):
         h, w = distance.shape
@@ -180,7 +192,7 @@ class Aligner:
         self.depth = bool(unseen_meshes(scene.job))
         self.scene = scene.at_most(SIDE_OF_A_DEPTH if self.depth else SIDE)
         self.job, self.tracer = self.scene.job, scene.tracer
-        view, camera, photo = self.scene.view, self.job.camera, self.job.photo
+        view, camera = self.scene.view, self.job.camera
         seen = self.objects_in(view)
         rows, columns = np.nonzero(seen)
         origins, rays = camera.rays(columns + 0.5, rows + 0.5)
@@ -191,12 +203,16 @@ class Aligner:
             # the middle of an even block of the photo lies half a pixel before the surface that stands for it
             self.edge = round(scene.job.camera.fx / camera.fx)
             self.frame = Shifts(camera.shifted(*[(1 - self.edge % 2) / (2 * self.edge)] * 2), centre, radius)
-        about = binary_dilation(seen, iterations=NEAR)
+        self._about = grown(seen, NEAR)
         self._seen: dict = {}  # camera -> what it sees, and the outlines there
-        self._marks: dict = {}  # level -> of a depth, which looks the same from all
-        self.pictures = [
-            Picture(photo.radiance, photo.usable, about, blur=level.blur, cubic=self.depth) for level in LEVELS
-        ]
+        self._pictures: dict = {}  # level -> Picture
+
+    def picture(self, level: int) -> Picture:
+        """The photo as a level looks at it."""
+        if level not in self._pictures:
+            photo, blur = self.job.photo, LEVELS[level].blur
+            self._pictures[level] = Picture(photo.radiance, photo.usable, self._about, blur=blur, cubic=self.depth)
+        return self._pictures[level]
 
     def objects_in(self, view) -> np.ndarray:
         """(h, w) bool, where a view shows an object and no occluder."""
@@ -206,7 +222,8 @@ class Aligner:
         """`camera_view` and `outline_of` of a camera: several levels ask for the same."""
         key = camera.fx, camera.to_world.tobytes()
         if key not in self._seen:
-            view = camera_view(self.tracer, replace(self.job, camera=camera))
+            own = camera is self.job.camera
+            view = self.scene.view if own else camera_view(self.tracer, replace(self.job, camera=camera))
             self._seen[key] = view, outline_of(view, camera, self.tracer, limit=DEEP * self.tracer.radius)
         return self._seen[key]
 
@@ -214,9 +231,12 @@ class Aligner:
         """What a camera sees, as points on the geometry."""
         if not self.depth:
             return self.marks_of(camera, level)
-        if level not in self._marks:
-            self._marks[level] = self.marks_of(self.job.camera, level)
-        return self._marks[level]
+        return self.first_marks(level)
+
+    def first_marks(self, level: int) -> Marks:
+        """Those that the job's own camera sees, whatever the photo shows."""
+        of = [self.scene.seen, self.tracer.key, level]
+        return kept.recalled("marks", of, lambda: self.marks_of(self.job.camera, level))
 
     def marks_of(self, camera: Camera, level: int) -> Marks:
         """The same, made anew."""
@@ -227,12 +247,12 @@ class Aligner:
             at = camera.project(outline)
             if (mask := job.objects[0].mask) is not None:  # outside it the depth shows other things
                 column, row = np.clip(at.astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
-                mine &= binary_dilation(mask, iterations=2)[row, column]
+                mine &= grown(mask, 2)[row, column]
             # the surface ends in the middle of the last pixel that shows it, the object half a pixel farther on
             beyond = at - 0.5 / self.edge * across
             origins, rays = camera.rays(*beyond.T)
             outline = origins + np.linalg.norm(outline - origins, axis=1)[:, None] * rays
-        inner = binary_erosion(self.objects_in(view), iterations=1 + round(1.5 * LEVELS[level].blur))
+        inner = ~grown(~self.objects_in(view), 1 + round(1.5 * LEVELS[level].blur), beyond=True)
         points = []
         for i, obj in enumerate(job.objects):
             region = inner & (view.mesh == i) & (True if obj.mask is None else obj.mask)
@@ -254,7 +274,7 @@ class Aligner:
     def misfit(self, q, level: int) -> Misfit:
         """The objective about seven numbers."""
         camera = self.frame.at(q)
-        return Misfit(self.pictures[level], self.marks(camera, level), camera, shading=LEVELS[level].shading)
+        return Misfit(self.picture(level), self.marks(camera, level), camera, shading=LEVELS[level].shading)
 
     def left(self, q) -> Left | None:
         """What speaks against seven numbers; None where too little is seen to say."""
@@ -267,7 +287,12 @@ class Aligner:
         """Of seven numbers over the start, at the finest level."""
         ends, last = (np.zeros(PARAMETERS), q), len(LEVELS) - 1
         misfits, cameras = [self.misfit(end, last) for end in ends], [self.frame.at(end) for end in ends]
-        return gained(misfits, *cameras, tile=min(TILE, self.frame.radius / 4))
+        return gained(misfits, *cameras, tile=self.tile)
+
+    @property
+    def tile(self) -> float:
+        """Pixels, edge of the squares whose points are one witness."""
+        return min(TILE, self.frame.radius / 4)
 
     def follow(self, q, level: int, free) -> np.ndarray:
         """Seven numbers refined at one level, with marks made anew."""
@@ -299,6 +324,27 @@ class Aligner:
         if other is not None and left.better(other) > ZOOM_GAIN:
             best, left = zoomed, other
         return best, left
+
+
+def looks_off(scene: PreparedScene) -> bool:
+    """Whether outlines and shading ask at once for another camera: what says, in a thirtieth of the time, that `align`
+    may find one. Of a depth it is the outline alone that says so (`checks.shift_doubt`)."""
+    if unseen_meshes(scene.job):
+        return False
+    photo = scene.job.photo
+
+    def look() -> bool:
+        aligner = Aligner(scene)
+        before, marks = aligner.frame.at(np.zeros(PARAMETERS)), aligner.first_marks(FIRST_LEVEL)
+        misfit = Misfit(aligner.picture(FIRST_LEVEL), marks, before, shading=LEVELS[FIRST_LEVEL].shading)
+        if len(misfit.outline) < LEAST_OUTLINE or len(misfit.surface) < LEAST_SURFACE:
+            return False
+        after = aligner.frame.at(first_steps(misfit, aligner.frame, free=HELD, steps=FIRST_STEPS))
+        moved = np.linalg.norm(after.project(misfit.surface) - before.project(misfit.surface), axis=1).mean()
+        gain = gained([misfit], before, after, tile=aligner.tile)
+        return bool(moved >= OFF and gain.outline + gain.shading >= LEAST_GAIN)
+
+    return kept.recalled("looks off", [photo.radiance, photo.usable, scene.seen, scene.tracer.key], look)
 
 
 def align(scene: PreparedScene) -> Alignment:

@@ -16,8 +16,10 @@ from btfsep_engine.fit.pose import Frame
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
-from btfsep_engine.pipeline.alignment import Aligner, align, camera_keys, with_camera
+from btfsep_engine.pipeline.alignment import Aligner, align, camera_keys, looks_off, with_camera
+from btfsep_engine.pipeline.checks import shift_doubt
 from btfsep_engine.pipeline.estimation import run_estimate
+from btfsep_engine.pipeline.mending import mends
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.studies.stage import write_job
@@ -215,8 +217,45 @@ def kept_camera(result) -> dict:
     return kept | {"to_world": np.array(kept["to_world"])}
 
 
-@pytest.mark.parametrize("moved", [(0, 0, 0, 0, 0, 0, 0), (0, 0, 0, 10, 8, 0, 0)])
-def test_an_estimate_mends_neither_what_is_in_place_nor_what_is_far_off(potatoes, tmp_path, moved):
-    result, _, said = estimated(job_off_by(potatoes, moved, tmp_path / "job"), "auto")
+def test_an_estimate_leaves_what_is_in_place(potatoes, tmp_path):
+    result, _, said = estimated(job_off_by(potatoes, (0, 0, 0, 0, 0, 0, 0), tmp_path / "job"), "auto")
     assert "alignment" not in result["photos"][0]
-    assert any("do not line up: the outlines" in word for word in said) == any(moved)
+    assert not any("do not line up" in word for word in said)
+
+
+@pytest.mark.parametrize("moved", [(0, 0, 0, 10, 8, 0, 0), (5, -5, 3, 0, 0, 0, 0)])
+def test_an_estimate_mends_what_is_far_off_and_what_is_turned(potatoes, tmp_path, moved):
+    folder = job_off_by(potatoes, moved, tmp_path / "job")
+    mended, light, said = estimated(folder, "auto")
+    assert [word for word in said if "for this estimate the camera is moved" in word]
+    start = off_by(potatoes, moved).job.camera
+    assert away(potatoes, replace(start, **kept_camera(mended))) < 0.5 * away(potatoes, start)
+    assert off_as_seen(light, positive_light(2)) < 0.06
+
+
+@pytest.mark.parametrize(
+    "moved, off",
+    [
+        ((0, 0, 0, 0, 0, 0, 0), False),
+        ((0.4, 0, 0, 0.5, 0, 0, 0), False),
+        ((5, -5, 3, 0, 0, 0, 0), True),
+        ((0, 0, 0, -6, 4, 0, 0), True),
+    ],
+)
+def test_the_first_look_tells_a_camera_that_is_off_from_one_in_place(potatoes, moved, off):
+    assert looks_off(off_by(potatoes, moved)) == off
+
+
+def test_no_estimate_moves_a_camera_farther_than_an_alignment_is_sure_of(potatoes):
+    scene = off_by(potatoes, (0, 0, 0, 10, 8, 0, 0))
+    found = align(scene)
+    assert mends(scene, found)
+    assert not mends(scene, replace(found, moved_px=25.0)) and not mends(scene, replace(found, degrees=25.0))
+    assert not mends(scene, replace(found, aligned=False))
+
+
+def test_shading_alone_moves_no_camera_whose_outlines_are_in_place(potatoes):
+    scene = off_by(potatoes, (5, -5, 3, 0, 0, 0, 0))
+    found = align(scene)
+    assert shift_doubt(scene) is None and mends(scene, found)
+    assert not mends(scene, replace(found, gain=replace(found.gain, outline=0.01)))
