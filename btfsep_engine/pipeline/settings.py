@@ -26,7 +26,7 @@ BASIS_IMAGES = "What makes the basis images; reference: the paper's path-traced 
 BEST_ORDER = "the highest of which the photo determines something; with least-squares by cross-validation"
 DEPARTURES = "Rougher and glossier materials than an object's are tried where the photo asks for them"
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
-ALIGN = "Whether a camera that is a little off is moved into line for this estimate, where its own doubt speaks"
+ALIGN = "Whether a camera that is off is moved into line for this estimate, where outlines and shading ask for it"
 SUN = (
     "A lamp far away whose direction is known: degrees above horizon, degrees from +X towards +Y, and how well, if not "
     "to 1 degree; instead of the job's; may be given again"
