@@ -14,10 +14,13 @@ OUTLINES = 0.05  # of the objective, that outlines gain by a move of which they 
 MOST_OF_A_DEPTH = 5.0  # of a shift: 4 pixels, and what is found beside them
 
 
-def doubted(scene: PreparedScene) -> bool:
-    """Whether the photo's outline lies elsewhere than the geometry's, or both ask for another camera."""
-    if shift_doubt(scene) is not None:
-        return True
+def doubted(scene: PreparedScene, align: str = "auto") -> bool:
+    """Whether the photo's outline lies elsewhere than the geometry's, or both ask for another camera.
+
+    ``align`` : "auto" or "outline", as of the settings: of the latter, only the first
+    """
+    if shift_doubt(scene) is not None or align == "outline":
+        return shift_doubt(scene) is not None
     from btfsep_engine.pipeline.alignment import looks_off
 
     return looks_off(scene)
@@ -47,7 +50,7 @@ def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
     from btfsep_engine.pipeline.alignment import align, with_camera
 
     with scene.reporter.stage("alignment"):
-        alignment = align(scene) if doubted(scene) else None
+        alignment = align(scene) if doubted(scene, settings.align) else None
     if alignment is None:
         return scene
     if not mends(scene, alignment):

@@ -26,7 +26,10 @@ BASIS_IMAGES = "What makes the basis images; reference: the paper's path-traced 
 BEST_ORDER = "the highest of which the photo determines something; with least-squares by cross-validation"
 DEPARTURES = "Rougher and glossier materials than an object's are tried where the photo asks for them"
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
-ALIGN = "Whether a camera that is off is moved into line for this estimate, where outlines and shading ask for it"
+ALIGN = (
+    "Whether a camera that is off is moved into line for this estimate: where outlines and shading ask for it (auto), "
+    "only where the outline lies beside the object's (outline), or never"
+)
 SUN = (
     "A lamp far away whose direction is known: degrees above horizon, degrees from +X towards +Y, and how well, if not "
     "to 1 degree; instead of the job's; may be given again"
@@ -146,7 +149,7 @@ class PhotoSettings(Seeded):
     """What is taken of the photo."""
 
     colorspace: str | None = setting(None, "The photo's curve instead of the job's; unknown: found", choices=CURVES)
-    align: str = setting("auto", ALIGN, choices=("auto", "never"))
+    align: str = setting("auto", ALIGN, choices=("auto", "outline", "never"))
     evidence: str = setting("job", EVIDENCE, choices=("job", "all", "never"))
     pixels: int = setting(3000, "Pixels used for the fit, 0: all", low=0, unit="pixels")
 
@@ -200,7 +203,7 @@ class Settings(FitSettings, TransportSettings, PhotoSettings, RecognitionSetting
 
 
 PRESETS = {
-    "draft": Settings(preset="draft", pixels=2000, training_pixels=8000, training_directions=128),
+    "draft": Settings(preset="draft", pixels=2000, align="outline", training_pixels=8000, training_directions=128),
     "balanced": Settings(),
     "accurate": Settings(
         preset="accurate",

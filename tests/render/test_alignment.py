@@ -19,7 +19,7 @@ from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
 from btfsep_engine.pipeline.alignment import Aligner, align, camera_keys, looks_off, with_camera
 from btfsep_engine.pipeline.checks import shift_doubt
 from btfsep_engine.pipeline.estimation import run_estimate
-from btfsep_engine.pipeline.mending import mends
+from btfsep_engine.pipeline.mending import doubted, mends
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.studies.stage import write_job
@@ -244,6 +244,12 @@ def test_an_estimate_mends_what_is_far_off_and_what_is_turned(potatoes, tmp_path
 )
 def test_the_first_look_tells_a_camera_that_is_off_from_one_in_place(potatoes, moved, off):
     assert looks_off(off_by(potatoes, moved)) == off
+
+
+def test_a_draft_looks_at_the_outline_alone(potatoes):
+    turned, aside = off_by(potatoes, (5, -5, 3, 0, 0, 0, 0)), off_by(potatoes, (0, 0, 0, -6, 4, 0, 0))
+    assert choose("draft").align == "outline" and choose().align == "auto"
+    assert doubted(aside, "outline") and not doubted(turned, "outline") and doubted(turned)
 
 
 def test_no_estimate_moves_a_camera_farther_than_an_alignment_is_sure_of(potatoes):
