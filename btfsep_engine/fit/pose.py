@@ -143,7 +143,7 @@ class Picture:
 
             channels = np.moveaxis(image.reshape(*self.shape, -1), -1, 0)
             each = [map_coordinates(c, places, order=3, mode="nearest", prefilter=False) for c in channels]
-            return np.stack(each, -1).reshape(*shape, -1)
+            return np.stack(each, -1).reshape(*shape, len(each))
         (h, w), cell = self.shape, at - 0.5
         cell = np.clip(cell, 0, [w - 1.001, h - 1.001])
         first = cell.astype(np.int64)
@@ -151,7 +151,7 @@ class Picture:
         flat, at_first = image.reshape(h * w, -1), first[:, 1] * w + first[:, 0]
         above = flat[at_first] * (1 - right) + flat[at_first + 1] * right
         below = flat[at_first + w] * (1 - right) + flat[at_first + w + 1] * right
-        return (above * (1 - down) + below * down).reshape(*shape, -1)
+        return (above * (1 - down) + below * down).reshape(*shape, flat.shape[1])
 
     def inside(self, at) -> np.ndarray:
         """(n,) bool: which image positions are in the picture and usable."""
@@ -184,7 +184,8 @@ class Misfit:
         ridge = 1e-2 * np.sqrt((light**2).sum(0).mean()) * np.eye(light.shape[1])
         self.plane = np.linalg.qr(np.concatenate([light, ridge]))[0][: len(light)]
         left = self.left([camera])[0]
-        self.scale = np.maximum(1.4826 * np.median(np.abs(left), 0), LEAST_LEFT)
+        usual = np.median(np.abs(left), 0) if len(left) else np.zeros(3)
+        self.scale = np.maximum(1.4826 * usual, LEAST_LEFT)
 
     def left(self, cameras) -> np.ndarray:
         """What no light explains from each of k cameras, (k, n, 3), over the objects' median colour."""

@@ -214,6 +214,12 @@ class Aligner:
             self._pictures[level] = Picture(photo.radiance, photo.usable, self._about, blur=blur, cubic=self.depth)
         return self._pictures[level]
 
+    @property
+    def shows_light(self) -> bool:
+        """Whether the photo is anything but black and unknown where the objects are."""
+        photo = self.job.photo
+        return bool((photo.radiance[self._about & photo.usable] > 0).any())
+
     def objects_in(self, view) -> np.ndarray:
         """(h, w) bool, where a view shows an object and no occluder."""
         return (view.mesh >= 0) & (view.mesh < len(self.job.objects))
@@ -278,8 +284,10 @@ class Aligner:
 
     def left(self, q) -> Left | None:
         """What speaks against seven numbers; None where too little is seen to say."""
+        if not self.shows_light:
+            return None
         misfit = self.misfit(q, len(LEVELS) - 1)
-        if len(misfit.outline) < LEAST_OUTLINE or len(misfit.surface) < LEAST_SURFACE:
+        if _too_few(misfit):
             return None
         return Left(*misfit.values(self.frame.at(q)))
 
@@ -336,8 +344,10 @@ def looks_off(scene: PreparedScene) -> bool:
     def look() -> bool:
         aligner = Aligner(scene)
         before, marks = aligner.frame.at(np.zeros(PARAMETERS)), aligner.first_marks(FIRST_LEVEL)
+        if not aligner.shows_light or _too_few(marks):
+            return False
         misfit = Misfit(aligner.picture(FIRST_LEVEL), marks, before, shading=LEVELS[FIRST_LEVEL].shading)
-        if len(misfit.outline) < LEAST_OUTLINE or len(misfit.surface) < LEAST_SURFACE:
+        if _too_few(misfit):
             return False
         after = aligner.frame.at(first_steps(misfit, aligner.frame, free=HELD, steps=FIRST_STEPS))
         moved = np.linalg.norm(after.project(misfit.surface) - before.project(misfit.surface), axis=1).mean()
@@ -382,6 +392,11 @@ def align(scene: PreparedScene) -> Alignment:
     why = f"moved: outlines and shading go better, by {gain.significance:.1f} deviations ({_words(before, after)})"
     zoomed = 100 * float(zoom - 1)
     return Alignment(found, True, why, float(moved), float(degrees), zoomed, before, after, gain, shift)
+
+
+def _too_few(points) -> bool:
+    """Whether Marks, or a Misfit, have too few points to say anything."""
+    return len(points.outline) < LEAST_OUTLINE or len(points.surface) < LEAST_SURFACE
 
 
 def _words(before: Left, after: Left) -> str:

@@ -2,6 +2,7 @@
 """`btfsep align`: a camera that is a little off comes back, one that is in place stays."""
 
 import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -244,6 +245,17 @@ def test_an_estimate_mends_what_is_far_off_and_what_is_turned(potatoes, tmp_path
 )
 def test_the_first_look_tells_a_camera_that_is_off_from_one_in_place(potatoes, moved, off):
     assert looks_off(off_by(potatoes, moved)) == off
+
+
+@pytest.mark.parametrize("spoilt", ["black", "transparent", "nearly all transparent"])
+def test_of_a_photo_that_shows_nothing_nothing_is_moved(potatoes, spoilt):
+    scene, photo = off_by(potatoes, (0, 0, 0, -6, 4, 0, 0)), potatoes.job.photo
+    usable = photo.usable & (np.arange(photo.usable.shape[1]) > (83 if spoilt.startswith("nearly") else 1000))
+    changed = {"radiance": 0 * photo.radiance} if spoilt == "black" else {"usable": usable}
+    scene.job = replace(scene.job, photo=replace(photo, **changed))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not looks_off(scene) and not align(scene).aligned
 
 
 def test_a_draft_looks_at_the_outline_alone(potatoes):
