@@ -32,7 +32,7 @@ class Advice:
 
 KNOWN = (
     Advice("geometry and photo do not line up", "Photo and geometry do not line up", "ALIGN", "RED"),
-    Advice("geometry and photo did not line up", "The camera is a little off; the engine made up for it", "ALIGN"),
+    Advice("geometry and photo did not line up", "The camera is off; the engine made up for it", "ALIGN"),
     Advice(MATERIAL, ""),
     Advice(
         NONE_OF_THESE,
