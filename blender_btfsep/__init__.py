@@ -5,9 +5,13 @@ import atexit
 
 import bpy
 
-from . import (
+from . import command
+from .engine import preferences
+from .panels import light_panel
+from .panels import photo_panels as panels
+from .run import runs
+from .window import (
     alignment,
-    command,
     example,
     first_checkup,
     icons,
@@ -17,7 +21,6 @@ from . import (
     library_assets,
     light_controls,
     light_operators,
-    light_panel,
     live,
     looking,
     mask,
@@ -26,10 +29,7 @@ from . import (
     object_list,
     operators,
     outlines,
-    panels,
-    preferences,
     properties,
-    runs,
     sequence_run,
     use_photo,
 )

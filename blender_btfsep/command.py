@@ -11,17 +11,21 @@ from pathlib import Path
 
 import bpy
 
-from . import batch, engine_settings, export, headless, light_files, measure, request, runs, sequence_run, sh_nodes
-from .answer import apply_light, take_estimate, take_materials
-from .engine_process import BUG, INPUT_FAULT
-from .errors import InputError
-from .headless import say, scene_of
-from .properties import CURVES, MAPPINGS, OCCLUDERS, WORLD_MODES
+from .basics.errors import InputError
+from .engine import engine_settings
+from .engine.engine_process import BUG, INPUT_FAULT
+from .headless import batch, measure_command, sequence_command, terminal
+from .headless.terminal import say, scene_of
+from .light import light_files, sh_nodes
+from .run import request, runs
+from .run.answer import apply_light, take_estimate, take_materials
+from .scene import export
+from .window.properties import CURVES, MAPPINGS, OCCLUDERS, WORLD_MODES
 
 
 def main(arguments) -> int:
     """Runs a command; ``arguments`` as on the command line after ``btfsep``. Returns the exit status."""
-    headless.speech = speech = headless.Speech()
+    terminal.speech = speech = terminal.Speech()
     try:
         options = _parser().parse_args(list(arguments))
     except SystemExit as stop:  # argparse has said why
@@ -36,7 +40,7 @@ def main(arguments) -> int:
         return speech.failed(str(error), INPUT_FAULT)
     except KeyboardInterrupt:
         return speech.failed("stopped", 130)
-    except headless.EngineBug as error:
+    except terminal.EngineBug as error:
         return speech.failed(str(error), BUG, error.details)
     except Exception as error:
         traceback.print_exc()
@@ -50,10 +54,10 @@ def by_blender(arguments) -> int:
     before = sys.argv[1 : next((i for i, a in enumerate(sys.argv) if a in ("--command", "-c")), len(sys.argv))]
     files = [argument for argument in before if argument.lower().endswith(".blend") and not argument.startswith("-")]
     if files and (not bpy.data.filepath or Path(files[-1]).resolve() != Path(bpy.data.filepath).resolve()):
-        headless.speech = headless.Speech()
-        headless.speech.json = "--json" in arguments
+        terminal.speech = terminal.Speech()
+        terminal.speech.json = "--json" in arguments
         why = "it was not read" if Path(files[-1]).exists() else "there is no such file"
-        return headless.speech.failed(str(InputError(files[-1], why, "check its name, and what Blender says of it")), 2)
+        return terminal.speech.failed(str(InputError(files[-1], why, "check its name, and what Blender says of it")), 2)
     return main(arguments)
 
 
@@ -142,9 +146,9 @@ def _parser() -> argparse.ArgumentParser:
     light.add_argument("--scene", help="name of the scene (default: the active one)")
     light.set_defaults(run=_light)
 
-    sequence_run.add_command(commands, [job, engine, fit, save])
+    sequence_command.add_command(commands, [job, engine, fit, save])
     batch.add_command(commands, [job, one, engine, fit, sun], estimate=estimate_scene, save=save_file)
-    measure.add_command(commands, [everything])
+    measure_command.add_command(commands, [everything])
     return parser
 
 
@@ -154,21 +158,21 @@ def _estimate(options) -> dict:
 
 def estimate_scene(options, scene, *, image=None, out=None, stays: bool = False) -> dict:
     """Estimates the light of ``scene`` as the command line says; what came of it, for ``--json``."""
-    folder = headless.write_job(options, scene, image=image)
+    folder = terminal.write_job(options, scene, image=image)
     out = Path(out or options.out).absolute() if out or options.out else folder / "result"
     arguments = request.engine_arguments("estimate", folder, scene, "--out", out, options=options)
-    result = headless.run_engine(arguments, options.engine, stays=stays)
+    result = terminal.run_engine(arguments, options.engine, stays=stays)
     for sentence in take_estimate(scene, result, mode=_mode(options), lamp=_lamp(options)):
         say(sentence)
-    headless.say_wrote(out)
+    terminal.say_wrote(out)
     return {"out": str(out), "estimate": result}
 
 
 def _recognise(options) -> dict:
     scene = scene_of(options)
-    folder = headless.write_job(options, scene)
+    folder = terminal.write_job(options, scene)
     arguments = request.engine_arguments("recognise", folder, scene, options=options)
-    objects = headless.run_engine(arguments, options.engine).get("objects") or []
+    objects = terminal.run_engine(arguments, options.engine).get("objects") or []
     for sentence, found in zip(take_materials(scene, objects), objects, strict=True):
         say(sentence)
         for candidate in (found.get("candidates") or [])[:5]:
@@ -177,7 +181,7 @@ def _recognise(options) -> dict:
 
 
 def _export(options) -> dict:
-    job = headless.write_job(options, scene_of(options)) / export.JOB_FILE
+    job = terminal.write_job(options, scene_of(options)) / export.JOB_FILE
     say(f"wrote {job}")
     return {"job": str(job)}
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 
 import blender_btfsep
-from blender_btfsep import example, use_photo
+from blender_btfsep.window import example, use_photo
 from scripts.cycles import materials, objects, studio
 
 MATERIAL, LIGHT = "leather/brown-grain", "sunrise"

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from scipy.ndimage import fourier_gaussian, map_coordinates
 
-from blender_btfsep import pixels
+from blender_btfsep.basics import pixels
 from scripts.cycles import objects
 
 FACE_MM = 0.16  # edge of a face of the displaced mesh, about: with 0.3 the grain of leather loses half of its slope ...

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from blender_btfsep import pixels
+from blender_btfsep.basics import pixels
 from scripts.cycles import studio
 
 PIXELS = 5000  # about so many of an image lie in the tile

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from blender_btfsep import own_surface
-from blender_btfsep.export import export_job
+from blender_btfsep.scene import own_surface
+from blender_btfsep.scene.export import export_job
 from btfsep_engine.srgb import linear_to_srgb
 from scripts.cycles import materials, objects, studio
 

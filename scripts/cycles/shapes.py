@@ -15,8 +15,8 @@ import numpy as np
 from mathutils import Matrix
 from tqdm import tqdm
 
-from blender_btfsep import own_surface
-from blender_btfsep.export import export_job
+from blender_btfsep.scene import own_surface
+from blender_btfsep.scene.export import export_job
 from scripts.cycles import objects, plates, studio
 
 RESOLUTION, SAMPLES = 224, 64  # pixels; a pixel

@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 from tqdm import tqdm
 
-from blender_btfsep.export import export_job
+from blender_btfsep.scene.export import export_job
 from btfsep_engine.btf import procedural
 from btfsep_engine.errors import InputError
 from scripts.cycles import objects, studio

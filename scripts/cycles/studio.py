@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from blender_btfsep import pixels
+from blender_btfsep.basics import pixels
 from scripts.cycles import materials, objects
 from scripts.cycles.lights import light_path
 

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import blender_btfsep  # noqa: E402
-from blender_btfsep import runs  # noqa: E402
+from blender_btfsep.run import runs  # noqa: E402
 
 PHOTO = (900, 700)
 COLOUR = (0.32, 0.09, 0.05, 1)

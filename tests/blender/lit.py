@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 
-from blender_btfsep import harmonics
+from blender_btfsep.basics import harmonics
 from btfsep_engine import sh
 from scripts.cycles import materials
 

@@ -6,7 +6,7 @@ import json
 import bpy
 import pytest
 
-from blender_btfsep import kept_light
+from blender_btfsep.light import kept_light
 from tests.blender import lit
 
 LIGHTING = lit.LIGHTING | {

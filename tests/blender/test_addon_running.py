@@ -9,7 +9,7 @@ from tests.blender.test_addon_operators import FOUND, LIGHTING, coefficients
 
 def during_the_run(monkeypatch, change):
     """Has ``change()`` called once while the real operator waits for a real child."""
-    from blender_btfsep import runs
+    from blender_btfsep.run import runs
 
     heard = runs.EngineOperator._heard
 
@@ -23,7 +23,8 @@ def during_the_run(monkeypatch, change):
 
 
 def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographed, fake_engine, tmp_path):
-    from blender_btfsep import checkup, first_checkup
+    from blender_btfsep.engine import checkup
+    from blender_btfsep.window import first_checkup
 
     checkup._file().unlink(missing_ok=True)
     checkup._found = None
@@ -118,7 +119,7 @@ def test_a_scene_deleted_during_the_run_is_named(photographed, fake_engine, monk
 
 def test_the_bar_is_where_the_engine_says(photographed, fake_engine, monkeypatch):
     """The real operator and a real child; what it heard is looked at after each message."""
-    from blender_btfsep import runs
+    from blender_btfsep.run import runs
 
     state, seen = bpy.context.window_manager.btfsep, []
     monkeypatch.setattr(runs, "redraw", lambda **_: seen.append((state.stage, state.message, round(state.fraction, 3))))
@@ -132,7 +133,8 @@ def test_the_bar_is_where_the_engine_says(photographed, fake_engine, monkeypatch
 
 def test_the_bar_and_the_tooltip_go_by_the_last_run(photographed, fake_engine):
     """Half of the engine's guide was a tenth of the time: then it is a tenth the next time."""
-    from blender_btfsep import durations, operators
+    from blender_btfsep.engine import durations
+    from blender_btfsep.window import operators
 
     now = [0.0]
     assert durations.in_words("x") == "" and durations.Clock("x").left() is None
@@ -170,7 +172,7 @@ def test_the_bar_and_the_tooltip_go_by_the_last_run(photographed, fake_engine):
 
 
 def test_durations_that_make_no_sense_are_none(photographed):
-    from blender_btfsep import durations
+    from blender_btfsep.engine import durations
 
     for text in ("", "[]", '{"x": 3}', '{"x": [[1, 2], [0, 1]]}', '{"x": [[1, "a"]]}', '{"x": [[0, 0]]}'):
         durations._file().write_text(text)
@@ -178,7 +180,7 @@ def test_durations_that_make_no_sense_are_none(photographed):
 
 
 def test_what_is_found_for_a_file_that_was_left_is_said(photographed, fake_engine, tmp_path):
-    from blender_btfsep import request, runs
+    from blender_btfsep.run import request, runs
 
     fake_engine(lighting=LIGHTING, lines=[LINE])
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "one.blend"))
@@ -196,7 +198,8 @@ def test_what_is_found_for_a_file_that_was_left_is_said(photographed, fake_engin
 
 def begun(photographed):
     """A run of the real engine process, as an operator leaves it whose window is closed: it, and what that knew."""
-    from blender_btfsep import durations, request, runs
+    from blender_btfsep.engine import durations
+    from blender_btfsep.run import request, runs
 
     folder = request.write_job(bpy.context)
     runs.current = runs.start_engine(["estimate", folder, "--out", folder / "result"])
@@ -213,7 +216,8 @@ def begun(photographed):
 
 
 def test_a_run_goes_on_in_another_window_when_its_own_is_closed(photographed, fake_engine):
-    from blender_btfsep import operators, runs
+    from blender_btfsep.run import runs
+    from blender_btfsep.window import operators
 
     fake_engine(lighting=LIGHTING, lines=[LINE])
     process, known = begun(photographed)
@@ -223,7 +227,8 @@ def test_a_run_goes_on_in_another_window_when_its_own_is_closed(photographed, fa
 
 
 def test_what_was_not_yet_written_when_its_window_was_closed_is_begun_anew(photographed, fake_engine):
-    from blender_btfsep import operators, runs
+    from blender_btfsep.run import runs
+    from blender_btfsep.window import operators
 
     fake_engine(lighting=LIGHTING, lines=[LINE])
     runs.current = runs.Preparation(x for x in range(3))
@@ -233,7 +238,8 @@ def test_what_was_not_yet_written_when_its_window_was_closed_is_begun_anew(photo
 
 
 def test_a_run_whose_file_was_left_ends_or_says_where_its_light_is(photographed, fake_engine, tmp_path):
-    from blender_btfsep import operators, runs
+    from blender_btfsep.run import runs
+    from blender_btfsep.window import operators
 
     fake_engine(lighting=LIGHTING, lines=[LINE])
     for operator in (operators.BTFSEP_OT_recognise, operators.BTFSEP_OT_estimate):
@@ -244,7 +250,7 @@ def test_a_run_whose_file_was_left_ends_or_says_where_its_light_is(photographed,
 
 
 def test_a_bug_leaves_no_run_that_never_ends(photographed, fake_engine, monkeypatch):
-    from blender_btfsep import runs
+    from blender_btfsep.run import runs
 
     def change():
         raise KeyError("a bug")
@@ -260,7 +266,7 @@ def test_a_bug_leaves_no_run_that_never_ends(photographed, fake_engine, monkeypa
 
 
 def test_escape_is_ours_over_the_panel_only(scene):
-    from blender_btfsep import runs
+    from blender_btfsep.run import runs
 
     window = bpy.context.window_manager.windows[0]
     (area,) = (a for a in window.screen.areas if a.type == "VIEW_3D")

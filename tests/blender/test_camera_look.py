@@ -4,7 +4,7 @@
 import bpy
 import numpy as np
 
-from blender_btfsep import camera_look
+from blender_btfsep.window import camera_look
 from btfsep_engine import camera_curve, images
 from btfsep_engine.fit.tone_curve import CAMERA
 from scripts.cycles import studio

@@ -8,22 +8,21 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import (
+from blender_btfsep.basics import colour, pixels
+from blender_btfsep.light import (
     advice,
-    answer,
     card,
-    colour,
     kept_light,
     light_files,
     light_picture,
     light_words,
     lighting_file,
-    mending,
-    pixels,
     sh_nodes,
     sun_lamp,
     world,
 )
+from blender_btfsep.run import answer
+from blender_btfsep.window import mending
 from btfsep_engine import sh
 from btfsep_engine.fit import tone_curve
 from btfsep_engine.images import write_exr

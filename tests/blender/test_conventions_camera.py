@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Vector
 
-from blender_btfsep.export import export_job
+from blender_btfsep.scene.export import export_job
 from btfsep_engine.job.load import load_job
 from scripts.cycles import materials, studio
 

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from mathutils import Euler
 
-from blender_btfsep import pixels
-from blender_btfsep.export import export_job
+from blender_btfsep.basics import pixels
+from blender_btfsep.scene.export import export_job
 from btfsep_engine import sh
 from btfsep_engine.job.load import load_job
 from scripts.cycles import engine, objects, studio

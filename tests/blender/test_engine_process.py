@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from blender_btfsep import engine_process
-from blender_btfsep.engine_process import Cancelled, Done, Engine, EngineProcess, Failed, Notice, Progress
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.engine import engine_process
+from blender_btfsep.engine.engine_process import Cancelled, Done, Engine, EngineProcess, Failed, Notice, Progress
 
 FAKE = Path(__file__).with_name("fake_engine.py")
 

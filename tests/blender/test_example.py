@@ -5,7 +5,9 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import example, kept_light, request, world
+from blender_btfsep.light import kept_light, world
+from blender_btfsep.run import request
+from blender_btfsep.window import example
 from scripts.cycles.example import LIGHT
 from scripts.cycles.lights import true_lighting
 from scripts.studies.measures import errors

@@ -10,8 +10,8 @@ import trimesh
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from blender_btfsep import export, meshes
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.scene import export, meshes
 from scripts.cycles import studio
 
 
@@ -321,7 +321,7 @@ def test_the_objects_own_map_is_used_or_missed_in_words(scene, tmp_path, add_cam
 
 def test_objects_of_one_name_are_two_objects(photographed, tmp_path):
     """One of the file, one linked from another file, which has its own names."""
-    from blender_btfsep import request
+    from blender_btfsep.run import request
 
     settings, own = photographed.btfsep, photographed.btfsep.objects[0].object
     twin = own.copy()

@@ -9,8 +9,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from blender_btfsep.camera import distortion, for_photo, intrinsics, render_size, shown, to_world
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.photo.camera import distortion, for_photo, intrinsics, render_size, shown, to_world
 from btfsep_engine.job.camera import Camera
 from scripts.cycles import materials
 

@@ -15,7 +15,7 @@ from tests.blender.test_addon_operators import FOUND
 @pytest.fixture
 def large(photographed, monkeypatch):
     """A scene that would hold a window up: smoothed in a render; something hidden; a second scene of the file."""
-    from blender_btfsep import export_child
+    from blender_btfsep.run import export_child
 
     cube = photographed.btfsep.objects[0].object
     modifier = cube.modifiers.new("Smooth", "SUBSURF")
@@ -34,7 +34,7 @@ def files_of(folder):
 
 
 def test_a_second_blender_writes_the_same_job(large):
-    from blender_btfsep import request
+    from blender_btfsep.run import request
 
     here = files_of(request.write_job(bpy.context))
     shutil.rmtree(request.job_folder(large))
@@ -57,8 +57,8 @@ def test_a_second_blender_writes_the_same_job(large):
 
 
 def test_its_faults_are_passed_on_and_nothing_is_left(large):
-    from blender_btfsep import request, runs
-    from blender_btfsep.errors import InputError
+    from blender_btfsep.basics.errors import InputError
+    from blender_btfsep.run import request, runs
 
     large.camera.data.type = "PANO"
     slices = request.job_slices(bpy.context)
@@ -106,7 +106,7 @@ def folder_of(slices):
 
 def test_what_was_painted_and_not_saved_is_in_the_job(large):
     """A file has of a painted image only what was packed."""
-    from blender_btfsep import export_child, request
+    from blender_btfsep.run import export_child, request
     from scripts.cycles import studio
 
     mask = bpy.data.images.new("Mask", 48, 32)
@@ -128,8 +128,8 @@ def test_what_was_painted_and_not_saved_is_in_the_job(large):
 
 
 def test_a_disk_without_room_is_said(large, monkeypatch):
-    from blender_btfsep import export_child, request
-    from blender_btfsep.errors import InputError
+    from blender_btfsep.basics.errors import InputError
+    from blender_btfsep.run import export_child, request
 
     def full(*_, **__):
         raise OSError(28, "No space left on device")
@@ -140,7 +140,7 @@ def test_a_disk_without_room_is_said(large, monkeypatch):
 
 
 def test_when_it_is_wanted(large):
-    from blender_btfsep import export_child
+    from blender_btfsep.run import export_child
 
     def asked():
         return export_child.is_large(bpy.context, large.btfsep)

@@ -7,8 +7,8 @@ import bpy
 import pytest
 import trimesh
 
-from blender_btfsep import export, meshes
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.scene import export, meshes
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.refine.seen_colour import _is_asked
 from scripts.cycles import materials

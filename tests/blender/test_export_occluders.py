@@ -9,8 +9,8 @@ import pytest
 import trimesh
 from bpy_extras.object_utils import world_to_camera_view
 
-from blender_btfsep import export
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.scene import export
 from scripts.cycles import materials
 from tests.blender.test_export import add_cube, make_photo
 
@@ -147,7 +147,7 @@ def test_the_render_decides_what_casts_shadows_not_the_viewport(scene, tmp_path,
 
 
 def test_a_table_is_evidence_where_its_object_says_so(addon, scene, tmp_path, add_camera):
-    from blender_btfsep import request
+    from blender_btfsep.run import request
     from btfsep_engine.job.load import load_job
 
     camera, thing = add_camera(scene, (0, -9, 0)), add_cube("Thing")

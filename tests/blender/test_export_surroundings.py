@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from blender_btfsep import export, surroundings
+from blender_btfsep.scene import export, surroundings
 from scripts.cycles import materials
 from tests.blender.test_export import add_cube, make_photo
 

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import light_files, world
+from blender_btfsep.light import light_files, world
 from btfsep_engine import sh
 from tests.blender.lit import positive_coefficients
 from tests.blender.test_command import LIGHTING, ROOT, blend, blender  # noqa: F401

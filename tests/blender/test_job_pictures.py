@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep.errors import InputError
-from blender_btfsep.export import SURFACE, export_job
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.scene.export import SURFACE, export_job
 from btfsep_engine.colour_profile import of_primaries
 from btfsep_engine.job.load import load_job
 

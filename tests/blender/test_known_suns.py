@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from blender_btfsep import answer, command, known_suns, lighting_file, live, request, runs, sun_lamp, world
+from blender_btfsep import command
+from blender_btfsep.light import lighting_file, sun_lamp, world
+from blender_btfsep.run import answer, request, runs
+from blender_btfsep.window import known_suns, live
 from btfsep_engine import sh
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, write_lighting

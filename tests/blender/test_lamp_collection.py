@@ -3,7 +3,7 @@
 
 import bpy
 
-from blender_btfsep import lamp_collection, lighting_file, sun_lamp, world
+from blender_btfsep.light import lamp_collection, lighting_file, sun_lamp, world
 
 
 def places(scene):

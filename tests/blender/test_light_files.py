@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_btfsep import harmonics, light_files, pixels, sh_nodes, sun_lamp, world
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics import harmonics, pixels
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.light import light_files, sh_nodes, sun_lamp, world
 from btfsep_engine import conventions, images, sh
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun
@@ -203,7 +204,7 @@ def test_faults_are_in_words(addon, scene, tmp_path):
 
 
 def test_only_files_of_our_own_are_claimed_when_dropped(addon):
-    from blender_btfsep import importer
+    from blender_btfsep.window import importer
 
     assert importer.BTFSEP_FH_lighting.bl_file_extensions == ".btfsep"
 

@@ -7,7 +7,10 @@ import time
 import bpy
 import pytest
 
-from blender_btfsep import answer, lighting_file, live, meshes, runs, sun_lamp, world
+from blender_btfsep.light import lighting_file, sun_lamp, world
+from blender_btfsep.run import answer, runs
+from blender_btfsep.scene import meshes
+from blender_btfsep.window import live
 from tests.blender.lit import LIGHTING
 from tests.blender.test_addon_operators import coefficients
 
@@ -176,7 +179,7 @@ def test_what_the_light_follows(photographed, asked, name):
 
 
 def test_it_follows_nothing_where_it_is_off_or_there_is_no_light(photographed, asked):
-    from blender_btfsep import kept_light
+    from blender_btfsep.light import kept_light
 
     photographed.btfsep.live = False
     photographed.camera.location.x += 0.1

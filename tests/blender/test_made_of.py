@@ -8,7 +8,10 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import answer, command, icons, library, own_surface, request, runs
+from blender_btfsep import command
+from blender_btfsep.run import answer, request, runs
+from blender_btfsep.scene import own_surface
+from blender_btfsep.window import icons, library
 from btfsep_engine.job.load import load_job
 
 MATERIALS = [

@@ -5,7 +5,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import mask, photo
+from blender_btfsep.photo import photo
+from blender_btfsep.window import mask
 from scripts.cycles import studio
 
 SIZE = 600, 400  # more than the mask looks at in one go

@@ -7,8 +7,9 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import bake, measure
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.scene import bake
+from blender_btfsep.window import measure
 from scripts.cycles import studio
 
 N = 64

@@ -4,8 +4,8 @@
 import bpy
 import numpy as np
 
-from blender_btfsep import lighting_file, sun_lamp, world
-from blender_btfsep.export import export_job
+from blender_btfsep.light import lighting_file, sun_lamp, world
+from blender_btfsep.scene.export import export_job
 from scripts.cycles import engine, studio
 
 DIRECTION, RADII = np.array([-0.70, -0.55, 0.45]), 3.0

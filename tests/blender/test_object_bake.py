@@ -7,7 +7,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import own_surface, request
+from blender_btfsep.run import request
+from blender_btfsep.scene import own_surface
 from btfsep_engine.job.load import load_job
 from scripts.cycles import materials
 

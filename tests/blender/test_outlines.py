@@ -7,7 +7,9 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from blender_btfsep import meshes, outlines, runs
+from blender_btfsep.run import runs
+from blender_btfsep.scene import meshes
+from blender_btfsep.window import outlines
 
 
 def triangles(thing):

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from blender_btfsep import own_surface
-from blender_btfsep.export import export_job
+from blender_btfsep.scene import own_surface
+from blender_btfsep.scene.export import export_job
 from btfsep_engine import images
 from btfsep_engine.job.load import load_job
 from scripts.cycles import objects, studio

@@ -99,7 +99,7 @@ def empty_list(scene, tmp_path):
     ],
 )
 def test_it_is_said_before_the_click(photographed, tmp_path, lacks, words):
-    from blender_btfsep import request
+    from blender_btfsep.run import request
 
     bpy.context.window_manager.btfsep.library.clear()
     assert request.missing(bpy.context) == "" and bpy.ops.btfsep.estimate.poll()
@@ -109,7 +109,7 @@ def test_it_is_said_before_the_click(photographed, tmp_path, lacks, words):
 
 
 def test_where_all_materials_are_said_there_is_nothing_to_recognise(photographed):
-    from blender_btfsep import request
+    from blender_btfsep.run import request
 
     entry = photographed.btfsep.objects[0]
     assert bpy.ops.btfsep.recognise.poll() and request.nothing_to_recognise(photographed.btfsep) == ""
@@ -122,7 +122,7 @@ def test_where_all_materials_are_said_there_is_nothing_to_recognise(photographed
 
 
 def test_a_packed_photo_needs_no_file(photographed, tmp_path):
-    from blender_btfsep import request
+    from blender_btfsep.run import request
 
     photographed.btfsep.image.pack()
     (tmp_path / "photo.png").unlink()
@@ -130,7 +130,8 @@ def test_a_packed_photo_needs_no_file(photographed, tmp_path):
 
 
 def test_a_collection_instance_is_an_object_like_any_other(photographed):
-    from blender_btfsep import meshes, request
+    from blender_btfsep.run import request
+    from blender_btfsep.scene import meshes
 
     cube = photographed.btfsep.objects[0].object
     photographed.btfsep.objects.clear()
@@ -160,7 +161,7 @@ def test_a_collection_instance_is_an_object_like_any_other(photographed):
 
 def test_what_a_render_has_finer_than_the_viewport_is_exported_so(photographed):
     """Simplify, the resolution of curves and metaballs: as if the viewport were as fine."""
-    from blender_btfsep import request
+    from blender_btfsep.run import request
 
     cube = photographed.btfsep.objects[0].object
     cube.modifiers.new("Smooth", "SUBSURF").render_levels = 3
@@ -191,7 +192,7 @@ def test_what_a_render_has_finer_than_the_viewport_is_exported_so(photographed):
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
 def test_what_stands_outside_of_the_picture_is_said(photographed, kind):
-    from blender_btfsep import reasons, request
+    from blender_btfsep.run import reasons, request
 
     camera, settings = photographed.camera, photographed.btfsep
     camera.data.type, camera.data.ortho_scale = kind, 4

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from blender_btfsep.export import export_job
+from blender_btfsep.scene.export import export_job
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.recognition import recognise_object

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_btfsep import request
-from blender_btfsep.camera import for_photo, to_world
+from blender_btfsep.photo.camera import for_photo, to_world
+from blender_btfsep.run import request
 from scripts.cycles import studio
 
 MOVED = {

@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from blender_btfsep import lighting_file
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.light import lighting_file
 
 
 @pytest.mark.parametrize(

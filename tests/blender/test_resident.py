@@ -10,8 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from blender_btfsep import engine_process, resident
-from blender_btfsep.engine_process import Cancelled, Done, Engine, EngineProcess, Failed, Light, Notice, Progress, parse
+from blender_btfsep.engine import engine_process, resident
+from blender_btfsep.engine.engine_process import (
+    Cancelled,
+    Done,
+    Engine,
+    EngineProcess,
+    Failed,
+    Light,
+    Notice,
+    Progress,
+    parse,
+)
 from tests.blender.test_engine_process import FAKE, alive, wait_until
 
 

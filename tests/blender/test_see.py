@@ -8,23 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import (
-    blender_views,
-    camera,
-    camera_look,
-    icons,
-    kept_light,
-    light_picture,
-    lighting_file,
-    looking,
-    mending,
-    request,
-    runs,
-    sequence_run,
-    use_photo,
-)
-from blender_btfsep.errors import InputError
-from blender_btfsep.photo import file_at, named
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.light import kept_light, light_picture, lighting_file
+from blender_btfsep.photo import camera
+from blender_btfsep.photo.photo import file_at, named
+from blender_btfsep.run import request, runs
+from blender_btfsep.window import blender_views, camera_look, icons, looking, mending, sequence_run, use_photo
 from btfsep_engine import images
 from btfsep_engine.job.load import load_job
 from tests.blender.lit import LIGHTING

@@ -5,9 +5,10 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import animation, frames, world
-from blender_btfsep.errors import InputError
-from blender_btfsep.sh_nodes import CLAMP, CLAMP_GAIN, GROUP_NAME, coefficient_name
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.light import animation, world
+from blender_btfsep.light.sh_nodes import CLAMP, CLAMP_GAIN, GROUP_NAME, coefficient_name
+from blender_btfsep.photo import frames
 from btfsep_engine import sh
 from btfsep_engine.light.positivity import positive_share
 from scripts.cycles import studio

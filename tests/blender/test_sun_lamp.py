@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Vector
 
-from blender_btfsep import animation, lighting_file, sh_nodes, sun_lamp, world
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.light import animation, lighting_file, sh_nodes, sun_lamp, world
 from btfsep_engine import sh
 from btfsep_engine.light.files import Lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion, gaussian_filter
 
-from blender_btfsep import pixels
-from blender_btfsep.export import export_job
+from blender_btfsep.basics import pixels
+from blender_btfsep.scene.export import export_job
 from btfsep_engine.images import write_exr
 from scripts.cycles import engine, materials, studio
 

@@ -9,21 +9,12 @@ import numpy as np
 import pytest
 
 import btfsep_engine
-from blender_btfsep import (
-    advice,
-    command,
-    engine_process,
-    engine_settings,
-    frames,
-    known_suns,
-    lighting_file,
-    mending,
-    photo,
-    photo_file,
-    properties,
-    request,
-    sh_nodes,
-)
+from blender_btfsep import command
+from blender_btfsep.engine import engine_process, engine_settings
+from blender_btfsep.light import advice, lighting_file, sh_nodes
+from blender_btfsep.photo import frames, photo, photo_file
+from blender_btfsep.run import request
+from blender_btfsep.window import known_suns, mending, properties
 from btfsep_engine import images
 from btfsep_engine.btf import linear
 from btfsep_engine.cli import command as engine_command

@@ -9,8 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from blender_btfsep import camera, command, live, photo, photo_file, request, upright, upright_png, use_photo
-from blender_btfsep.errors import InputError
+from blender_btfsep import command
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.photo import camera, photo, photo_file, upright, upright_png
+from blender_btfsep.run import request
+from blender_btfsep.window import live, use_photo
 from btfsep_engine import images
 from btfsep_engine.job.load import load_job
 from tests.engine import profiles

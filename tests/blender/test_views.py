@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import blender_views as named
-from blender_btfsep import photo_file
+from blender_btfsep.photo import photo_file
+from blender_btfsep.window import blender_views as named
 from btfsep_engine import image_headers, images
 from btfsep_engine.blender_views import VIEWS
 from scripts.cycles import studio

@@ -5,7 +5,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep import pixels
+from blender_btfsep.basics import pixels
 
 RED = np.array([0.6131, 0.0702, 0.0206])  # of Rec.709, in ACEScg: the published matrix's first column
 ORANGE = np.array([0.8, 0.2, 0.1])
@@ -30,7 +30,7 @@ def codes_of(path):
 
 
 def test_world_and_lamps(acescg):
-    from blender_btfsep import light_files, sh_nodes, sun_lamp, world
+    from blender_btfsep.light import light_files, sh_nodes, sun_lamp, world
 
     suns = {"lamps": [{"direction": [0, 0, 1], "irradiance": [2.0, 0, 0], "size_degrees": 1.0}], "sky": [[1.0, 0, 0]]}
     world.apply_lighting(acescg, {"order": 0, "coefficients": [[2.0, 0, 0]], "suns": suns})
@@ -46,7 +46,8 @@ def test_world_and_lamps(acescg):
 
 @pytest.mark.parametrize("kind", ["byte", "float"])
 def test_a_packed_photo(acescg, tmp_path, kind):
-    from blender_btfsep import colour, photo
+    from blender_btfsep.basics import colour
+    from blender_btfsep.photo import photo
 
     image = bpy.data.images.new("photo", 4, 2, float_buffer=kind == "float")
     image.pixels.foreach_set(np.tile(np.float32([*ORANGE, 1]), 8))
@@ -57,7 +58,8 @@ def test_a_packed_photo(acescg, tmp_path, kind):
 
 
 def test_colours_of_materials_and_maps(acescg, tmp_path):
-    from blender_btfsep import light_files, surroundings
+    from blender_btfsep.light import light_files
+    from blender_btfsep.scene import surroundings
 
     material = bpy.data.materials.new("Red")
     material.use_nodes = True

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_btfsep import animation, colour, harmonics, sh_nodes, world
-from blender_btfsep.errors import InputError
+from blender_btfsep.basics import colour, harmonics
+from blender_btfsep.basics.errors import InputError
+from blender_btfsep.light import animation, sh_nodes, world
 from btfsep_engine import conventions, sh
 from btfsep_engine.light import positivity
 from tests.blender.lit import lighting, look_around, positive_coefficients, random_coefficients, white_ball

@@ -15,17 +15,7 @@ from btfsep_engine.fit.tone_curve import SRGB
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.tone import Curves, codes_of, curve_read_by, radiance_of, read_by
 from btfsep_engine.srgb import srgb_to_linear
-from tests.engine.profiles import (
-    LINEAR_CURVE,
-    SRGB_CURVE,
-    chunk,
-    icc,
-    png,
-    power,
-    table,
-    tiff,
-    with_profile,
-)
+from tests.engine.profiles import LINEAR_CURVE, SRGB_CURVE, chunk, icc, png, power, table, tiff, with_profile
 from tests.engine.test_camera_curve import exif
 
 TO_REC709 = {  # CSS Color 4, "Sample code for color conversions": published matrices, through XYZ

@@ -8,12 +8,7 @@ from scipy.ndimage import binary_erosion
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.misalignment import silhouette_shift
-from btfsep_engine.pipeline.doubts import (
-    THRESHOLDS,
-    alignment_doubt,
-    clamped_share,
-    structure_doubts,
-)
+from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, clamped_share, structure_doubts
 from tests.engine.half_sphere import half_sphere, shown, side_light
 
 

@@ -23,14 +23,7 @@ from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.homogeneous import homogeneous
-from tests.render.scenes import (
-    as_mesh,
-    job_of,
-    looking_down,
-    picture,
-    scene_of,
-    with_photo,
-)
+from tests.render.scenes import as_mesh, job_of, looking_down, picture, scene_of, with_photo
 from tests.render.test_reflectance import WINDOW
 
 SETTINGS = choose("draft", bounces=1, directions=256, appearance="mean", order=2)

@@ -13,7 +13,7 @@ import bmesh
 import bpy
 import numpy as np
 
-from blender_btfsep.unwrap import angle_based
+from blender_btfsep.scene.unwrap import angle_based
 from scripts.cycles import objects, studio
 
 TURNED = ("torus", "cylinder", "ball")  # their own coordinates follow their axis, which is the world's z

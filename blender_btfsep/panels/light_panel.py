@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panel of the light, in the tab "BTFsep": its settings, the run, and what was found; and the advanced settings."""
+
+import bpy
+
+from ..engine import durations
+from ..light import kept_light, sun_lamp, world
+from ..light.advice import advice
+from ..light.card import doubt_of
+from ..run import answer, reasons, request, runs
+from ..window import icons, mending, operators, sequence_run
+from . import sidebar
+
+SHOWN = 3  # lamps in the panel
+PREFIX = "BTFsep "  # of our lamps: their numbers at the end are what tells them apart
+
+
+class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
+    bl_label = "Light"
+
+    def draw(self, context):
+        layout = self.layout
+        settings, run = context.scene.btfsep, runs.run_state()
+        column = sidebar.fields(layout)
+        column.enabled = not runs.is_running()
+        sidebar.engine_rows(column, settings, "light")
+        column.prop(settings, "world_mode")
+        if settings.world_mode != "NONE":
+            column.prop(settings, "sun_lamp")
+        self._suns(context, layout)
+
+        row = layout.row(align=True)
+        row.scale_y = 1.4
+        if runs.is_running():
+            # In the buttons' place stands a property: what is under the mouse when the engine ends must not be taken by
+            # Blender for a label or button that comes then, which would look like it until the mouse moves.
+            row.enabled = False
+            row.prop(run, "running", text=f"{run.task} …", toggle=True)
+            row = layout.row(align=True)
+            row.progress(factor=run.fraction, type="BAR", text=f"{100 * run.fraction:.0f}%  {run.stage}")
+            row.operator("btfsep.cancel", text="", icon="X")
+            if run.message:
+                layout.label(text=run.message)
+        else:
+            row.operator("btfsep.recognise", icon="VIEWZOOM")
+            row.operator("btfsep.estimate", icon="LIGHT_SUN")
+            if sequence_run.is_sequence(settings.image):
+                layout.operator("btfsep.estimate_sequence", icon="SEQUENCE")
+            lacking = request.missing(context)
+            if lacking:
+                sidebar.wrapped(context, layout, lacking, icon="INFO")
+            else:
+                unseen = reasons.unseen(context.scene, settings, request.fitted(settings))
+                if unseen:
+                    sidebar.wrapped(context, layout, unseen, icon="ERROR")
+                self._beside(context, layout, run)
+        self._outcome(context, layout, run)
+        light = kept_light.kept(context.scene)
+        if light is not None:
+            self._card(context, layout, run, light)
+        elif world.is_ours(context.scene.world):
+            layout.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
+        layout.operator("btfsep.apply", icon="WORLD")
+        if world.is_ours(context.scene.world):
+            layout.operator("btfsep.restore_world", icon="LOOP_BACK")
+
+    def _suns(self, context, layout):
+        """The Sun lamps: those of the estimate, those that are known, and the active one, each with its button."""
+        scene, known, active = context.scene, sun_lamp.known(context.scene), context.object
+        chosen = [active] if active is not None and active.type == "LIGHT" else []
+        shown = dict.fromkeys((*known, *sun_lamp.lamps(scene), *chosen))
+        column = layout.column(align=True)
+        for lamp in (lamp for lamp in shown if lamp.data.type == "SUN"):
+            row = column.row(align=True)
+            held = lamp in known
+            row.label(text=lamp.name.removeprefix(PREFIX), icon="LIGHT_SUN")
+            words, icon = ("Free", "UNLOCKED") if held else ("Freeze Sun", "LOCKED")
+            row.operator(f"btfsep.{'free' if held else 'freeze'}_sun", text=words, icon=icon).name = lamp.name
+
+    def _beside(self, context, layout, run):
+        """How long an estimate takes, and the switch that spares asking for one."""
+        settings = context.scene.btfsep
+        seconds = durations.expected(operators.BTFSEP_OT_estimate.kind(context.scene))
+        there = kept_light.kept(context.scene) is not None
+        row = layout.split(factor=0.6) if there else layout
+        if seconds is not None:
+            row.label(text=f"About {durations.rounded(seconds)}", icon="TIME")
+        elif there:
+            row.label()
+        if there:
+            row.prop(settings, "live", toggle=True, icon="FILE_REFRESH" if run.following else "PLAY")
+
+    def _outcome(self, context, layout, run):
+        """What the last run said, but for what is in the card."""
+        if run.error:
+            box = layout.box()
+            box.alert = True
+            for number, part in enumerate(run.error.split("; ")):
+                sidebar.wrapped(context, box, part[:1].upper() + part[1:], icon="BLANK1" if number else "ERROR")
+        elif run.summary and not run.summary.startswith(
+            (answer.APPLIED, answer.FOUND)
+        ):  # the card says it, and follows undo
+            box = layout.box()
+            done = "X" if run.summary.endswith(runs.CANCELLED) else "CHECKMARK"
+            for number, part in enumerate(run.summary.splitlines()):
+                sidebar.wrapped(context, box, part, icon="BLANK1" if number else done)
+        if run.warnings and (run.error or run.task != "Estimating"):
+            said = {found.short: found for found in (advice(each.name) for each in run.warnings) if found.short}
+            box = layout.box() if said else None
+            for found in said.values():  # all of each is in the Info editor
+                self._doubt(context, box, doubt_of(found))
+
+    def _doubt(self, context, box, doubt):
+        """A doubt of a card, with the button that mends it."""
+        sidebar.wrapped(context, box, doubt["short"], icon="ERROR")
+        mend, about = doubt["mend"], next((w for n, w, _ in mending.MENDS if n == doubt["mend"]), "")
+        if mend == "ALIGN":
+            sidebar.refine_alignment(box, context.scene.btfsep)
+        elif mend == "UPRIGHT":
+            box.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
+        elif mend == "FREEZE":
+            self._suns(context, box)
+        elif mend:
+            button = box.operator("btfsep.mend", text=about)
+            button.how, button.object = mend, doubt["object"]
+
+    def _card(self, context, layout, run, light):
+        card = kept_light.card(light)
+        box = layout.box()
+        if light.picture is not None:
+            units = context.region.width / context.preferences.system.ui_scale / 20
+            box.template_icon(icons.of_image(light.picture), scale=max(4, min(units - 3.5, 9)))
+        row = box.row(align=True)
+        row.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
+        row.operator("btfsep.show_report", text="Report", icon="IMAGE_DATA")
+        column = box.column(align=True)
+        for label, words in card.get("lines") or ():
+            if label == "Trust":
+                checked = (runs.is_running() or run.following) and card["trust"] == "NONE"
+                words = "Being checked …" if checked else words
+                sidebar.wrapped(context, column, words, icon_value=icons.light(card["trust"]))
+                continue
+            row = column.split(factor=0.3)
+            name = row.column()
+            name.active, name.scale_y = False, 0.8
+            name.label(text=label)
+            sidebar.wrapped(context, row.column(), words, share=0.7)
+        others = [f"'{lamp.name}'" for lamp in sun_lamp.others(context.scene)]
+        if others:
+            shine = f"{', '.join(others[:SHOWN])}{' …' * (len(others) > SHOWN)} shine{'s' * (len(others) == 1)}"
+            sidebar.wrapped(context, box, f"{shine} beside this light: hide in renders what should not", icon="INFO")
+        for warning in card.get("warnings") or ():
+            self._doubt(context, box, warning)
+        if card.get("details"):
+            row = box.row()
+            row.alignment = "LEFT"
+            row.prop(run, "show_details", icon="TRIA_DOWN" if run.show_details else "TRIA_RIGHT", emboss=False)
+            for part in card["details"] if run.show_details else ():
+                sidebar.wrapped(context, box, part, icon="DOT")
+
+
+class BTFSEP_PT_advanced(sidebar.Sidebar, bpy.types.Panel):
+    bl_label = "Advanced"
+    bl_parent_id = "BTFSEP_PT_light"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        settings = context.scene.btfsep
+        column = sidebar.fields(self.layout)
+        column.enabled = not runs.is_running()
+        column.prop(settings, "exposure_ev", text="Photo Exposure")
+        row = column.row(align=True)
+        row.prop(settings, "depth")
+        row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"
+        if settings.depth is not None:
+            column.prop(settings, "depth_shift")
+        sidebar.engine_rows(column, settings, "advanced")
+        column.prop(settings, "mapping")
+        if settings.world_mode != "NONE":
+            column.prop(settings, "clamp")
+        if sequence_run.is_sequence(settings.image):
+            column.prop(settings, "interpolation")
+
+
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_PT_light, BTFSEP_PT_advanced))

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The panels of the photo and of the objects, in the tab "BTFsep" of the 3D view's sidebar."""
+
+import bpy
+
+from ..engine import preferences
+from ..photo import camera as pinhole
+from ..photo import photo, upright
+from ..run import request, runs
+from ..scene import own_surface
+from ..window import icons, library, outlines, sequence_run, use_photo
+from . import sidebar
+
+SHOWN = 3  # candidates in the panel
+PICTURE = 5  # units, the height of a material's picture
+
+
+class BTFSEP_UL_objects(bpy.types.UIList):
+    def draw_item(self, context, layout, data, item, icon, active_data, active_propname):
+        if item.object is None:
+            layout.label(text="(deleted)", icon="ERROR")
+            return
+        row = layout.split(factor=0.48, align=True)
+        row.prop(item.object, "name", text="", emboss=False, icon="OBJECT_DATA")
+        open_ = item.source == "RECOGNISE"
+        known = {"COLOUR": "colour", "BLENDER": "as in Blender", "LIBRARY": item.material or "choose"}.get(
+            item.source, item.recognised or "to recognise"
+        )
+        sub = row.row()
+        sub.active = not open_
+        if item.source == "COLOUR":
+            sub.prop(item, "colour", text="")
+        else:
+            sub.label(text=known.rsplit("/", 1)[-1], icon="QUESTION" if item.unknown and open_ else "NONE")
+
+
+class BTFSEP_PT_photo(sidebar.Sidebar, bpy.types.Panel):
+    bl_label = "Photo"
+
+    def draw(self, context):
+        layout = self.layout
+        scene, settings = context.scene, context.scene.btfsep
+        layout.enabled = not runs.is_running()
+        if settings.image is None:
+            layout.operator("btfsep.open_example", icon="SCENE_DATA")
+        layout.template_ID(settings, "image", open="image.open")
+        camera, image = settings.camera or scene.camera, settings.image
+        column = sidebar.fields(layout)
+        column.prop(settings, "camera", placeholder=scene.camera.name if scene.camera else "None")
+        there = image is not None and image.size[0]
+        if there:
+            floats = photo.of_floats(image)
+            row = column.row()
+            row.enabled = not floats
+            row.prop(settings, "curve", text="Read As")
+            if settings.curve == "auto" or floats:
+                read = use_photo.read_as(image, "auto")
+                sidebar.wrapped(context, layout, read[:1].upper() + read[1:], icon="INFO")
+        if sequence_run.is_sequence(image):
+            shown = photo.file_at(image, camera, scene.frame_current)
+            sidebar.wrapped(context, layout, f"At this frame: {shown.name if shown else ''}", icon="SEQUENCE")
+        if upright.asked(image) != 1:
+            sidebar.wrapped(context, layout, "The photo's file asks for it to be turned", icon="INFO")
+            layout.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
+        behind = use_photo.is_behind(scene)
+        if behind and there and pinhole.shown(scene, image.size) is None:
+            box = layout.box()
+            box.alert = True
+            sidebar.wrapped(
+                context,
+                box,
+                f"The photo is {image.size[0]} x {image.size[1]}; the scene renders another shape.",
+                icon="ERROR",
+            )
+            box.operator("btfsep.use_photo")
+        elif not behind:
+            found = use_photo.background(camera) if image is None else None
+            words = f"Use '{found.name}' of the Camera" if found else "Use Photo"
+            layout.operator("btfsep.use_photo", text=words, icon="CAMERA_DATA")
+        if request.listed(settings):
+            column = layout.column(align=True)
+            column.label(text="Over the Photo", icon="OVERLAY")
+            column.row(align=True).prop(runs.run_state(), "overlay", expand=True)
+            if runs.run_state().overlay != "OFF" and outlines.too_fine(scene):
+                sidebar.wrapped(context, layout, "A mesh has too many faces to be drawn over the photo", icon="INFO")
+            sidebar.refine_alignment(layout, settings)
+
+
+class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
+    bl_label = "Objects and Materials"
+
+    def draw(self, context):
+        layout = self.layout
+        settings = context.scene.btfsep
+        layout.enabled = not runs.is_running()
+        if settings.depth is None:
+            row = layout.row()
+            row.template_list("BTFSEP_UL_objects", "", settings, "objects", settings, "active_object", rows=2)
+            column = row.column(align=True)
+            column.operator("btfsep.add_objects", text="", icon="ADD")
+            column.operator("btfsep.remove_object", text="", icon="REMOVE")
+        else:
+            layout.label(text=f"Surface of {settings.depth.name}", icon="SURFACE_DATA")
+
+        entry = request.active_entry(settings)
+        if entry is not None:
+            self._made_of(context, layout, entry)
+        split = sidebar.fields(layout)
+        if entry is not None:
+            row = split.row(align=True)
+            row.prop(entry, "mask")
+            if entry.mask is not None:
+                row.operator("btfsep.paint_mask", text="", icon="BRUSH_DATA")
+            elif entry.object is not None:
+                row.operator("btfsep.new_mask", text="", icon="ADD")
+            row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "mask"
+        split.prop(settings, "occluders")
+        thing = context.object
+        if settings.occluders == "OTHERS" and request.may_be_evidence(settings, thing):
+            split.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
+
+    def _made_of(self, context, layout, entry):
+        split = sidebar.fields(layout)
+        split.prop(entry, "source")
+        if entry.source == "COLOUR":
+            split.prop(entry, "colour")
+            split.prop(entry, "roughness")
+            split.prop(entry, "metallic")
+        elif entry.source == "BLENDER":
+            sidebar.wrapped(context, layout, own_surface.words(entry.object), icon="MATERIAL")
+        elif entry.source == "LIBRARY":
+            self._library(context, layout, entry)
+        elif entry.candidates:
+            self._candidates(context, layout, entry)
+
+    def _library(self, context, layout, entry):
+        library.ensure()
+        run = runs.run_state()
+        row = layout.row(align=True)
+        if run.library:
+            row.prop(run, "library_class", text="")
+            row.operator("btfsep.library_assets", text="", icon="ASSET_MANAGER")
+            row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
+            layout.template_icon_view(entry, "browse", show_labels=True, scale=PICTURE, scale_popup=4.5)
+            layout.prop_search(entry, "material", run, "library", text="", icon="MATERIAL")
+        elif run.library_error:
+            layout.prop(entry, "material", text="", icon="MATERIAL")  # a search would show any name as wrong
+            for number, part in enumerate(run.library_error.split("; ")):
+                sidebar.wrapped(context, layout, part[:1].upper() + part[1:], icon="BLANK1" if number else "ERROR")
+            layout.operator("btfsep.read_library", icon="FILE_REFRESH")
+        else:  # as high as what comes, or all below would jump away from the mouse
+            layout.label(text="Reading the library …", icon="SORTTIME")
+            room = layout.box()
+            room.scale_y = PICTURE
+            room.label()
+            layout.prop(entry, "material", text="", icon="MATERIAL")
+        chosen = preferences.get(context)
+        if isinstance(chosen, bpy.types.AddonPreferences):
+            layout.prop(chosen, "library", text="", placeholder="The library that comes with it")
+        layout.operator("btfsep.measure_material", icon="NODE_MATERIAL")
+
+    def _candidates(self, context, layout, entry):
+        box = layout.box()
+        if entry.unknown:
+            sidebar.wrapped(context, box, "It looks like no material of the library; the nearest are:", icon="QUESTION")
+        column = box.column(align=True)
+        library.ensure()  # for the thumbnails
+        pictures = {material.name: material.thumbnail for material in runs.run_state().library}
+        for candidate in entry.candidates[:SHOWN]:
+            row = column.split(factor=0.7, align=True)
+            row.active = candidate.name == entry.recognised
+            name, picture = candidate.name, pictures.get(candidate.name)
+            own = name.rsplit("/", 1)[-1]
+            shown = icons.of_file(picture) if picture else 0
+            row.operator("btfsep.use_candidate", text=own, icon_value=shown, emboss=False).material = name
+            row.progress(factor=candidate.score, type="BAR", text=f"{100 * candidate.score:.0f} %")
+
+
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects))

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""File > Import and File > Export of a light; dragging a .btfsep into the 3D view imports it."""
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+
+from ..light import light_files, sh_nodes, world
+from ..run import runs
+from ..run.answer import apply_light
+from .properties import WORLD_MODES
+
+SUFFIXES = (
+    (".json", "BTFsep (.json)", "Coefficients and key lights, as the engine reads and writes them"),
+    (".btfsep", "BTFsep (.btfsep)", "The same, under a name that can be dragged into the 3D view"),
+    (".exr", "OpenEXR map (.exr)", "An environment map, key lights as discs, 32 bit"),
+    (".hdr", "Radiance map (.hdr)", "An environment map, key lights as discs"),
+    (".txt", "Harmonics as text (.txt)", "As Filament's cmgen writes them: radiance, Y up"),
+    (
+        ".usda",
+        "USD lights (.usda)",
+        "A dome light with its map beside it, a distant or sphere light for each key light",
+    ),
+)
+
+
+class BTFSEP_OT_import_lighting(runs.AtOnce, bpy.types.Operator, ImportHelper):
+    """Make a light in a file the World of the scene: BTFsep's own, an environment map, or cmgen's harmonics"""
+
+    bl_idname = "btfsep.import_lighting"
+    bl_label = "Import BTFsep Lighting"
+    bl_options = {"REGISTER", "UNDO", "PRESET"}
+
+    filename_ext = ".json"
+    filter_glob: StringProperty(default="*.json;*.btfsep;*.exr;*.hdr;*.txt", options={"HIDDEN"})
+    mode: EnumProperty(name="World", items=WORLD_MODES[:2])
+    order: IntProperty(
+        name="Order",
+        description="Of the harmonics of a map that becomes nodes",
+        default=4,
+        min=0,
+        max=sh_nodes.MAX_NODE_ORDER,
+    )
+    clamp: BoolProperty(
+        name="Clamp Negative", description="Black where the sum of the harmonics is negative", default=True
+    )
+
+    lamp: BoolProperty(
+        name="Sun Lamps", description="Key lights in the file become Sun lamps beside the World", default=True
+    )
+
+    def invoke(self, context, event):
+        if self.properties.is_property_set("filepath") and self.filepath:  # dropped into the view
+            return self.execute(context)
+        return super().invoke(context, event)
+
+    def do(self, context):
+        lighting = light_files.read(bpy.path.abspath(self.filepath), self.order)
+        return apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
+
+
+class BTFSEP_OT_export_lighting(runs.Greyed, runs.AtOnce, bpy.types.Operator, ExportHelper):
+    """Write the light as World and Sun lamps have it now, with all that was changed of it"""
+
+    bl_idname = "btfsep.export_lighting"
+    bl_label = "Export BTFsep Lighting"
+    bl_options = {"REGISTER", "PRESET"}
+
+    filename_ext = ""
+    check_extension = None  # the suffix is the format's
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix, *_ in SUFFIXES), options={"HIDDEN"})
+    format: EnumProperty(name="Format", items=SUFFIXES, description="Where the file's name has no suffix")
+    order: IntProperty(name="Order", description="Of harmonics", default=4, min=0, max=sh_nodes.MAX_NODE_ORDER)
+
+    @staticmethod
+    def reason(context) -> str:
+        return "" if world.is_ours(context.scene.world) else "The World is none of BTFsep's"
+
+    def do(self, context):
+        path = bpy.path.abspath(self.filepath)
+        if not any(path.lower().endswith(suffix) for suffix, *_ in SUFFIXES):
+            path += self.format
+        light_files.write(path, context.scene, self.order)
+        return f"wrote {path}"
+
+
+class BTFSEP_FH_lighting(bpy.types.FileHandler):
+    """Blender tells a file handler nothing of a file but its last suffix: only one that is ours alone is claimed."""
+
+    bl_idname = "BTFSEP_FH_lighting"
+    bl_label = "BTFsep Lighting"
+    bl_import_operator = "btfsep.import_lighting"
+    bl_file_extensions = ".btfsep"
+
+    @classmethod
+    def poll_drop(cls, context):
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def _import_menu(self, context):
+    self.layout.operator(BTFSEP_OT_import_lighting.bl_idname, text="BTFsep Lighting (.json, .exr, .hdr, .txt)")
+
+
+def _export_menu(self, context):
+    self.layout.operator(BTFSEP_OT_export_lighting.bl_idname, text="BTFsep Lighting (.json, .exr, .hdr, .txt, .usda)")
+
+
+_register, _unregister = bpy.utils.register_classes_factory(
+    (BTFSEP_OT_import_lighting, BTFSEP_OT_export_lighting, BTFSEP_FH_lighting)
+)
+
+
+def register():
+    _register()
+    bpy.types.TOPBAR_MT_file_import.append(_import_menu)
+    bpy.types.TOPBAR_MT_file_export.append(_export_menu)
+
+
+def unregister():
+    bpy.types.TOPBAR_MT_file_export.remove(_export_menu)
+    bpy.types.TOPBAR_MT_file_import.remove(_import_menu)
+    _unregister()

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons beside a doubt: each goes where what is in doubt can be set right."""
+
+import contextlib
+
+import bpy
+from bpy.props import EnumProperty, StringProperty
+
+from ..basics.errors import InputError
+from ..run import request, runs
+
+MENDS = (
+    ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
+    ("MATERIAL", "Choose Material", "Choose the object's material in the library"),
+    ("AGX", "Read as AgX", "Read the photo as a render that was saved with AgX; estimate again afterwards"),
+    (
+        "STANDARD",
+        "Read as Standard",
+        "Read the photo as a render that was saved with Standard; estimate again afterwards",
+    ),
+    ("CAMERA", "Read as a Camera's", "Read the photo by the usual curve of cameras; estimate again afterwards"),
+    ("SELECT", "Go to Its Material", "Select what is in doubt, and show its material in the properties"),
+    ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
+)
+READ_AS = {"AGX": "agx", "STANDARD": "srgb", "CAMERA": "camera", "CURVE": "unknown"}
+
+
+class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+    """Set right what is in doubt; estimate again afterwards"""
+
+    bl_idname = "btfsep.mend"
+    bl_label = "Mend"
+    bl_options = {"REGISTER", "UNDO"}
+    how: EnumProperty(name="How", items=MENDS, options={"SKIP_SAVE"})
+    object: StringProperty(
+        name="Object",
+        description="In the list; empty: the active one. Of what is to be selected, any, in lines",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def description(cls, context, properties):
+        return next(about for name, _, about in MENDS if name == properties.how)
+
+    def do(self, context):
+        settings = context.scene.btfsep
+        if self.how in READ_AS:
+            settings.curve = READ_AS[self.how]
+            return ""
+        if self.how == "SELECT":
+            return select(context, self.object.splitlines())
+        if settings.depth is None:
+            named = (n for n, e in enumerate(settings.objects) if e.object and self.object in ("", e.object.name))
+            number = next(named, None)
+            if number is None:
+                raise InputError(f"object '{self.object}'", "it is not in the list", "add it")
+            if self.object:
+                settings.active_object = number
+        request.active_entry(settings).source = "COLOUR" if self.how == "COLOUR" else "LIBRARY"
+        return ""
+
+
+def select(context, names) -> str:
+    """Selects objects alone, the first is the active one, with its material in the properties.
+
+    Gives a sentence where none of them is seen. Raises InputError.
+    """
+    objects = context.view_layer.objects
+    chosen = [objects[name] for name in names if name in objects]
+    if not chosen:
+        raise InputError(f"'{', '.join(names)}'", "no object of this view layer has that name", "look for it by eye")
+    if context.object is not None and context.object.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    for thing in objects:
+        thing.select_set(thing in chosen)
+    objects.active = chosen[0]
+    for space in (area.spaces.active for window in context.window_manager.windows for area in window.screen.areas):
+        if space.type == "PROPERTIES":
+            with contextlib.suppress(TypeError):  # it is pinned to something else
+                space.context = "MATERIAL"
+    return "" if any(thing.visible_get() for thing in chosen) else f"'{chosen[0].name}' is hidden in the viewport"
+
+
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_mend,))
