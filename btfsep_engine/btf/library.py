@@ -16,14 +16,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from btfsep_engine import atomic, kept
 from btfsep_engine.btf import linear
 from btfsep_engine.btf.formats.mapped import map_file, sha256
 from btfsep_engine.btf.model import Lambertian, Material, Mirror, Tabulated
 from btfsep_engine.btf.surfaces import GIVEN, SURFACES
-from btfsep_engine.cache import digest
 from btfsep_engine.errors import InputError
-from btfsep_engine.lock import locked
+from btfsep_engine.storage import atomic, kept
+from btfsep_engine.storage.cache import digest
+from btfsep_engine.storage.lock import locked
 
 INDEX = "index.json"
 MAX_INDEX_BYTES = 16 << 20

@@ -9,7 +9,6 @@ from contextlib import suppress
 
 import numpy as np
 
-from btfsep_engine import cache
 from btfsep_engine.btf import reciprocity
 from btfsep_engine.btf.formats.colour import RGB
 from btfsep_engine.btf.formats.mapped import EXPORT
@@ -18,6 +17,7 @@ from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.recompress import LinearFactors, recompress
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
+from btfsep_engine.storage import cache
 
 COSINE = ("header", "auto", "included", "excluded")
 COMPONENTS = 32  # of a file that is factorised anew, unless told

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import SUFFIXES
+from btfsep_engine.imaging.images import SUFFIXES
 
 MAX_FILES = 10_000  # in a folder; more is no folder of maps
 WORDS = {

@@ -5,11 +5,11 @@ import contextlib
 from itertools import count
 from pathlib import Path
 
-from btfsep_engine import atomic
 from btfsep_engine.btf.formats.writing import write
 from btfsep_engine.btf.library import Entry, changing, entries_of, open_library
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.errors import InputError
+from btfsep_engine.storage import atomic
 
 
 def add(

@@ -16,7 +16,7 @@ from btfsep_engine.btf import normal_maps
 from btfsep_engine.btf.map_files import MapFiles, find_maps
 from btfsep_engine.btf.procedural import MAX_ALBEDO, Maps
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import read_linear
+from btfsep_engine.imaging.images import read_linear
 from btfsep_engine.progress import Reporter
 
 MIN_SIDE, MAX_SIDE = 4, 8192  # pixels

@@ -2,7 +2,7 @@
 """``btfsep batch``: the estimate of many jobs, on one machine, as a task of a farm's array, or by a scheduler.
 
 One job that fails stops nothing. What is done stays, and is not done again: the results themselves say what they are of
-(`pipeline/resume.py`), and whoever has a job looks at them first.
+(`commands/resume.py`), and whoever has a job looks at them first.
 """
 
 import signal
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import click
 
-from btfsep_engine import __version__, atomic
+from btfsep_engine import __version__
 from btfsep_engine.cli.command import SomeFailed, command, opened_library
 from btfsep_engine.cli.jobs import find_jobs, result_folders, shard_of
 from btfsep_engine.cli.lanes import lanes_for, run_all, run_here
@@ -24,6 +24,7 @@ from btfsep_engine.cli.summary import STATUSES, Journal, join
 from btfsep_engine.cli.worker import TOO_LONG, Outcome
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.storage import atomic
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ def estimate_job(task: EstimateTask, reporter) -> dict:
     if task.version != __version__:
         got = f"its version is {__version__}, and {task.version} is asked for"
         raise InputError("the engine of this machine", got, "install the same on all")
-    from btfsep_engine.pipeline.estimation import run_estimate
-    from btfsep_engine.pipeline.resume import finished_result
+    from btfsep_engine.commands.estimate import run_estimate
+    from btfsep_engine.commands.resume import finished_result
 
     reporter.command = "estimate"
     library = opened_library(task.library_folder)

@@ -65,7 +65,7 @@ def doctor(*, library_folder, reporter):
 @command
 def cache_command(*, clear, reporter):
     """What is kept of earlier runs: where, and how much."""
-    from btfsep_engine import cache
+    from btfsep_engine.storage import cache
 
     freed = cache.clear() if clear else 0
     held = sum(path.stat().st_size for path in cache.entries())
@@ -92,7 +92,7 @@ def cache_command(*, clear, reporter):
 def estimate(*, job, library_folder, settings, reporter, **options):
     """Recognises the material and estimates the light of JOB."""
     with reporter.stage("starting"), loading():  # said before the libraries are loaded
-        from btfsep_engine.pipeline.estimation import run_estimate
+        from btfsep_engine.commands.estimate import run_estimate
 
     result = run_estimate(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, words.estimate(result)
@@ -104,7 +104,7 @@ def estimate(*, job, library_folder, settings, reporter, **options):
 @command
 def align(*, job, out, reporter):
     """Moves JOB's camera to where geometry and photo line up, if that is a clear gain: a copy of JOB."""
-    from btfsep_engine.pipeline.aligned_job import run_align
+    from btfsep_engine.commands.align import run_align
 
     result = run_align(job, out=out, reporter=reporter)
     return result, words.align(result)
@@ -117,7 +117,7 @@ def align(*, job, out, reporter):
 @takes_settings(*RECOGNITION)
 def recognise(*, job, library_folder, settings, reporter):
     """The material of each object of JOB, with scores."""
-    from btfsep_engine.pipeline.commands import run_recognise
+    from btfsep_engine.commands.recognise import run_recognise
 
     result = run_recognise(job, opened_library(library_folder), settings, reporter=reporter)
     return result, words.recognise(result)
@@ -130,7 +130,7 @@ def recognise(*, job, library_folder, settings, reporter):
 @takes_settings(*RECOGNITION)
 def train(*, job, library_folder, settings, reporter):
     """Renders the training data of JOB's objects and trains the recogniser, kept in the cache."""
-    from btfsep_engine.pipeline.commands import run_train
+    from btfsep_engine.commands.recognise import run_train
 
     result = run_train(job, opened_library(library_folder), settings, reporter=reporter)
     return result, words.train(result)
@@ -146,7 +146,7 @@ def train(*, job, library_folder, settings, reporter):
 @takes_settings("directions", "bounces", *RECOGNITION)
 def relight(*, job, library_folder, settings, reporter, **options):
     """Renders JOB's objects under a lighting."""
-    from btfsep_engine.pipeline.relighting import run_relight
+    from btfsep_engine.commands.relight import run_relight
 
     result = run_relight(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, f"wrote {result['out']}"
@@ -162,7 +162,7 @@ def relight(*, job, library_folder, settings, reporter, **options):
 @takes_settings(*ONE_SOLVER, only_numbers=("order",), estimator="map")
 def plan(*, job, library_folder, settings, reporter, **options):
     """What the geometry, view and material of JOB could determine; its photo is not read."""
-    from btfsep_engine.pipeline.plan import run_plan
+    from btfsep_engine.commands.plan import run_plan
 
     result = run_plan(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, words.plan(result)
@@ -189,7 +189,7 @@ def plan(*, job, library_folder, settings, reporter, **options):
 @takes_settings(*SEQUENCE, only_numbers=("order",), estimator="map")
 def sequence(*, job, library_folder, settings, reporter, **options):
     """The light of every frame: JOB's camera and objects stand still, or move as --poses says; the light changes."""
-    from btfsep_engine.pipeline.sequence import run_sequence
+    from btfsep_engine.commands.sequence import run_sequence
 
     result = run_sequence(job, opened_library(library_folder), settings, reporter=reporter, **options)
     return result, words.sequence(result)
@@ -213,7 +213,7 @@ def sequence(*, job, library_folder, settings, reporter, **options):
 @command
 def chart(*, job, library_folder, reporter, **options):
     """Charts speed against accuracy of JOB: every setting that trades one for the other, with the Pareto front."""
-    from btfsep_engine.pipeline.commands import run_chart
+    from btfsep_engine.commands.chart import run_chart
 
     result = run_chart(job, opened_library(library_folder), reporter=reporter, **options)
     return result, words.chart(result)
@@ -234,7 +234,7 @@ def chart(*, job, library_folder, reporter, **options):
 @command
 def compare(*, a, b, job, order, library_folder, material, protocol, reporter):
     """Error measures between two lightings; B is the truth."""
-    from btfsep_engine.pipeline.commands import run_compare, run_three_spheres
+    from btfsep_engine.commands.compare import run_compare, run_three_spheres
 
     if protocol and job:
         raise InputError("--protocol", "it goes without --job", "leave one of them out")

@@ -5,9 +5,9 @@ import os
 import platform
 
 from btfsep_engine import __version__
-from btfsep_engine.cache import cache_folder
 from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
+from btfsep_engine.storage.cache import cache_folder
 
 
 def examine(library_folder=None) -> dict:
@@ -28,7 +28,7 @@ def examine(library_folder=None) -> dict:
         failure = backend.try_backend(chosen.variant, chosen.library)
         if failure:
             raise InputError("the renderer worked before and fails now", failure, f"remove {backend.remembered()}")
-        from btfsep_engine.pipeline.record import versions
+        from btfsep_engine.commands.record import versions
 
         facts |= {name: str(value) for name, value in versions().items() if name not in ("btfsep", "python")}
         facts["test render"] = f"right, with {chosen.variant} {chosen.library}".strip()

@@ -41,7 +41,7 @@ def library_list(*, library_folder, thumbnails, side, reporter):
     materials = [_listed(opened, name) for name in opened.names()]
     if thumbnails is not None:
         from btfsep_engine.btf.thumbnail import render
-        from btfsep_engine.images import write_png
+        from btfsep_engine.imaging.images import write_png
 
         for number, material in enumerate(materials):
             reporter.progress("thumbnails", number / len(materials), material["name"])
@@ -89,7 +89,7 @@ def library_show(*, name, library_folder, maps, resolution, reporter):
 @command
 def library_build(*, folder, names, reporter):
     """Builds all 42 materials into FOLDER by path-tracing displaced patches; resumes where it stopped."""
-    from btfsep_engine.pipeline.measuring import build
+    from btfsep_engine.commands.measure import build
 
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK):  # said before the work, not after

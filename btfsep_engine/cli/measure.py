@@ -8,7 +8,7 @@ import click
 from btfsep_engine.btf.linear import CLASSES
 from btfsep_engine.cli.command import command
 from btfsep_engine.cli.options import PATH, field_options
-from btfsep_engine.pipeline.measuring import MeasureSettings, measure_maps
+from btfsep_engine.commands.measure import MeasureSettings, measure_maps
 from btfsep_engine.pipeline.settings import changed, meanings
 
 ASKED = {name: meaning for name, meaning in meanings(MeasureSettings).items() if name != "mesh"}

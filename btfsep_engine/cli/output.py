@@ -6,8 +6,8 @@ import sys
 
 import click
 
-from btfsep_engine.atomic import plain
 from btfsep_engine.progress import TITLES, Reporter
+from btfsep_engine.storage.atomic import plain
 
 
 class JsonReporter(Reporter):

@@ -15,12 +15,13 @@ from collections import deque
 
 import click
 
-from btfsep_engine import __version__, kept
-from btfsep_engine.atomic import plain
+from btfsep_engine import __version__
 from btfsep_engine.cli.command import INPUT_FAULT
 from btfsep_engine.cli.worker import STOPPED, Worker
 from btfsep_engine.errors import InputError
 from btfsep_engine.loading import loading
+from btfsep_engine.storage import kept
+from btfsep_engine.storage.atomic import plain
 
 NOT_HERE = {"serve"}
 LONGEST = 1 << 20  # bytes of a request

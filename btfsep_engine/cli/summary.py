@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-from btfsep_engine.atomic import plain, replacing
 from btfsep_engine.errors import InputError
+from btfsep_engine.storage.atomic import plain, replacing
 
 COLUMNS = ("job", "status", "materials", "residual", "effective_degrees_of_freedom", "seconds", "warnings", "message")
 STATUSES = ("done", "failed", "crashed")

@@ -25,9 +25,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from btfsep_engine.atomic import plain
 from btfsep_engine.cli.command import failure_of
 from btfsep_engine.cli.output import JsonReporter
+from btfsep_engine.storage.atomic import plain
 
 DIED = 1  # exit code of a task whose process ended without an answer
 TOO_LONG = 124  # as of coreutils' timeout
@@ -388,6 +388,6 @@ def resident_mb() -> float:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / (1 << 20)
     except (OSError, ValueError, AttributeError, IndexError):
-        from btfsep_engine.pipeline.record import peak_memory_mb  # brings NumPy, which who supervises never needs
+        from btfsep_engine.commands.record import peak_memory_mb  # brings NumPy, which who supervises never needs
 
         return peak_memory_mb() or 0.0

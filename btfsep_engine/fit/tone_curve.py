@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine import blender_views, camera_curve
-from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.imaging import blender_views, camera_curve
+from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 
 STRAIGHT = 0.04045  # codes below which sRGB is linear
 PRIOR = {0.0: 0.01, 0.25: 0.003, 0.5: 0.003, 0.75: 0.01, 1.0: 0.4, 1.25: 0.01}  # of the parameter t

@@ -6,16 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import atomic, images
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import direction_of_angles
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.camera import Camera
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth, shifted_mask
 from btfsep_engine.job.meshes import load_mesh
 from btfsep_engine.job.model import Job, JobObject, KnownLamp, Occluder, Photo, TriangleMesh
 from btfsep_engine.job.photograph import fits, no_photo, read
 from btfsep_engine.job.schema import KNOWN_TO, MAX_KNOWN_LAMPS, CameraSchema, JobSchema, SurfaceSchema, parse
+from btfsep_engine.storage import atomic
 
 RIGID = 1e-3  # largest departure of a camera's axes from unit length and right angles
 SAME_LAMP = 1.0  # degrees between two known lamps: nearer, they are one that is named twice

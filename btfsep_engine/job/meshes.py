@@ -8,11 +8,11 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from btfsep_engine import atomic, kept
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.job.polygons import Polygons, read_obj, read_ply, triangulate
 from btfsep_engine.job.winding import corner_angles, disagree, mended_normals, neighbours, places_of, turned_over
+from btfsep_engine.storage import atomic, kept
 
 SMOOTH_DEGREES = 30.0  # Blender's default of Shade Smooth by Angle
 _AGAIN = "export it again as PLY or OBJ"

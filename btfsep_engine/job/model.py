@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.btf.surfaces import Surface
-from btfsep_engine.colour_profile import Profile
+from btfsep_engine.imaging.colour_profile import Profile
 from btfsep_engine.job.camera import Camera
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import images
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.camera import Camera
 from btfsep_engine.job.model import Photo
 

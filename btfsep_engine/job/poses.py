@@ -3,10 +3,10 @@
 
 from pathlib import Path
 
-from btfsep_engine import atomic
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import camera_of, job_schema, placed
 from btfsep_engine.job.schema import CameraSchema, JobSchema, PoseSchema, PosesSchema, nearest, parse
+from btfsep_engine.storage import atomic
 
 
 def posed_jobs(path, folder) -> dict[str, JobSchema]:

@@ -10,9 +10,9 @@ from typing import Annotated, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, create_model
 
-from btfsep_engine.blender_views import VIEWS
-from btfsep_engine.colour_profile import PRIMARIES
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging.blender_views import VIEWS
+from btfsep_engine.imaging.colour_profile import PRIMARIES
 
 MAX_OBJECTS = 1000
 MAX_KNOWN_LAMPS = 8

@@ -9,14 +9,16 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from btfsep_engine import atomic, images, sh
+from btfsep_engine import sh
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.schema import Strict, parse
 from btfsep_engine.light.lightings import EnvironmentMaps, SHLighting
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.light.positivity import positive_radiance, positive_share
 from btfsep_engine.light.sun import Near, Sun
+from btfsep_engine.storage import atomic
 
 MAX_ORDER = 64
 MAP_SIZE = 256, 512  # of lighting.exr, height and width

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import images, sh
+from btfsep_engine import sh
 from btfsep_engine.conventions import pixel_solid_angles
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.light.lightings import EnvironmentMaps, turned
 
 FOLDER = Path(__file__).resolve().parents[1] / "data" / "lights"

@@ -20,7 +20,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
-from btfsep_engine.images import luminance
+from btfsep_engine.imaging.images import luminance
 
 DIRECTIONS = 400  # 10 degrees apart, finer than the kernel is wide
 FLOOR = 0.5  # of the blurred luminance: no place is darker

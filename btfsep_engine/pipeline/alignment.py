@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from btfsep_engine import kept, sh
+from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.misalignment import blurred_slopes
@@ -34,6 +34,7 @@ from btfsep_engine.job.model import Camera
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.render.sampling import spread
 from btfsep_engine.render.surface import SurfacePoints, camera_view, surface_points
+from btfsep_engine.storage import kept
 
 SIDE = 256  # pixels of a photo's longer edge, at most, of what is looked at
 SIDE_OF_A_DEPTH = 512  # the same, where marks are made but once

@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from btfsep_engine import kept
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.fit.search import BESIDE, LAMP_COST
@@ -22,6 +21,7 @@ from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
 from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
+from btfsep_engine.storage import kept
 
 IN_ITS_PLACE = 45.0  # degrees between a lamp whose direction is given and the one that a photo has in its place
 

@@ -15,7 +15,7 @@ this blurs and rings at edges, and was seldom photographed by a camera that is k
 import cv2
 import numpy as np
 
-from btfsep_engine.srgb import linear_to_srgb
+from btfsep_engine.imaging.srgb import linear_to_srgb
 
 LUMA = np.array([0.299, 0.587, 0.114])  # of codes: ITU-R BT.601, as JPEG has it
 KAPPA = np.array([0.5, 0.35, 0.2, 0.1])  # at 0 to 3 pixels from an outline

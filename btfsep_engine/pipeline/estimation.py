@@ -1,27 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From a job to its lighting: materials, model, light, what refines both, what speaks against them, result files."""
 
-import time
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import report
-from btfsep_engine.atomic import digest, remove, write_json
 from btfsep_engine.fit.stated import Fit
-from btfsep_engine.images import write_exr
-from btfsep_engine.job.load import load_job
-from btfsep_engine.light.files import MAP_SIZE, Lighting, lighting_map, write_lighting
+from btfsep_engine.light.files import MAP_SIZE, Lighting, lighting_map
 from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixture, mixture_words
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
-from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.mirrors import softened
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
-from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.finish import finished
@@ -40,7 +32,6 @@ from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
 from btfsep_engine.pipeline.refine.veil import veiled
-from btfsep_engine.pipeline.resume import estimate_key
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import SolvedLight
@@ -223,60 +214,3 @@ def say_doubts(answer: Estimate) -> None:
         doubts = all_doubts(answer)
     for doubt in doubts:
         reporter.warn(doubt)
-
-
-def write_light(out: Path, answer: Estimate, *, earlier) -> list[Path]:
-    """Writes ``lighting.json`` and ``lighting.exr`` into ``out``; returns their paths.
-
-    ``earlier`` : files of a run before, which would belong to another light; they go first.
-    """
-    paths = [out / "lighting.json", out / "lighting.exr"]
-    with answer.scene.reporter.stage("writing"):
-        remove(*earlier)
-        write_lighting(paths[0], answer.lighting)
-        write_exr(paths[1], answer.map, compressed=False)  # a tenth larger, and written in a tenth of the time
-    return paths
-
-
-def run_estimate(
-    folder, library, settings: Settings, *, material=None, out=None, with_report=True, others=(), reporter
-) -> dict:
-    """The whole command: reads the job, estimates, writes the results.
-
-    The light is written as soon as it is known, then what says more of it; ``result.json`` last: where it is, all is.
-
-    Parameters
-    ----------
-    folder : job folder
-    library : btf.library.Library
-    material : a name for all objects, instead of recognition
-    out : folder for the results, default ``folder/result``
-    others : folders of further jobs, photographs under the same light
-
-    Returns
-    -------
-    dict, the content of ``result.json`` and ``out``, ``lighting``: paths
-    """
-    started = time.perf_counter()
-    with reporter.stage("reading"):
-        jobs = [load_job(each, colorspace=settings.colorspace, suns=settings.sun) for each in (folder, *others)]
-        for note in (note for job in jobs for note in job.warnings):
-            reporter.warn(note)
-    out = Path(out) if out is not None else jobs[0].folder / "result"
-    scene, *further = (mended(PreparedScene(job, reporter), settings) for job in jobs)
-    answer = found_light(scene, library, settings, material=material, others=further)
-    record, picture = out / "result.json", out / "report.png"
-    written = write_light(out, answer, earlier=[record, picture])
-    lighting = str(written[0])
-    reporter.light(lighting)
-    say_doubts(answer)
-    if with_report:
-        with reporter.stage("report"):
-            report.write_estimate_report(picture, answer)
-        written.append(picture)
-    with reporter.stage("record"):
-        key = estimate_key([job.digest for job in jobs], library, settings, material)
-        result = result_record(answer) | {"key": key, "files": {path.name: digest(path) for path in written}}
-        result["seconds"]["total"] = round(time.perf_counter() - started, 4)
-        write_json(record, result)
-    return {**result, "out": str(out), "lighting": lighting}

@@ -3,12 +3,12 @@
 
 import numpy as np
 
-from btfsep_engine import kept
 from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
 from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.storage import kept
 
 LEAST_LEFT = 0.2  # of an object's pixels
 # Cosine to the eye, of which a sheen's pixels have more: it is brightest at a slant, where tables end (75 degrees) and

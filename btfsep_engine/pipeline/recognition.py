@@ -5,9 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine import kept
 from btfsep_engine.btf.surfaces import SURFACES
-from btfsep_engine.cache import digest
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings
@@ -18,6 +16,8 @@ from btfsep_engine.recognise.model_file import cached, known_materials
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.recognise.training import METHODS, render_samples, train
 from btfsep_engine.recognise.vlad import WORDS
+from btfsep_engine.storage import kept
+from btfsep_engine.storage.cache import digest
 from btfsep_engine.threads import one_thread
 
 WINDOW = 64  # edge in pixels of the windows that a large object is cut down to

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine import kept
+from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.sun import Sun
@@ -28,6 +28,7 @@ from btfsep_engine.render.surface import (
 )
 from btfsep_engine.render.tracer import tracer_of
 from btfsep_engine.render.transport import Transport
+from btfsep_engine.storage import kept
 
 INDIRECT_DIRECTIONS = 128  # light from other surfaces is smooth
 SUN_DIRECTIONS = 12  # over a sun's disc
@@ -249,3 +250,12 @@ class PreparedScene:
     def usable(self, points: SurfacePoints) -> np.ndarray:
         """Which points' pixels are not saturated: (p,) bool."""
         return self.job.photo.usable[points.pixels[:, 0], points.pixels[:, 1]]
+
+
+def read_scene(folder, reporter) -> PreparedScene:
+    """A job folder, ready for transport; what speaks against it is said. Raises InputError where it cannot be read."""
+    with reporter.stage("reading"):
+        job = load_job(folder)
+        for note in job.warnings:
+            reporter.warn(note)
+    return PreparedScene(job, reporter)

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from btfsep_engine import kept, sh
+from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.log_normal import LightSolver
@@ -21,6 +21,7 @@ from btfsep_engine.job.load import SAME_LAMP
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.settings import FitSettings
 from btfsep_engine.render.reach import response
+from btfsep_engine.storage import kept
 
 TURNS = 30
 SETTLED = 1e-4  # relative change of an exposure

@@ -30,9 +30,9 @@ from btfsep_engine.fit.tone_curve import (
     log_prior_of_render,
     log_probability,
 )
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.pipeline.settings import FitSettings
 from btfsep_engine.pipeline.together import all_weights, fit_together
-from btfsep_engine.srgb import linear_to_srgb
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from btfsep_engine import kept, sh
+from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.election import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
@@ -31,6 +31,7 @@ from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.sampling import choose_pixels
 from btfsep_engine.render.surface import with_texture
+from btfsep_engine.storage import kept
 from btfsep_engine.threads import one_thread
 
 EXPLAINED = 24  # the first of the classifier's; others keep what the worst of these has

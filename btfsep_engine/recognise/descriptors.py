@@ -13,8 +13,8 @@ import numpy as np
 
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.recognise.masked import Masked
-from btfsep_engine.srgb import linear_to_srgb
 
 TAPS = 3  # a colour patch has TAPS x TAPS samples
 CELLS, DIRECTIONS = 4, 8  # of SIFT: cells along an edge of its patch, and directions of gradients

@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import __version__, cache, kept
-from btfsep_engine.cache import digest
+from btfsep_engine import __version__
 from btfsep_engine.errors import InputError
-from btfsep_engine.lock import locked
 from btfsep_engine.recognise.classifier import Nearest, Svm
 from btfsep_engine.recognise.descriptors import Settings
 from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.recognise.vlad import Dictionary, Encoder, Encoding
+from btfsep_engine.storage import cache, kept
+from btfsep_engine.storage.cache import digest
+from btfsep_engine.storage.lock import locked
 
 log = logging.getLogger("btfsep")
 HALF = 16  # digits of an entry's name for the view, and as many for all
@@ -26,8 +27,8 @@ LOOKED_AT = 3  # trainings of the same view in which materials are looked for: e
 PATIENCE = 900.0  # seconds for which a training by another process is waited for
 ENGINE = Path(__file__).resolve().parents[1]
 # what a training runs through, from the geometry to the classifier
-SOURCES = ("conventions.py", "images.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
-ROOMS = ("btf", "job", "light", "recognise", "render")
+SOURCES = ("conventions.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
+ROOMS = ("btf", "imaging", "job", "light", "recognise", "render")
 OF_KIND = {"words": ("words", "axes"), "mean": ("numbers",), "axes": ("numbers", "axes")}  # of a Dictionary
 SHAPES = {"header": cache.TEXT, "model.vectors": ("images", "length")}  # of an entry, see `cache.read`
 SHAPES |= {f"{k}.{n}": tuple(f"{k} {size}" for size in of) for k in Encoding().kinds for n, of in OF_KIND.items()}

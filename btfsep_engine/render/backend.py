@@ -21,9 +21,9 @@ from dataclasses import asdict, dataclass, fields
 from functools import lru_cache, wraps
 from pathlib import Path
 
-from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.loading import loading
+from btfsep_engine.storage import cache
 
 LLVM_VARIANT, CUDA_VARIANT = "llvm_ad_rgb", "cuda_ad_rgb"
 TRIAL_SECONDS = 120

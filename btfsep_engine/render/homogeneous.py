@@ -25,18 +25,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from btfsep_engine import cache
 from btfsep_engine.btf.directions import cosine_weights, hemisphere_quadrature, interpolator, ubo2014_directions
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.surfaces import CLASS, Surface
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import resized
+from btfsep_engine.imaging.images import resized
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.render.appearance import spatial_factors
 from btfsep_engine.render.arrays import dr, floats, mi, vector
 from btfsep_engine.render.hats import sharpened
 from btfsep_engine.render.microfacet import R2, Microfacets
 from btfsep_engine.render.parametrise import mean_scale
+from btfsep_engine.storage import cache
 
 COAT_F0 = 0.04  # of the index 1.5
 LEAST_ROUGHNESS = 0.05  # narrower lobes overflow single precision, and the table is much wider anyway

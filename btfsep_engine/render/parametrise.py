@@ -7,9 +7,9 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from btfsep_engine import cache, kept
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import TriangleMesh
+from btfsep_engine.storage import cache, kept
 
 # xatlas charts 5,000 to 20,000 faces a second; patches of finer meshes are projected onto planes instead, at once
 XATLAS_FACES = 40_000

@@ -83,7 +83,7 @@ def measure(
     components : of the factorisation, the mean included
     lights, views : (n, 3) float, unit, local; None: the 151 directions of UBO2014
     seed : the same seed on the same machine gives the same material
-    checkpoints : where finished views are kept (:class:`btfsep_engine.checkpoints.Checkpoints`), or None: nowhere.
+    checkpoints : `storage.checkpoints.Checkpoints`, where finished views are kept, or None: nowhere.
         A run that takes them up gives the same material, bit by bit
 
     Returns

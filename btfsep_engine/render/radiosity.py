@@ -15,11 +15,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from btfsep_engine import kept
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.arrays import dr
 from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.storage import kept
 
 SAMPLES = 3000  # surface samples where none are named
 DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more samples would

@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine import kept
 from btfsep_engine.errors import InputError
 from btfsep_engine.render.arrays import divided, dr, mi, packets, vector
+from btfsep_engine.storage import kept
 
 MISS = np.int32(-1)
 LANES = 1 << 22  # rays traced at once: bounds the memory of a pass to a few hundred MB

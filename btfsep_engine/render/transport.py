@@ -15,12 +15,12 @@ from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine import kept
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.weights import Weights
+from btfsep_engine.storage import kept
 
 LANES = 1 << 21  # weights computed at once: 25 MB a channel triple
 KEPT = 1 << 28  # rays whose answers are kept for the next material; more are traced anew

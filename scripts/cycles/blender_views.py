@@ -13,8 +13,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from btfsep_engine.blender_views import LEAST_LOG, STOPS
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.blender_views import LEAST_LOG, STOPS
+from btfsep_engine.imaging.images import write_exr
 from scripts.cycles import studio
 
 SPACES = {"agx": "AgX Base sRGB", "filmic": "Filmic sRGB"}
@@ -64,7 +64,7 @@ def punchy() -> np.ndarray:
 
 
 def tabulate(entries: int, out: str) -> None:
-    """Writes the tables of `btfsep_engine.blender_views`."""
+    """Writes the tables of `btfsep_engine.imaging.blender_views`."""
     each = np.linspace(0, 1, entries)
     codes = np.stack(np.meshgrid(each, each, each, indexing="ij"), -1)
     linear = {name: linear_of(codes.reshape(-1, 3), space).reshape(codes.shape) for name, space in SPACES.items()}

@@ -7,7 +7,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.fit import compare
-from btfsep_engine.srgb import linear_to_srgb
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from scripts.studies import tables
 
 DIFFERENCE_GAIN = 2.0

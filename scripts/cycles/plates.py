@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
-from btfsep_engine.srgb import linear_to_srgb
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from scripts.cycles import materials, objects, studio
 
 RESOLUTION, SAMPLES, FILL, TABLE = 256, 64, 0.7, 1.2  # pixels; a pixel; of the frame; metres

@@ -20,8 +20,8 @@ import numpy as np
 import trimesh
 from scipy.interpolate import NearestNDInterpolator
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import TriangleMesh
 from btfsep_engine.light.lightings import SHLighting

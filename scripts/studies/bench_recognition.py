@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 import sklearn.svm  # noqa: F401  its import takes 3 seconds, of a process and not of a training
 
-from btfsep_engine import cache, kept
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.pipeline.recognition import recognise_object, trained_recogniser
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.storage import cache, kept
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import scene_of
 from scripts.studies.measures import timed

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from tqdm import tqdm
 
-from btfsep_engine.atomic import write_json
-from btfsep_engine.images import read_linear, write_exr
+from btfsep_engine.imaging.images import read_linear, write_exr
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.job.load import load_job
-from btfsep_engine.srgb import linear_to_srgb
+from btfsep_engine.storage.atomic import write_json
 from scripts.studies import parser, tables
 from scripts.studies.plates import COLUMNS, SETS, judged, of_set
 

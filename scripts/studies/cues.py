@@ -15,15 +15,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from btfsep_engine.atomic import write_text
-from btfsep_engine.cache import digest
+from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.verification import Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import TABLE
 from btfsep_engine.recognise.model_file import source_digest
-from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.storage.atomic import write_text
+from btfsep_engine.storage.cache import digest
 from scripts.studies.estimates import scene_of
 from scripts.studies.photos import Photograph
 

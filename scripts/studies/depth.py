@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 from tqdm import tqdm
 
-from btfsep_engine import images
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth

@@ -25,11 +25,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from btfsep_engine.atomic import write_text
 from btfsep_engine.btf.directions import cosine_weights
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Material
-from btfsep_engine.cache import digest
 from btfsep_engine.conventions import fibonacci_sphere, pixel_directions
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import EnvironmentMaps
@@ -40,6 +38,8 @@ from btfsep_engine.recognise import vlad
 from btfsep_engine.recognise.descriptors import extract
 from btfsep_engine.recognise.model_file import source_digest
 from btfsep_engine.recognise.training import METHODS, Described, Method, described, render_samples, taught
+from btfsep_engine.storage.atomic import write_text
+from btfsep_engine.storage.cache import digest
 from scripts.studies import fisher, parser, photos, tables
 from scripts.studies.estimates import scene_of
 from scripts.studies.recognition import OBJECTS, share

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from btfsep_engine import atomic
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
@@ -15,6 +14,7 @@ from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
+from btfsep_engine.storage import atomic
 from scripts.studies.measures import judged
 
 library = cache(open_library)

@@ -26,9 +26,9 @@ from tqdm import tqdm
 from btfsep_engine.btf import procedural
 from btfsep_engine.btf.directions import light_projection, ubo2014_directions
 from btfsep_engine.btf.factorise import StreamingFactoriser
+from btfsep_engine.commands import measure as measuring
 from btfsep_engine.light.lightings import EnvironmentMaps, shrink
 from btfsep_engine.light.maps import normalised, read_map
-from btfsep_engine.pipeline import measuring
 from btfsep_engine.render.patch import Patch
 from scripts.cycles.lights import studio_lights
 from scripts.studies import ROOT, parser, tables

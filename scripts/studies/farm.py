@@ -23,8 +23,8 @@ import numpy as np
 import psutil
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.cli.jobs import find_jobs
+from btfsep_engine.imaging import images
 from scripts.studies import ROOT, parser
 from scripts.studies.stage import looking_down, positive_light, shaded_ball, write_job
 from scripts.studies.tables import fill, table

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine import images, sh
+from btfsep_engine import sh
 from btfsep_engine.btf import thumbnail
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.imaging import images
 from scripts.cycles import engine
 from scripts.cycles.figure import display, exposure, on_white, write_rows
 from scripts.cycles.lights import true_lighting

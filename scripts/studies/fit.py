@@ -32,7 +32,6 @@ from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.fit.three_spheres import ROWS, three_spheres
 from btfsep_engine.job.load import load_job
-from btfsep_engine.kept import STORE
 from btfsep_engine.light.files import Lighting, lighting_map
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline import doubts
@@ -44,6 +43,7 @@ from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.order import cross_validated_order
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import light_solver
+from btfsep_engine.storage.kept import STORE
 from scripts.cycles.lights import light_path
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import scene_of

@@ -18,12 +18,12 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine import sh
-from btfsep_engine.atomic import write_json
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import turned
 from btfsep_engine.light.maps import read_map
+from btfsep_engine.storage.atomic import write_json
 from scripts.cycles.lights import light_path, true_lighting
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, worth

@@ -25,12 +25,12 @@ from btfsep_engine.fit.least_squares import block_labels
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.robust import outliers
 from btfsep_engine.fit.white_balance import free_scales
+from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.real_photo import STIFF
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.render.sampling import spread
-from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
 from scripts.studies import ROOT, parser, photos, tables
 from scripts.studies.estimates import kept, scene_of
 from scripts.studies.measures import covered, errors, order2

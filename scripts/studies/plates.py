@@ -21,12 +21,12 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine import sh
-from btfsep_engine.atomic import write_json
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.mirrors import SHARP
+from btfsep_engine.storage.atomic import write_json
 from scripts.cycles.figure import display, exposure, write_rows
 from scripts.cycles.lights import light_path, studio_lights, true_lighting
 from scripts.studies import parser, photos, tables

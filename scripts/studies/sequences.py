@@ -30,8 +30,9 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.commands.sequence import run_sequence
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.photograph import read_photo
 from btfsep_engine.job.poses import posed_jobs
@@ -39,7 +40,6 @@ from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.sequence import run_sequence
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.studies import parser, photos, tables

@@ -21,7 +21,6 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
-from btfsep_engine.atomic import write_json
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.meshes import assemble
@@ -30,6 +29,7 @@ from btfsep_engine.job.polygons import Polygons
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
+from btfsep_engine.storage.atomic import write_json
 from scripts.cycles.lights import studio_lights
 from scripts.studies import parser, photos, plates, tables
 from scripts.studies.estimates import estimated, kept, worth

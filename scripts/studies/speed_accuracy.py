@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine.chart import write_chart
-from btfsep_engine.pipeline.tradeoff import measure, pareto_front
+from btfsep_engine.commands.chart_picture import write_chart
+from btfsep_engine.commands.tradeoff import measure, pareto_front
 from scripts.studies import ROOT, parser, photos, tables
 from scripts.studies.estimates import kept, library, scene_of
 

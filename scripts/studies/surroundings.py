@@ -18,9 +18,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from btfsep_engine.atomic import write_json
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.job.load import load_job
+from btfsep_engine.storage.atomic import write_json
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, worth
 from scripts.studies.measures import timed

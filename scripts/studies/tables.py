@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from btfsep_engine.atomic import replacing, write_text
+from btfsep_engine.storage.atomic import replacing, write_text
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#777777")  # Okabe and Ito's, and grey
 

@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 
 from blender_btfsep.window import camera_look
-from btfsep_engine import camera_curve, images
 from btfsep_engine.fit.tone_curve import CAMERA
+from btfsep_engine.imaging import camera_curve, images
 from scripts.cycles import studio
 
 

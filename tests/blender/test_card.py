@@ -25,7 +25,7 @@ from blender_btfsep.run import answer
 from blender_btfsep.window import mending
 from btfsep_engine import sh
 from btfsep_engine.fit import tone_curve
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.pipeline.refine.curves import curve_words
 from btfsep_engine.pipeline.tone import Curves
 from tests.blender.lit import LIGHTING

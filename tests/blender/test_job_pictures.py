@@ -11,7 +11,7 @@ import pytest
 
 from blender_btfsep.basics.errors import InputError
 from blender_btfsep.scene.export import SURFACE, export_job
-from btfsep_engine.colour_profile import of_primaries
+from btfsep_engine.imaging.colour_profile import of_primaries
 from btfsep_engine.job.load import load_job
 
 WIDTH, HEIGHT = 48, 32

@@ -12,7 +12,8 @@ from mathutils import Matrix
 from blender_btfsep.basics import harmonics, pixels
 from blender_btfsep.basics.errors import InputError
 from blender_btfsep.light import light_files, sh_nodes, sun_lamp, world
-from btfsep_engine import conventions, images, sh
+from btfsep_engine import conventions, sh
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun
 from tests.blender.lit import look_around, positive_coefficients

@@ -8,7 +8,7 @@ import pytest
 
 from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
-from btfsep_engine import images
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from scripts.cycles import objects, studio
 from scripts.cycles import plates as studio_plates

@@ -14,7 +14,7 @@ from blender_btfsep.photo import camera
 from blender_btfsep.photo.photo import file_at, named
 from blender_btfsep.run import request, runs
 from blender_btfsep.window import blender_views, camera_look, icons, looking, mending, sequence_run, use_photo
-from btfsep_engine import images
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from tests.blender.lit import LIGHTING
 from tests.engine.profiles import tiff

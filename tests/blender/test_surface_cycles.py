@@ -10,7 +10,7 @@ from scipy.ndimage import binary_erosion, gaussian_filter
 
 from blender_btfsep.basics import pixels
 from blender_btfsep.scene.export import export_job
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.images import write_exr
 from scripts.cycles import engine, materials, studio
 
 SIZE, SAMPLES = 64, 256

@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 import pytest
 
-from btfsep_engine import images
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.fit import blender_spheres as spheres
+from btfsep_engine.imaging import images
 
 
 def light(directions):

@@ -15,16 +15,18 @@ from blender_btfsep.light import advice, lighting_file, sh_nodes
 from blender_btfsep.photo import frames, photo, photo_file
 from blender_btfsep.run import request
 from blender_btfsep.window import known_suns, mending, properties
-from btfsep_engine import images
 from btfsep_engine.btf import linear
 from btfsep_engine.cli import command as engine_command
 from btfsep_engine.cli.commands import cli
-from btfsep_engine.colour_profile import PRIMARIES
-from btfsep_engine.images import read_linear
+from btfsep_engine.commands import measure as measuring
+from btfsep_engine.commands import sequence
+from btfsep_engine.imaging import images
+from btfsep_engine.imaging.colour_profile import PRIMARIES
+from btfsep_engine.imaging.images import read_linear
 from btfsep_engine.job.schema import MAX_KNOWN_LAMPS, JobSchema
 from btfsep_engine.light import files
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline import measuring, sequence, settings
+from btfsep_engine.pipeline import settings
 from tests.engine.profiles import tiff
 from tests.engine.test_camera_curve import with_exif
 from tests.engine.test_image_kinds import turned

@@ -14,7 +14,7 @@ from blender_btfsep.basics.errors import InputError
 from blender_btfsep.photo import camera, photo, photo_file, upright, upright_png
 from blender_btfsep.run import request
 from blender_btfsep.window import live, use_photo
-from btfsep_engine import images
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from tests.engine import profiles
 from tests.engine.test_camera_curve import exif, with_exif

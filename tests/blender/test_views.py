@@ -7,8 +7,8 @@ import pytest
 
 from blender_btfsep.photo import photo_file
 from blender_btfsep.window import blender_views as named
-from btfsep_engine import image_headers, images
-from btfsep_engine.blender_views import VIEWS
+from btfsep_engine.imaging import image_headers, images
+from btfsep_engine.imaging.blender_views import VIEWS
 from scripts.cycles import studio
 
 

@@ -6,11 +6,13 @@ import os
 import numpy as np
 import pytest
 
-from btfsep_engine import atomic, images, report
-from btfsep_engine.atomic import write_json
 from btfsep_engine.cli.summary import write_summary
+from btfsep_engine.commands import report
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import exactly, write_lighting, write_lighting_exr
+from btfsep_engine.storage import atomic
+from btfsep_engine.storage.atomic import write_json
 
 LIGHT = exactly(np.ones((4, 3)))
 PICTURE = np.full((4, 4, 3), 0.5, np.float32)

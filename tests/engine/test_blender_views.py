@@ -5,10 +5,10 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine import blender_views, images
-from btfsep_engine.blender_views import log_volume, to_linear
 from btfsep_engine.fit.tone_curve import AGX, LINEAR, SRGB
-from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.imaging import blender_views, images
+from btfsep_engine.imaging.blender_views import log_volume, to_linear
+from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 
 # AgX as other renderers approximate it (B. Wrensch; Filament and three.js, there "based on Blender's implementation")
 TO_2020 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])

@@ -17,8 +17,8 @@ from btfsep_engine.btf.formats import writing
 from btfsep_engine.btf.formats.archive import Members
 from btfsep_engine.btf.formats.image_set import import_images
 from btfsep_engine.cli import main
+from btfsep_engine.commands import measure as measuring
 from btfsep_engine.errors import InputError
-from btfsep_engine.pipeline import measuring
 from tests.engine.test_btf_store import flat, write_log_file
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="pipes, signals and limits of POSIX")

@@ -18,7 +18,7 @@ from btfsep_engine.btf.formats import image_set
 from btfsep_engine.btf.formats.archive import Members
 from btfsep_engine.btf.formats.image_set import MAX_PIXELS, find_images
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.images import write_exr
 
 HANG = timedelta(seconds=20)
 DECLARED = 12 * MAX_PIXELS  # bytes: three float32 of each pixel of the largest image that is taken

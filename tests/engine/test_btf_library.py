@@ -10,8 +10,8 @@ import pytest
 from btfsep_engine.btf import library, procedural, storing
 from btfsep_engine.btf.directions import ubo2014_directions
 from btfsep_engine.btf.model import Lambertian, Mirror, Tabulated
+from btfsep_engine.commands import measure as measuring
 from btfsep_engine.errors import InputError
-from btfsep_engine.pipeline import measuring
 
 DIRECTIONS = ubo2014_directions()[::5]
 
@@ -105,7 +105,7 @@ def test_no_library_no_json_and_another_version(tmp_path):
 
 
 def test_exported_maps_have_v_upward(tmp_path):
-    from btfsep_engine.images import read_linear
+    from btfsep_engine.imaging.images import read_linear
 
     maps = procedural.export_maps("wood/oak-boards", tmp_path, 64, 1)
     stored = read_linear(tmp_path / "basecolor.exr").pixels

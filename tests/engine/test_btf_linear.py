@@ -4,7 +4,6 @@
 import numpy as np
 import pytest
 
-from btfsep_engine import cache
 from btfsep_engine.btf import linear, reciprocity
 from btfsep_engine.btf.directions import (
     hemisphere_quadrature,
@@ -19,6 +18,7 @@ from btfsep_engine.btf.recompress import recompress
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.progress import Reporter
 from btfsep_engine.sh import evaluate
+from btfsep_engine.storage import cache
 from tests.engine import btf_files
 
 pytestmark = pytest.mark.usefixtures("own_cache")

@@ -17,7 +17,7 @@ from btfsep_engine.btf.formats.ubo2014 import open_btf
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.cli import main
 from btfsep_engine.errors import InputError
-from btfsep_engine.lock import locked
+from btfsep_engine.storage.lock import locked
 from tests.engine import btf_files
 
 pytestmark = pytest.mark.usefixtures("own_cache")

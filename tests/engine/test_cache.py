@@ -6,8 +6,8 @@ import os
 import numpy as np
 import pytest
 
-from btfsep_engine import cache
 from btfsep_engine.errors import InputError
+from btfsep_engine.storage import cache
 
 ARRAYS = {
     "numbers": np.arange(60, dtype=np.float32).reshape(3, 4, 5),

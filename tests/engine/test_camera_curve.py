@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine import camera_curve, image_headers, images
 from btfsep_engine.fit.tone_curve import CAMERA, SRGB
+from btfsep_engine.imaging import camera_curve, image_headers, images
 from scripts.studies.cameras import MEASURED, response
 
 

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine import camera_curve, colour_profile, image_headers, images
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.tone_curve import SRGB
+from btfsep_engine.imaging import camera_curve, colour_profile, image_headers, images
+from btfsep_engine.imaging.srgb import srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.tone import Curves, codes_of, curve_read_by, radiance_of, read_by
-from btfsep_engine.srgb import srgb_to_linear
 from tests.engine.profiles import LINEAR_CURVE, SRGB_CURVE, chunk, icc, png, power, table, tiff, with_profile
 from tests.engine.test_camera_curve import exif
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 from btfsep_engine.recognise.contrast import SIGMAS, contrast, spoilt, unlike
-from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
 
 MASK = np.hypot(*(np.indices((160, 160)) - 80.0)) < 70
 

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from btfsep_engine import atomic
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli.batch import run_batch
 from btfsep_engine.cli.jobs import find_jobs, result_folders, shard_of
 from btfsep_engine.cli.summary import STATUSES, join, read_entries, write_summary
 from btfsep_engine.cli.worker import Outcome
+from btfsep_engine.commands.resume import estimate_key, finished_result
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import job_digest
-from btfsep_engine.pipeline.resume import estimate_key, finished_result
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
+from btfsep_engine.storage import atomic
 
 many = settings(
     max_examples=int(os.environ.get("BTFSEP_FUZZ", "60")),

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine import image_headers, images
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import image_headers, images
 from btfsep_engine.job.load import load_job
 from tests.engine.profiles import tiff
 from tests.engine.test_camera_curve import with_exif

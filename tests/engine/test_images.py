@@ -12,9 +12,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from btfsep_engine import image_headers, images
 from btfsep_engine.errors import InputError
-from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.imaging import image_headers, images
+from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 
 
 def srgb_curve(code):
@@ -253,7 +253,7 @@ def test_absurd_sizes_are_refused_before_anything_is_decoded(tmp_path, width, he
         images.read_linear(tmp_path / "a.png")
 
 
-@pytest.mark.parametrize("first", ["btfsep_engine.images", "btfsep_engine.recognise"])
+@pytest.mark.parametrize("first", ["btfsep_engine.imaging.images", "btfsep_engine.recognise"])
 def test_what_does_not_say_its_size_is_bounded_by_opencv(first):
     """A bitmap of 15 bytes that claims 400 million pixels; whichever of our modules loads OpenCV."""
     code = f"""

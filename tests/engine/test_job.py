@@ -11,13 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from btfsep_engine import camera_curve, images
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.tone_curve import CAMERA, SRGB
+from btfsep_engine.imaging import camera_curve, images
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
 from btfsep_engine.pipeline.tone import codes_of, curve_read_by
-from btfsep_engine.srgb import linear_to_srgb
 from tests.engine.test_camera_curve import exif, with_exif
 
 

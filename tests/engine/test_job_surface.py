@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging.srgb import srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
-from btfsep_engine.srgb import srgb_to_linear
 from tests.engine.test_images import png_that_claims
 from tests.engine.test_job import changed, fails
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from btfsep_engine.kept import SMALL, Store, bytes_of, content, recalled
+from btfsep_engine.storage.kept import SMALL, Store, bytes_of, content, recalled
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from btfsep_engine.btf.map_files import find_maps, kind_of
 from btfsep_engine.btf.procedural import export_maps
 from btfsep_engine.btf.texture_maps import read_maps, resample, seam, smooth_steps
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.images import write_exr
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.progress import Reporter
-from btfsep_engine.srgb import linear_to_srgb
 
 N = 64
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from btfsep_engine.btf.model import Lambertian, Tabulated
+from btfsep_engine.commands.record import determined_words
+from btfsep_engine.commands.sequence import frame_files
 from btfsep_engine.errors import InputError
-from btfsep_engine.pipeline.record import determined_words
 from btfsep_engine.pipeline.refine.order import cross_validated_order, determined_order
 from btfsep_engine.pipeline.refine.texture import appearance_choice, texture_contrast, texture_may_help
-from btfsep_engine.pipeline.sequence import frame_files
 
 
 def checkered(period=8):

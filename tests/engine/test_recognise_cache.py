@@ -8,10 +8,10 @@ import threading
 import numpy as np
 import pytest
 
-from btfsep_engine import cache
-from btfsep_engine.kept import STORE
 from btfsep_engine.recognise import descriptors, model_file, training
 from btfsep_engine.recognise.vlad import Encoding
+from btfsep_engine.storage import cache
+from btfsep_engine.storage.kept import STORE
 
 CONSTANTS = {
     "recognise/training.py": ("NOISES", "BLURS", "SAMPLE", "METHODS"),

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from btfsep_engine import cache
 from btfsep_engine.errors import InputError
-from btfsep_engine.kept import STORE
 from btfsep_engine.recognise import descriptors, model_file, training
 from btfsep_engine.recognise.vlad import Encoding
+from btfsep_engine.storage import cache
+from btfsep_engine.storage.kept import STORE
 
 SIDE = 96
 SMALL = Encoding(colour_words=20, sift_words=30, sift_components=16)

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.recognise import descriptors as dense
 from btfsep_engine.recognise import training, vlad
 from btfsep_engine.recognise.classifier import Nearest, scores
 from btfsep_engine.recognise.masked import smoothed
 from btfsep_engine.recognise.recogniser import Recogniser
-from btfsep_engine.srgb import linear_to_srgb
 
 SIDE = 64
 STEP = np.where(np.arange(SIDE) < SIDE // 2, 0.5, 1.5)[None, :, None] * np.ones((SIDE, 1, 3))

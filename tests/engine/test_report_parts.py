@@ -5,7 +5,8 @@ import cv2
 import numpy as np
 import pytest
 
-from btfsep_engine import lettering, report
+from btfsep_engine.commands import report
+from btfsep_engine.imaging import lettering
 
 RANDOM = np.random.default_rng(3)
 ROW, COLUMN = np.mgrid[:80, :96]

@@ -107,6 +107,8 @@ def test_the_map_says_no():
         ("btfsep_engine/light/maps.py", "btfsep_engine/fit/stated.py"),
         ("btfsep_engine/recognise/vlad.py", "btfsep_engine/btf/library.py"),
         ("btfsep_engine/pipeline/model.py", "btfsep_engine/cli/words.py"),
+        ("btfsep_engine/pipeline/model.py", "btfsep_engine/commands/record.py"),
+        ("btfsep_engine/storage/cache.py", "btfsep_engine/imaging/images.py"),
         ("btfsep_engine/sh.py", "btfsep_engine/light/maps.py"),
         ("btfsep_engine/pipeline/model.py", "mitsuba"),
         ("btfsep_engine/pipeline/model.py", "bpy"),

@@ -6,8 +6,8 @@ from itertools import combinations, pairwise
 
 import pytest
 
-from btfsep_engine import images
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.schema import JobSchema
 from btfsep_engine.pipeline.settings import CURVES, PRESETS, Settings, changed, choose, meanings
 from btfsep_engine.recognise import METHODS

@@ -9,7 +9,7 @@ import pytest
 from btfsep_engine import sh
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import read_linear
+from btfsep_engine.imaging.images import read_linear
 from btfsep_engine.light.files import (
     MOST_LAMPS,
     Lighting,

@@ -6,11 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from btfsep_engine import images
 from btfsep_engine.cli import main
 from btfsep_engine.conventions import fibonacci_sphere, pixel_directions
 from btfsep_engine.fit import blender_spheres as spheres
 from btfsep_engine.fit.three_spheres import picture_figures, three_spheres, tone_mapped
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import exactly, lighting_map, write_lighting
 
 # What mirror.py, matte_silver.py, diffuse.py and fast_rmse.py of DiffusionLight-evaluation give for the two rooms

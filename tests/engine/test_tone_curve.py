@@ -17,7 +17,7 @@ from btfsep_engine.fit.tone_curve import (
     importance,
     log_probability,
 )
-from btfsep_engine.srgb import srgb_to_linear
+from btfsep_engine.imaging.srgb import srgb_to_linear
 from tests.engine.half_sphere import half_sphere
 
 CODES = np.linspace(0, 1.3, 3001)

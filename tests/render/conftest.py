@@ -4,7 +4,7 @@
 import pytest
 import trimesh
 
-from btfsep_engine import images
+from btfsep_engine.imaging import images
 from scripts.studies.stage import shaded_ball, write_job
 from tests.render.scenes import as_mesh, looking_down, positive_light
 

@@ -10,16 +10,17 @@ import pytest
 import trimesh
 from scipy.ndimage import gaussian_filter
 
-from btfsep_engine import images, sh
+from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.commands.align import OVERLAY, RESULT, run_align
+from btfsep_engine.commands.estimate import run_estimate
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.pose import Frame
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
 from btfsep_engine.pipeline.alignment import Aligner, align, camera_keys, looks_off, with_camera
 from btfsep_engine.pipeline.checks import shift_doubt
-from btfsep_engine.pipeline.estimation import run_estimate
 from btfsep_engine.pipeline.mending import doubted, mends
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter

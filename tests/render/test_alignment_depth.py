@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from btfsep_engine import images
+from btfsep_engine.commands.align import OVERLAY, RESULT, run_align
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.aligned_job import OVERLAY, RESULT, run_align
 from btfsep_engine.pipeline.alignment import align, with_camera
 from btfsep_engine.pipeline.mending import mends
 from btfsep_engine.progress import Reporter

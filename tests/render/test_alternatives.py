@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine.atomic import plain
 from btfsep_engine.btf.library import REFERENCE
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.commands.record import result_record
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.alternatives import alternatives, combinations, mixture
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
-from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.recognise.recogniser import Recognition
+from btfsep_engine.storage.atomic import plain
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
 
 SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2)

@@ -8,9 +8,9 @@ import tempfile
 
 import pytest
 
-from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
+from btfsep_engine.storage import cache
 
 RENDERS = """
 import os

@@ -16,16 +16,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
 from btfsep_engine.cli.batch import EstimateTask, estimate_job
 from btfsep_engine.cli.jobs import find_jobs, result_folders, shard_of
 from btfsep_engine.cli.lanes import run_here
+from btfsep_engine.commands.resume import finished_result
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import job_digest, load_job
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.pipeline.resume import finished_result
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 
@@ -105,7 +105,7 @@ def test_what_is_done_is_told_by_the_results_themselves(shots, monkeypatch, caps
     changes = {"material": "reference/grey18"}, {"with_report": True}, {"settings": choose("draft", order=2, seed=1)}
     changes += ({"library": replace(library, entries=dict(list(library.entries.items())[1:]))},)
     assert not any(finished(**change) for change in changes)
-    monkeypatch.setattr("btfsep_engine.pipeline.resume.__version__", "99")
+    monkeypatch.setattr("btfsep_engine.commands.resume.__version__", "99")
     assert not finished()
     monkeypatch.undo()
     monkeypatch.chdir(shots)

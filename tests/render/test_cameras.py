@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.commands.estimate import run_estimate
+from btfsep_engine.commands.relight import run_relight
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.pipeline.estimation import run_estimate
-from btfsep_engine.pipeline.relighting import run_relight
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.studies.depth import z_depth

@@ -7,11 +7,12 @@ import sys
 import numpy as np
 import pytest
 
-from btfsep_engine import images, sh
-from btfsep_engine.chart import write_chart
+from btfsep_engine import sh
 from btfsep_engine.cli import main
+from btfsep_engine.commands.chart_picture import write_chart
+from btfsep_engine.commands.tradeoff import Point, pareto_front, variations
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import exactly, write_lighting
-from btfsep_engine.pipeline.tradeoff import Point, pareto_front, variations
 
 
 def test_the_front_is_what_nothing_beats():
@@ -55,7 +56,7 @@ def test_a_truth_of_too_low_an_order_is_refused(sphere_job_folder, capsys, tmp_p
 
 def test_without_matplotlib_it_says_what_to_install_and_a_plan_is_drawn(sphere_job_folder, capsys, monkeypatch):
     folder, _ = sphere_job_folder
-    monkeypatch.delitem(sys.modules, "btfsep_engine.chart")
+    monkeypatch.delitem(sys.modules, "btfsep_engine.commands.chart_picture")
     for name in ["matplotlib", *(m for m in sys.modules if m.startswith("matplotlib."))]:
         monkeypatch.setitem(sys.modules, name, None)
     assert main(["chart", str(folder)]) == 2

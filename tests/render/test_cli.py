@@ -10,10 +10,13 @@ import sys
 import numpy as np
 import pytest
 
-from btfsep_engine import cache, images, report, sh
+from btfsep_engine import sh
 from btfsep_engine.cli import main
+from btfsep_engine.commands import report
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import exactly, read_lighting, write_lighting, write_lighting_exr
+from btfsep_engine.storage import cache
 from tests.render.progress_lines import assert_whole_run
 from tests.render.scenes import edited, looking_down, off_as_seen
 

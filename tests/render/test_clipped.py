@@ -9,8 +9,8 @@ import pytest
 
 from btfsep_engine import sh
 from btfsep_engine.cli import main
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.srgb import linear_to_srgb
 from scripts.studies.stage import seen_normals
 from tests.render.scenes import edited, looking_down, off_as_seen
 

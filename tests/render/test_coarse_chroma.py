@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.imaging import images
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.pipeline.coarse_chroma import BESIDE, KAPPA, NEXT, chroma_weights
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.srgb import linear_to_srgb
 from tests.render.scenes import as_mesh, in_white, off_as_seen, scene_of
 
 WHITE = "reference/white-diffuse"

@@ -5,12 +5,12 @@ import json
 
 import numpy as np
 
-from btfsep_engine import cache
 from btfsep_engine.cli import main
-from btfsep_engine.kept import STORE
+from btfsep_engine.commands.record import versions
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.pipeline.record import versions
 from btfsep_engine.render import backend
+from btfsep_engine.storage import cache
+from btfsep_engine.storage.kept import STORE
 
 
 def wrong_shape(path):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.fit.misalignment import silhouette_shift
+from btfsep_engine.imaging import images
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.model import JobObject
 from btfsep_engine.light.files import read_lighting

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images, sh
+from btfsep_engine import sh
 from btfsep_engine.btf.departures import departures
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from btfsep_engine import images
 from btfsep_engine.cli.batch import EstimateTask, estimate_job
 from btfsep_engine.cli.worker import Worker
+from btfsep_engine.imaging import images
 from btfsep_engine.pipeline.settings import choose
 
 CASES = int(os.environ.get("BTFSEP_FUZZ", "40"))

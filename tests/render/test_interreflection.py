@@ -14,7 +14,6 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.cli import main
 from btfsep_engine.job.model import Occluder
-from btfsep_engine.kept import STORE
 from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
@@ -27,6 +26,7 @@ from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.render import radiosity
 from btfsep_engine.render.sampling import spread
 from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.storage.kept import STORE
 from tests.render.scenes import answer, as_mesh, ball, bowl, job_of, looking_down, positive_light, scene_of, with_photo
 
 BRIGHT, GREY, DARK = (Lambertian(f"test/{a}", np.full(3, a)) for a in (0.85, 0.3, 0.02))

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.conventions import angles_of_direction, direction_of_angles
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import read_lighting
 from tests.render.scenes import edited, looking_down, off_as_seen
 from tests.render.test_frames import LAMP, OTHER, answer, assert_as_alone, lamp_light, photographed, shaded

@@ -14,11 +14,11 @@ import pytest
 
 from btfsep_engine.btf import library
 from btfsep_engine.cli import main
+from btfsep_engine.commands import measure as measuring
+from btfsep_engine.commands.measure import MeasureSettings, measure_maps
 from btfsep_engine.conventions import local_direction
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import write_exr
-from btfsep_engine.pipeline import measuring
-from btfsep_engine.pipeline.measuring import MeasureSettings, measure_maps
+from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.progress import Reporter
 from tests.render.progress_lines import assert_whole_run
 

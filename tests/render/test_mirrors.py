@@ -10,14 +10,14 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.commands.sequence import Frames
 from btfsep_engine.conventions import pixel_directions
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline import mirrors
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
-from btfsep_engine.pipeline.sequence import Frames
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.homogeneous import homogeneous

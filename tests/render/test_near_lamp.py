@@ -10,6 +10,7 @@ import trimesh
 
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.commands.report import pictures
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.near_lamp import CLOSEST, nearness
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
@@ -18,7 +19,6 @@ from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.refine import near
 from btfsep_engine.pipeline.refine.near import moved
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.report import pictures
 from scripts.studies.measures import order2
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, scene_of, with_photo
 

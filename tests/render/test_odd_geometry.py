@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.cli import main
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import exactly, read_lighting, write_lighting
 from tests.render.scenes import edited, looking_down
 

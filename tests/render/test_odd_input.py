@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.cli import main
+from btfsep_engine.imaging import images
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.srgb import linear_to_srgb
 from scripts.studies.stage import seen_normals
 from tests.render.scenes import edited, looking_down
 

@@ -6,15 +6,15 @@ import json
 import numpy as np
 import pytest
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
+from btfsep_engine.commands.sequence import run_sequence
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.pipeline.sequence import run_sequence
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from btfsep_engine.srgb import linear_to_srgb
 from tests.render.progress_lines import assert_whole_run
 from tests.render.scenes import answer, edited, off_as_seen
 

@@ -9,6 +9,7 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.commands.record import result_record
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.stated import of_reaching
 from btfsep_engine.job.model import Occluder
@@ -16,7 +17,6 @@ from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.checks import uncertainty_doubts
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.problem import make_problem
-from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import hidden_directions, light_solver
 from btfsep_engine.render.reach import response

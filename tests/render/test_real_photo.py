@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
+from btfsep_engine.imaging import images
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.checks import all_doubts

@@ -11,7 +11,6 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import Photo
-from btfsep_engine.kept import STORE
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.materials import object_materials
@@ -24,6 +23,7 @@ from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
 from btfsep_engine.render.transport import Transport
 from btfsep_engine.render.weights import Weights
+from btfsep_engine.storage.kept import STORE
 from tests.render.scenes import as_mesh, job_of, looking_down, positive_light
 
 FEW = ("leather/brown-grain", "wood/oak-boards", "felt/green-coarse")

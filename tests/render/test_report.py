@@ -4,10 +4,11 @@
 import numpy as np
 import pytest
 
-from btfsep_engine import images, report
 from btfsep_engine.cli import main
-from btfsep_engine.pipeline.commands import psnr
-from btfsep_engine.srgb import srgb_to_linear
+from btfsep_engine.commands import report
+from btfsep_engine.commands.compare import psnr
+from btfsep_engine.imaging import images
+from btfsep_engine.imaging.srgb import srgb_to_linear
 
 
 def linear(shown):

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_limits
 
-from btfsep_engine import kept
 from btfsep_engine.cli import main
+from btfsep_engine.storage import kept
 
 ROOT = Path(__file__).resolve().parents[2]
 LAST = {"done", "failed", "cancelled"}

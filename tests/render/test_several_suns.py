@@ -6,10 +6,10 @@ import pytest
 
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.commands.relight import lighting_of
+from btfsep_engine.commands.report import render_objects
 from btfsep_engine.light.files import Lighting, write_lighting
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline.relighting import lighting_of
-from btfsep_engine.report import render_objects
 from tests.render.scenes import ball, job_of, looking_down, scene_of
 
 SUNS = (

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.cli import main
 from btfsep_engine.fit import search
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting

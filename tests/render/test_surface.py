@@ -7,11 +7,11 @@ import trimesh
 
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.model import JobObject, TriangleMesh
-from btfsep_engine.kept import STORE
 from btfsep_engine.render import parametrise
 from btfsep_engine.render.sampling import spread
 from btfsep_engine.render.surface import camera_view, object_region, surface_points, with_texture
 from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.storage.kept import STORE
 from tests.render.scenes import as_mesh, job_of, looking_down
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.cli import main
+from btfsep_engine.commands.relight import earlier_materials
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.relighting import earlier_materials
 from btfsep_engine.render.homogeneous import IMAGE_SIDE, homogeneous, pictured, reflected_share
 from btfsep_engine.render.reference import Reference
 from tests.render.prepared import MILLIMETRES, Prepared, sheet

@@ -10,16 +10,16 @@ import trimesh
 
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
-from btfsep_engine.colour_profile import of_primaries
+from btfsep_engine.commands.record import result_record
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, OF_RENDERS, SRGB, ToneCurve, log_prior_of_render
+from btfsep_engine.imaging.colour_profile import of_primaries
 from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
-from btfsep_engine.pipeline.record import result_record
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose

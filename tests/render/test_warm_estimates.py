@@ -12,8 +12,9 @@ import pytest
 import trimesh
 from threadpoolctl import threadpool_limits
 
-from btfsep_engine import images, kept
 from btfsep_engine.cli import main
+from btfsep_engine.imaging import images
+from btfsep_engine.storage import kept
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMING = ("seconds", "peak_memory_mb", "out", "lighting", "job_digest", "digests", "files")

@@ -14,12 +14,12 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from btfsep_engine import images
 from btfsep_engine.btf import reciprocity
 from btfsep_engine.btf.directions import UBO2003_RINGS, ubo2003_directions
 from btfsep_engine.btf.factorise import StreamingFactoriser
 from btfsep_engine.btf.formats.archive import Members, scratch_folder
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.progress import Reporter
 
 NAME = re.compile(r"tl(\d{1,3}).*?pl(\d{1,3}).*?tv(\d{1,3}).*?pv(\d{1,3})", re.IGNORECASE)

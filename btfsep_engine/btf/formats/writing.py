@@ -5,10 +5,10 @@ import struct
 
 import numpy as np
 
-from btfsep_engine.atomic import replacing
 from btfsep_engine.btf.formats.header import DFMF_SIGNATURES, FMF_SIGNATURES
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.errors import InputError
+from btfsep_engine.storage.atomic import replacing
 
 
 def write(

@@ -20,7 +20,7 @@ import numpy as np
 from btfsep_engine.btf.procedural import cloth, hard, hides, papers, piles, stones, timber, woven
 from btfsep_engine.btf.procedural.noise import grid
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import write_exr
+from btfsep_engine.imaging.images import write_exr
 
 WORK_PIXELS = 512  # patterns are made with at least so many pixels an edge, then averaged down
 MAX_ALBEDO = 0.85

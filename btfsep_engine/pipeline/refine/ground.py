@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine import kept, sh
+from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.fit.ground import SKY, Ground
@@ -19,6 +19,7 @@ from btfsep_engine.pipeline.settings import MODELLED_BOUNCES
 from btfsep_engine.pipeline.together import all_weights
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.surface import SurfacePoints, eroded, surface_points, with_any_tangent
+from btfsep_engine.storage import kept
 
 PLACES = 400  # of all that is seen of a ground: means over as many blocks of pixels, about
 FEWEST = 40

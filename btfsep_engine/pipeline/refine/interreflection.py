@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from btfsep_engine import kept
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.lightings import SHBasis, SHLighting
@@ -28,6 +27,7 @@ from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
 from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.storage import kept
 
 WORTH = 0.02  # of the photo: `fit.search.EXACT`. How far the estimate moves is not all: of light that the photo hardly
 # shows, as from below a table, so little is known that a fifth of the photo moves it by less than what is stated

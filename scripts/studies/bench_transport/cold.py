@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import images
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.imaging import images
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.render import radiosity
 from scripts.cycles import engine

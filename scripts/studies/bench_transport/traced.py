@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from unittest import mock
 
-from btfsep_engine import kept
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.pipeline.estimation import run_estimate
+from btfsep_engine.commands.estimate import run_estimate
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.appearance import LightTables
 from btfsep_engine.render.radiosity import Network
 from btfsep_engine.render.tracer import Tracer
+from btfsep_engine.storage import kept
 from scripts.studies.bench_transport.cold import photograph
 from scripts.studies.photos import WHITE
 from scripts.studies.stage import MATERIALS

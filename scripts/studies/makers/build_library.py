@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from btfsep_engine.btf import library, procedural, thumbnail
-from btfsep_engine.pipeline import measuring
-from btfsep_engine.srgb import linear_to_srgb
+from btfsep_engine.commands import measure as measuring
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from scripts.studies import ROOT, parser
 from scripts.studies.makers import BACKGROUND, mosaic
 

@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 from matplotlib.ft2font import FT2Font, LoadFlags
 
-from btfsep_engine.atomic import replacing
+from btfsep_engine.storage.atomic import replacing
 from scripts.studies import ROOT, parser
 
 FONT = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"

@@ -17,8 +17,8 @@ from tqdm import tqdm
 from btfsep_engine.btf import procedural
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.render.patch import Patch
-from btfsep_engine.srgb import linear_to_srgb
 from scripts.studies import ROOT, parser
 from scripts.studies.makers import BACKGROUND, mosaic
 

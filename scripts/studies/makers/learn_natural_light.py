@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from btfsep_engine import atomic, sh
+from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
 from btfsep_engine.light import log_field, maps
+from btfsep_engine.storage import atomic
 from scripts.studies import parser, tables
 
 CELLS = 600

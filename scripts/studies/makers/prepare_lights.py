@@ -11,8 +11,8 @@ Record where new maps come from, and under which licence, in btfsep_engine/data/
 import re
 from pathlib import Path
 
-from btfsep_engine import images
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.light.lightings import shrink
 from btfsep_engine.light.maps import FOLDER, normalised, read_map
 from scripts.studies import parser

@@ -4,7 +4,7 @@
 scripts/study tabulate-views
 """
 
-from btfsep_engine import blender_views
+from btfsep_engine.imaging import blender_views
 from scripts.studies import parser, photos
 
 ENTRIES = 25  # for each channel

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from btfsep_engine import images
+from btfsep_engine.imaging import images
 from btfsep_engine.job.model import TriangleMesh
 from scripts.cycles.lights import true_lighting
 from scripts.studies.estimates import scene_of

@@ -76,7 +76,7 @@ def blended(first, second: Tabulated, share: float) -> Tabulated:
 
 
 def _engine(folder, material, library, **settings) -> Given:
-    from btfsep_engine.pipeline.estimation import run_estimate
+    from btfsep_engine.commands.estimate import run_estimate
     from btfsep_engine.pipeline.settings import choose
     from btfsep_engine.progress import Reporter
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine.atomic import write_text
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.commands.compare import psnr
 from btfsep_engine.fit import compare
 from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.pipeline.commands import psnr
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
 from btfsep_engine.render.sampling import spread
+from btfsep_engine.storage.atomic import write_text
 from scripts.studies.estimates import scene_of
 from scripts.studies.measures import TERMS, covered, errors
 from scripts.studies.stability import cases, methods, scenes

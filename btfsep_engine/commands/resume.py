@@ -8,9 +8,10 @@ of what they were made from (``key``). A job is done when these agree with the f
 import json
 from pathlib import Path
 
-from btfsep_engine import __version__, atomic, cache
+from btfsep_engine import __version__
 from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import job_digest
+from btfsep_engine.storage import atomic, cache
 
 MOST_BYTES = 64 << 20  # of a result.json
 

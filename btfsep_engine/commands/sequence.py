@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine.atomic import write_json
+from btfsep_engine.commands.record import determined_words, run_record
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.over_time import Frame, smoothed, windows
 from btfsep_engine.fit.stated import expected_error, shown_error
-from btfsep_engine.images import SUFFIXES
+from btfsep_engine.imaging.images import SUFFIXES
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job, Photo
 from btfsep_engine.job.photograph import read_photo
@@ -30,10 +30,10 @@ from btfsep_engine.pipeline.following import CHOSEN, FollowedEstimate, Follower
 from btfsep_engine.pipeline.light_account import lamp_record
 from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.mirrors import softened, with_mirrors
-from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.progress import Reporter
+from btfsep_engine.storage.atomic import write_json
 
 _DIGITS = re.compile(r"([0-9]+)")
 

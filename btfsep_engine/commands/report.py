@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 from btfsep_engine import sh
 from btfsep_engine.btf.thumbnail import LIGHTS
 from btfsep_engine.conventions import pixel_directions
-from btfsep_engine.images import write_png
-from btfsep_engine.lettering import row
+from btfsep_engine.imaging.images import write_png
+from btfsep_engine.imaging.lettering import row
+from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.light.files import lighting_map
 from btfsep_engine.light.lightings import EnvironmentMaps, shrink
 from btfsep_engine.render.sampling import spread, thinned
-from btfsep_engine.srgb import linear_to_srgb
 
 IMAGE_PIXELS = 40_000  # most pixels of an object that are rendered for an image; the others are filled from the nearest
 PIXELS, TEXTURED_PIXELS = 15_000, 50_000  # about so many of an object are rendered for a report

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from btfsep_engine import kept, sh
+from btfsep_engine import sh
 from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.compare import direction_error, relative_l2
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, PRESETS, Settings, choose
 from btfsep_engine.progress import Reporter
+from btfsep_engine.storage import kept
 
 ORDER = 2  # up to which errors are measured
 TIMED = ("transport", "fit", "reflectance")  # the materials near the given one are fits, too

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The chart of speed against accuracy, drawn from :mod:`btfsep_engine.pipeline.tradeoff`'s points."""
+"""The chart of speed against accuracy, drawn from :mod:`btfsep_engine.commands.tradeoff`'s points."""
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from matplotlib.transforms import Bbox
 
-from btfsep_engine.atomic import replacing
+from btfsep_engine.storage.atomic import replacing
 
 MARKERS = "oDs^vP*X<>"
 AROUND = [(7, 0), (-7, 0), (0, 9), (0, -9), (6, 8), (-6, 8), (6, -8), (-6, -8), (0, 20), (0, -20), (14, 20), (14, -20)]

@@ -9,9 +9,9 @@ import shutil
 import time
 from pathlib import Path
 
-from btfsep_engine import cache
 from btfsep_engine.errors import InputError
 from btfsep_engine.progress import Reporter
+from btfsep_engine.storage import cache
 
 EVERY = 8  # calls of :meth:`Checkpoints.due` from one part to the next
 FORGOTTEN = 30 * 86400.0  # seconds after which the parts of a run that never ended are removed

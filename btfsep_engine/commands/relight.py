@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine import images
 from btfsep_engine.btf.surfaces import GIVEN
+from btfsep_engine.commands.record import run_record
+from btfsep_engine.commands.report import exposure, render_objects
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting, seen_lighting
 from btfsep_engine.light.lightings import EnvironmentMaps
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.materials import object_materials
-from btfsep_engine.pipeline.record import run_record
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.report import exposure, render_objects
 from btfsep_engine.threads import one_thread
 
 

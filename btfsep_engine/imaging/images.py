@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from btfsep_engine import atomic, blender_views, camera_curve, colour_profile, image_headers
-from btfsep_engine.colour_profile import Profile
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
-from btfsep_engine.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.imaging import blender_views, camera_curve, colour_profile, image_headers
+from btfsep_engine.imaging.colour_profile import Profile
+from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.storage import atomic
 
 MAX_SIDE = 20000  # pixels; more than any camera has, and a guard against files that claim absurd sizes
 MAX_PIXELS = 2**27  # decoded: 4 GB

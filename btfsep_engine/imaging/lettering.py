@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-FILE = Path(__file__).parent / "data" / "letters.npz"
+FILE = Path(__file__).parents[1] / "data" / "letters.npz"
 HEIGHT = 330  # of a picture
 ABOVE, BESIDE, BELOW = 55, 13, 4  # of white around it
 BASELINE = 12  # above the picture

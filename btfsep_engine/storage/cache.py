@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from platformdirs import user_cache_dir
 
-from btfsep_engine import atomic
+from btfsep_engine.storage import atomic
 
 ENVIRONMENT = "BTFSEP_CACHE"  # names another folder
 DIGEST = 32  # bytes

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine.conventions import REC709_LUMINANCE
-from btfsep_engine.srgb import srgb_to_linear
+from btfsep_engine.imaging.srgb import srgb_to_linear
 
-TABLE = Path(__file__).resolve().parent / "data" / "blender_views.npz"
+TABLE = Path(__file__).resolve().parents[1] / "data" / "blender_views.npz"
 AT_ONCE = 1 << 20  # pixels: a large photo's coordinates are not made all at once
 STEP = 1 / 512  # of a code, of a numerical derivative
 LEAST = 1e-12  # of a volume

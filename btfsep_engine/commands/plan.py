@@ -8,20 +8,20 @@ import cv2
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.atomic import write_json
+from btfsep_engine.commands.record import determined_words, run_record
 from btfsep_engine.conventions import direction_to_equirect, pixel_directions
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.foresight import Foresight, foresee, over_directions
-from btfsep_engine.images import write_png
+from btfsep_engine.imaging.images import write_png
+from btfsep_engine.imaging.lettering import shortened, write_on
 from btfsep_engine.job.load import load_job
-from btfsep_engine.lettering import shortened, write_on
 from btfsep_engine.pipeline.materials import given_materials
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.problem import Problem
-from btfsep_engine.pipeline.record import determined_words, run_record
 from btfsep_engine.pipeline.refine.texture import texture_contrast
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.storage.atomic import write_json
 from btfsep_engine.threads import one_thread
 
 SHAPE_NOISE = 0.05  # misfit of an object without texture, over its photo: shape, noise, what the basis leaves out

@@ -18,12 +18,12 @@ from btfsep_engine.btf.linear import CLASSES
 from btfsep_engine.btf.map_files import CONVENTIONS
 from btfsep_engine.btf.storing import add
 from btfsep_engine.btf.texture_maps import read_maps
-from btfsep_engine.cache import digest
-from btfsep_engine.checkpoints import EVERY, Checkpoints
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.settings import changed, setting
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.patch import measure
+from btfsep_engine.storage.cache import digest
+from btfsep_engine.storage.checkpoints import EVERY, Checkpoints
 
 VERSION = 2  # of the measurement; another one when the same maps would give another material
 # what the default library is measured with; the time and size that follow are in docs/library.md

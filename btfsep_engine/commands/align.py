@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from btfsep_engine import atomic, report
-from btfsep_engine.atomic import write_json
+from btfsep_engine.commands import report
+from btfsep_engine.commands.record import peak_memory_mb, versions
 from btfsep_engine.errors import InputError
-from btfsep_engine.images import write_png
-from btfsep_engine.job.load import load_job
+from btfsep_engine.imaging.images import write_png
 from btfsep_engine.pipeline.alignment import Alignment, Left, align, camera_keys, with_camera
-from btfsep_engine.pipeline.record import peak_memory_mb, versions
-from btfsep_engine.pipeline.scene import PreparedScene
+from btfsep_engine.pipeline.scene import PreparedScene, read_scene
+from btfsep_engine.storage import atomic
+from btfsep_engine.storage.atomic import write_json
 
 RESULT, OVERLAY = "alignment.json", "alignment.png"
 BEFORE, AFTER = (255, 40, 40), (40, 255, 80)  # red and green
@@ -74,14 +74,11 @@ def run_align(folder, *, out=None, reporter) -> dict:
     InputError
         Where ``out`` is the job's own folder.
     """
-    with reporter.stage("reading"):
-        job = load_job(folder)
-        for note in job.warnings:
-            reporter.warn(note)
+    scene = read_scene(folder, reporter)
+    job = scene.job
     out = Path(out) if out is not None else job.folder / "aligned"
     if out.resolve() == job.folder.resolve():
         raise InputError("--out", "it is the job's own folder, whose job.json stays", "name another folder")
-    scene = PreparedScene(job, reporter)
     with reporter.stage("alignment"):
         alignment = align(scene)
     with reporter.stage("writing"):

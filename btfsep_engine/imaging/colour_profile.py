@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from btfsep_engine import image_headers
+from btfsep_engine.imaging import image_headers
 
 D50 = (0.3457, 0.3585)
 D65 = (0.3127, 0.3290)
