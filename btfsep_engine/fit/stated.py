@@ -192,10 +192,16 @@ def restated(fit: Fit, samples) -> Fit:
     return replace(fit, state=lambda: stated)
 
 
-def widened(fit: Fit, factor: float) -> Fit:
-    """The fit with all that its samples depart from it by made ``factor`` times as large."""
-    x = fit.all_coefficients
-    return restated(fit, x + factor * (fit.samples - x))
+def widened(fit: Fit, factor: float, *, odds_even: bool = False) -> Fit:
+    """The fit with all that its samples depart from it by made ``factor`` times as large.
+
+    ``odds_even`` : of half of them, where what was found may as well be as right as the fit says
+    """
+    x, count = fit.all_coefficients, len(fit.samples)
+    factors = np.full((count, 1, 1), factor)
+    if odds_even:  # drawn by chance: samples may stand in an order, as by whose colour a tint is
+        factors[np.random.default_rng(0).permutation(count)[: count // 2]] = 1
+    return restated(fit, x + factors * (fit.samples - x))
 
 
 def decided_unknowns(factor) -> float:

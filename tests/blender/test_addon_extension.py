@@ -21,7 +21,8 @@ import bpy
 done = bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo="user_default", enable_on_install=True)
 name = "bl_ext.user_default.btfsep"
 assert done == {"FINISHED"} and name in bpy.context.preferences.addons, done
-from bl_ext.user_default.btfsep import command, engine_process
+from bl_ext.user_default.btfsep import command
+from bl_ext.user_default.btfsep.engine import engine_process
 import btfsep_engine
 status = command.main(["apply", sys.argv[2], "--save", sys.argv[3]])
 bundled = engine_process.find_engine()

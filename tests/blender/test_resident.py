@@ -112,7 +112,7 @@ def test_an_engine_that_cannot_stay_runs_once_for_each(tmp_path):
 def test_it_ends_with_the_process_that_started_it(engine, tmp_path):
     root = Path(__file__).resolve().parents[2]
     program = (
-        "import os, sys; from blender_btfsep import engine_process, resident\n"
+        "import os, sys; from blender_btfsep.engine import engine_process, resident\n"
         "run = resident.start(engine_process.find_engine(), ['library', 'list']); run.wait()\n"
         f"open({str(tmp_path / 'pid')!r}, 'w').write(str(run.pid)); os.kill(os.getpid(), 9)"
     )

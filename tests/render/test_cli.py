@@ -348,7 +348,7 @@ def test_being_told_to_end_cleans_up_as_ctrl_c_does(tmp_path):
     """SIGTERM in the midst of writing a file: one line, status 130, nothing half-written."""
     code = """
 import os, signal, sys, time
-from btfsep_engine import atomic
+from btfsep_engine.storage import atomic
 from btfsep_engine.cli import commands
 
 @commands.cli.command()
