@@ -10,7 +10,7 @@ Which of both, nobody knows; but where the surface is as it is said to be, how m
 light makes it tells how much the light errs: of 77 plates on tables of a known colour that was 0.04 in the median; 15
 where it was more than 0.1 erred by 1.4 times that in the median, and up to 4.9 times what they stated. Who puts up a
 stand-in for a table hits its albedo no better than that, and the light is hardly worse for it. So that is the least
-that is stated in half of the samples, and the others stay as they are.
+that is stated in half of the samples, and the others stay as they are; in all, where nobody would be so far off.
 """
 
 from dataclasses import replace
@@ -25,6 +25,7 @@ from btfsep_engine.pipeline.refine.surroundings import by_photo
 
 CLEARLY = 5.0  # of the logarithm of the evidence
 OTHERWISE = "said_surface"  # its name among what is chosen
+STAND_IN = 0.25  # by which who puts one up may miss an albedo, of its logarithm
 DIFFERS, ERROR = 0.1, 1.4  # logarithm of how many times as bright; the error that is stated at least, over it
 WORTH, WIDEST = 1.25, 4.0  # times what the fit states
 UNLIKE = "surfaces_unlike"  # its name
@@ -97,12 +98,14 @@ def unlike_surroundings(model, light):
     factor = min(ERROR * abs(most) / max(of_shown["order_2"]["median"], 1e-9), WIDEST)
     if abs(most) > DIFFERS and factor > WORTH:
         way = "brighter" if most > 0 else "darker"
+        even = abs(most) < STAND_IN
+        cases = "in half of the cases " if even else ""
         words.append(
             f"{name} is {100 * abs(np.expm1(most)):.0f} % {way} in the photo than its 'surface' is under "
-            "the light that was found: one of both is wrong, and in half of the cases what is known of the light is "
-            f"stated {factor:.1f} times as wide; check its 'surface'"
+            f"the light that was found: one of both is wrong, and {cases}what is known of the light is stated "
+            f"{factor:.1f} times as wide; check its 'surface'"
         )
-        light = replace(light, fit=widened(light.fit, factor, odds_even=True))
+        light = replace(light, fit=widened(light.fit, factor, odds_even=even))
     return model, light, {UNLIKE: "; ".join(words)} if words else {}
 
 
