@@ -1,41 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The card of a light: its words against lights that are known, and that it stays with the file."""
 
-import json
 from types import SimpleNamespace
 
-import bpy
 import numpy as np
 import pytest
 
-from blender_btfsep.basics import colour, pixels
 from blender_btfsep.light import (
     advice,
     card,
     kept_light,
-    light_files,
     light_picture,
     light_words,
     lighting_file,
-    sh_nodes,
-    sun_lamp,
-    world,
 )
 from blender_btfsep.run import answer
 from blender_btfsep.window import mending
 from btfsep_engine import sh
 from btfsep_engine.fit import tone_curve
-from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.pipeline.refine.curves import curve_words
 from btfsep_engine.pipeline.tone import Curves
-from tests.blender.lit import LIGHTING
+from tests.blender.found import SAID, lighting, planck, sunny
 
-SAID = {
-    "objects": [{"name": "Cube", "material": "wood/oak", "unknown": False, "candidates": []}],
-    "determined": "the photo determines 3 of 4 coefficients",
-    "expected_error": {"order_1": None, "order_2": {"median": 0.124, "low": 0.08, "high": 0.2}},
-    "choice": {"order": "the order is 4"},
-}
 FRONT = np.array([[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0], [0, 0, 0, 1]])  # from -Y, level, +X to the right
 
 
@@ -62,20 +48,6 @@ def test_a_camera_that_looks_down_has_sides_too():
     down = np.eye(4)  # up in the picture is +Y
     assert light_words.direction_words((1, 0, 0), down).startswith("right")
     assert light_words.direction_words((0, -1, 0), down).startswith("the front")
-
-
-def planck(kelvin):
-    """Linear Rec.709 of a black body: Planck's law; the CIE 1931 observer as Wyman, Sloan and Shirley (2013) fit it."""
-    nm = np.arange(380.0, 781.0)
-
-    def lobe(mean, low, high):
-        return np.exp(-0.5 * ((nm - mean) * np.where(nm < mean, low, high)) ** 2)
-
-    x = 0.362 * lobe(442.0, 0.0624, 0.0374) + 1.056 * lobe(599.8, 0.0264, 0.0323) - 0.065 * lobe(501.1, 0.049, 0.0382)
-    y = 0.821 * lobe(568.8, 0.0213, 0.0247) + 0.286 * lobe(530.9, 0.0613, 0.0322)
-    z = 1.217 * lobe(437.0, 0.0845, 0.0278) + 0.681 * lobe(459.0, 0.0385, 0.0725)
-    power = nm**-5 / np.expm1(1.4388e7 / (nm * kelvin))
-    return np.linalg.inv(light_words.TO_XYZ) @ np.array([power @ x, power @ y, power @ z])
 
 
 @pytest.mark.parametrize("kelvin", [2200, 3000, 4000, 5500, 6500, 9000, 12000])
@@ -107,26 +79,6 @@ def test_the_brighter_side_and_irradiance_are_those_of_a_light_that_is_known():
     assert np.allclose(light_words.irradiance(coefficients_, n), expected[:, None])
     c = np.random.default_rng(0).normal(size=(9, 3)) + np.eye(9, 3) * 20
     assert np.allclose(light_words.irradiance(c, n), sh.irradiance(c, n))
-
-
-def coefficients(world):
-    inputs = world.node_tree.nodes["BTFsep SH Lighting"].inputs
-    return [tuple(s.default_value) for s in inputs if s.name.startswith("Y ")]
-
-
-def lighting(**more):
-    return lighting_file.validate(LIGHTING | more)
-
-
-def sunny(size=0.5):
-    """An even white sky of radiance one, and a warm sun in front, left, 45 degrees up."""
-    sky = np.zeros((4, 3))
-    sky[0] = np.sqrt(4 * np.pi)
-    direction = np.array([-0.5, -0.5, np.sqrt(0.5)])
-    power = 3 * planck(3500) / (planck(3500) @ card.LUMINANCE)
-    whole = sky + sh.evaluate(1, direction)[:, None] * power
-    lamp = {"direction": direction.tolist(), "irradiance": power.tolist(), "size_degrees": size}
-    return lighting(coefficients=whole.tolist(), suns={"lamps": [lamp], "sky": sky.tolist()})
 
 
 def test_a_light_that_is_kept_is_known_again_whatever_its_sun_is(photographed):
@@ -345,118 +297,3 @@ def test_the_picture_shows_from_where_the_light_comes(photographed):
     azimuth = 2 * np.pi * (0.5 - (column + 0.5) / 256)
     assert abs(np.degrees(azimuth) + 135) < 5 and abs(row - 32) < 3  # -X -Y, 45 degrees up
     assert np.ptp(pixels[128:, :128]) == 0  # the photo is black
-
-
-@pytest.fixture
-def estimated(photographed, fake_engine):
-    fake_engine(lighting=LIGHTING, result=SAID | {"warnings": ["half of it is saturated"]})
-    photographed.world = bpy.data.worlds.new("Mine")
-    bpy.ops.ed.undo_push(message="before")
-    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
-    bpy.ops.ed.undo_push(message="estimated")
-    return photographed
-
-
-def test_the_card_stays_with_the_file_and_its_light_can_be_applied_again(estimated, tmp_path):
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
-    scene = bpy.context.scene
-    light = kept_light.kept(scene)
-    assert ["Trust", "Good: about 12% off (8–20%)"] in kept_light.card(light)["lines"]
-    assert light.picture.packed_file and tuple(light.picture.size) == (256, 256)
-    assert bpy.ops.btfsep.restore_world() == {"FINISHED"} and scene.world.name == "Mine"
-    assert bpy.ops.btfsep.apply() == {"FINISHED"}
-    assert coefficients(scene.world) == [tuple(row) for row in LIGHTING["coefficients"]]
-
-
-def test_the_card_follows_undo(estimated):
-    assert kept_light.kept(estimated)
-    bpy.ops.ed.undo()
-    assert kept_light.kept(bpy.context.scene) is None and bpy.context.scene.world.name == "Mine"
-    assert not [image for image in bpy.data.images if image.name.startswith(kept_light.PICTURE)]
-    bpy.ops.ed.redo()
-    assert kept_light.card(kept_light.kept(bpy.context.scene))["trust"] == "GREEN"
-
-
-def test_the_card_goes_where_the_world_goes(estimated):
-    other = bpy.data.scenes.new("Other")
-    assert kept_light.kept(other) is None
-    other.world = estimated.world
-    assert kept_light.kept(other).text == estimated.btfsep.light.text
-
-
-def test_an_imported_lighting_has_a_card_and_can_be_applied_again(addon, scene, tmp_path):
-    (tmp_path / "a.json").write_text(json.dumps(LIGHTING))
-    bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / "a.json"))
-    assert kept_light.card(kept_light.kept(scene))["trust"] == "NONE"
-    assert bpy.ops.btfsep.apply(mode="TEXTURE") == {"FINISHED"}
-
-
-def test_a_second_estimate_leaves_one_picture(estimated, fake_engine):
-    fake_engine(lighting=LIGHTING | {"coefficients": [[2, 2, 2]] * 4}, result=SAID)
-    bpy.ops.btfsep.estimate()
-    assert len([image for image in bpy.data.images if image.name.startswith(kept_light.PICTURE)]) == 1
-    assert kept_light.lighting_of(kept_light.kept(estimated))["coefficients"][0] == [2, 2, 2]
-
-
-def test_a_light_that_was_tampered_with_is_refused_in_words(estimated):
-    for text in ("[1]", "{", '{"lighting": {"format": "other"}}'):
-        estimated.btfsep.light.text = text
-        with pytest.raises(RuntimeError, match="not a BTFsep lighting"):
-            bpy.ops.btfsep.apply()
-
-
-@pytest.mark.parametrize("mode", ["NODES", "NONE"])
-def test_the_light_is_the_world_as_soon_as_the_engine_has_it(photographed, fake_engine, tmp_path, mode):
-    (tmp_path / "a.json").write_text(json.dumps(LIGHTING))
-    sentence = "the report; the disk is full; make room"
-    last = {"type": "failed", "message": sentence, "exit_code": 2}
-    fake_engine(lines=[{"type": "light", "lighting": str(tmp_path / "a.json")}, last], exit=2)
-    photographed.world = bpy.data.worlds.new("Mine")
-    photographed.btfsep.world_mode = mode
-    bpy.ops.ed.undo_push(message="before")
-    with pytest.raises(RuntimeError, match="the disk is full"):
-        bpy.ops.btfsep.estimate()
-    scene = bpy.context.scene
-    assert (scene.world.name == "Mine") == (mode == "NONE")
-    if mode == "NODES":  # it stays, and is a step of its own
-        assert coefficients(scene.world)[0] == tuple(LIGHTING["coefficients"][0])
-        bpy.ops.ed.undo()
-        assert bpy.context.scene.world.name == "Mine"
-
-
-def test_a_light_that_cannot_be_read_is_said_at_the_end_alone(photographed, fake_engine, tmp_path):
-    early = {"type": "light", "lighting": str(tmp_path / "absent.json")}
-    fake_engine(lighting=LIGHTING, result=SAID, lines=[early])
-    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
-
-
-def test_a_first_light_is_the_world_before_the_estimate_is_over(photographed, tmp_path):
-    (tmp_path / "a.json").write_text(json.dumps(LIGHTING))
-    answer.take_light(photographed, tmp_path / "a.json")
-    assert coefficients(photographed.world) == [tuple(row) for row in LIGHTING["coefficients"]]
-    photographed.btfsep.world_mode = "NONE"
-    answer.take_light(photographed, tmp_path / "absent.json")  # not even read
-
-
-def test_what_a_mirror_shows_is_the_worlds_map_and_stays(photographed, tmp_path):
-    """As sharp as `lighting.exr`, without the discs of lamps, which stand beside it; and again after reopening."""
-    found = sunny()
-    sky = np.random.default_rng(1).uniform(0.1, 2, (256, 512, 3)).astype(np.float32)
-    write_exr(tmp_path / "lighting.exr", light_files.with_lamps(sky, found["suns"]["lamps"]))
-    (tmp_path / "lighting.json").write_text(json.dumps(lighting_file.as_data(found)))
-    told = {"out": str(tmp_path), "lighting": str(tmp_path / "lighting.json"), "choice": {"mirrors": "put together"}}
-    answer.take_estimate(photographed, SAID | told)
-
-    def shown():
-        return colour.to_rec709(pixels.colours(sh_nodes.map_of(bpy.context.scene.world.node_tree.nodes[0].node_tree)))
-
-    assert bpy.context.scene.world[world.WORLD_TAG]["mode"] == "TEXTURE" and sun_lamp.lamps(photographed)
-    np.testing.assert_allclose(shown()[::-1], sky, rtol=1e-3, atol=1e-2)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
-    bpy.ops.btfsep.restore_world()
-    assert bpy.ops.btfsep.apply() == {"FINISHED"}
-    np.testing.assert_allclose(shown()[::-1], sky, rtol=1e-3, atol=1e-2)
-    answer.take_estimate(bpy.context.scene, SAID | told | {"choice": {}})  # without a mirror it is nodes
-    assert bpy.context.scene.world[world.WORLD_TAG]["mode"] == "NODES" and bpy.context.scene.btfsep.light.sky is None
