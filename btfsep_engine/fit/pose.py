@@ -133,6 +133,8 @@ class Picture:
                 spline_filter1d(spline_filter1d(i, axis=0, mode="nearest"), axis=1, mode="nearest")
                 for i in (self.radiance, self.slopes)
             )
+        else:  # these are looked up millions of times
+            self.radiance, self.slopes = self.radiance.astype(np.float32), self.slopes.astype(np.float32)
 
     def _look(self, image, at):
         """Of an image (h, w, c) at image positions (…, 2): (…, c)."""
@@ -147,11 +149,13 @@ class Picture:
         (h, w), cell = self.shape, at - 0.5
         cell = np.clip(cell, 0, [w - 1.001, h - 1.001])
         first = cell.astype(np.int64)
-        right, down = (cell - first).T[..., None]
+        right, down = (cell - first).T[..., None].astype(image.dtype)
         flat, at_first = image.reshape(h * w, -1), first[:, 1] * w + first[:, 0]
-        above = flat[at_first] * (1 - right) + flat[at_first + 1] * right
-        below = flat[at_first + w] * (1 - right) + flat[at_first + w + 1] * right
-        return (above * (1 - down) + below * down).reshape(*shape, flat.shape[1])
+        above, beside, below, across = (flat.take(at_first + step, 0) for step in (0, 1, w, w + 1))
+        above += (beside - above) * right
+        below += (across - below) * right
+        above += (below - above) * down
+        return above.reshape(*shape, flat.shape[1])
 
     def inside(self, at) -> np.ndarray:
         """(n,) bool: which image positions are in the picture and usable."""
@@ -163,8 +167,8 @@ class Picture:
     def missing(self, at, across) -> np.ndarray:
         """How little of an edge there is at image positions (…, n, 2), in [0, 1]: 0 a strong one, 1 none: (…, n)."""
         slopes = self._look(self.slopes, at).reshape(*at.shape, 3)
-        change = ((slopes * across[:, ::-1, None]).sum(-2) ** 2).sum(-1)
-        return self.half / (self.half + np.sqrt(change))
+        change = np.einsum("...mic,mi->...mc", slopes, across[:, ::-1])
+        return self.half / (self.half + np.sqrt(np.einsum("...c,...c", change, change)))
 
     def colours(self, at) -> np.ndarray:
         """(…, 3) at image positions (…, 2), over the objects' median."""

@@ -8,13 +8,9 @@ A depth knows no other side, and is one piece with its mask and its camera: the 
 import copy
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
-from btfsep_engine import sh
-from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.misalignment import blurred_slopes
 from btfsep_engine.fit.pose import (
     LEAST_LEFT,
     PARAMETERS,
@@ -31,18 +27,12 @@ from btfsep_engine.fit.pose import (
 )
 from btfsep_engine.job.depth import shifted_mask
 from btfsep_engine.job.model import Camera
+from btfsep_engine.pipeline.marks import Sight, grown, key_of
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
-from btfsep_engine.render.sampling import spread
-from btfsep_engine.render.surface import SurfacePoints, camera_view, surface_points
 from btfsep_engine.storage import kept
 
 SIDE = 256  # pixels of a photo's longer edge, at most, of what is looked at
 SIDE_OF_A_DEPTH = 512  # the same, where marks are made but once
-DIRECTIONS = fibonacci_sphere(96)  # light is smooth
-ORDER, LOBE_ORDER = 2, 3  # of the light by its cosine, and from the mirror direction
-EDGE_BLUR = 1.5  # pixels, of the picture of depths in which an outline's direction is found
-DEEP = 0.03  # of the objects' radius: where depth jumps by more, one surface ends before another
-HALVINGS = 4  # of the pixel in which an outline lies
 NEAR = 12  # pixels about the objects, in which the photo's edges are measured
 LEAST_OUTLINE, LEAST_SURFACE = 40, 100  # points; fewer say nothing
 HELD = np.array([True] * 6 + [False])  # all but the focal length
@@ -57,6 +47,7 @@ WORSE = 2.0  # deviations by which the shading may become worse; the outlines ma
 ZOOM_GAIN = 0.03  # least logarithm that another focal length has to gain beside a move
 STARTS, KEPT, APART = 3, 2, 1.5  # shifts to start from beside none; how many go on; pixels between two ways
 LEAST_MOVE = 0.3  # pixels of the photo
+STILL = 0.1  # pixels: marks are not made anew for a smaller step
 # What an estimate looks at first: cameras that are a degree or a pixel off ask for up to 1.3 pixels, true ones up to 1.
 FIRST_LEVEL, FIRST_STEPS, OFF = 1, 3, 1.5  # pixels of what is looked at
 
@@ -71,7 +62,7 @@ class Level:
     rounds: int
 
 
-LEVELS = (Level(4.0, 0.3, 600, 2), Level(2.0, 1.0, 1000, 2), Level(1.0, 1.0, 2500, 3))
+LEVELS = (Level(4.0, 0.3, 600, 2), Level(2.0, 1.0, 1000, 2), Level(1.0, 1.0, 1500, 3))
 
 
 @dataclass(frozen=True)
@@ -124,13 +115,6 @@ def camera_keys(camera: Camera) -> dict:
     return {"fx": camera.fx, "fy": camera.fy, "to_world": camera.to_world.tolist()}
 
 
-def grown(mask, pixels: int, *, beyond: bool = False) -> np.ndarray:
-    """A mask (h, w) bool and all that is so many steps to a side, up or down from it; ``beyond`` : and the frame."""
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    edge = {"borderType": cv2.BORDER_CONSTANT, "borderValue": int(beyond)}
-    return cv2.dilate(np.asarray(mask, np.uint8), cross, iterations=pixels, **edge).astype(bool)
-
-
 def with_camera(scene: PreparedScene, camera: Camera) -> PreparedScene:
     """The same scene seen by another camera, of a picture of the same size; the mask of a depth goes with it.
 
@@ -145,47 +129,6 @@ def with_camera(scene: PreparedScene, camera: Camera) -> PreparedScene:
     return out
 
 
-def outline_of(view, camera: Camera, tracer, *, limit: float):
-    """Where surfaces end before what is farther, to a fraction of a pixel.
-
-    Parameters
-    ----------
-    view : render.surface.View, what ``camera`` sees of ``tracer``'s geometry
-    limit : world units, of jumps in distance that count
-
-    Returns
-    -------
-    points (m, 3) world, on the nearer surface; across (m, 2) unit, x and y, or zero where it has no direction;
-    mesh (m,) that ends there
-    """
-    distance = np.where(view.mesh >= 0, view.distance, np.inf)
-    nearness = np.where(view.mesh >= 0, 1 / np.maximum(view.distance, 1e-300), 0.0)
-    slope = np.stack(blurred_slopes(nearness, EDGE_BLUR)[::-1], -1)  # to the right and down
-    pairs = []  # of pixels: row and column of the nearer, row and column of the farther
-    for down, right in ((1, 0), (0, 1)):
-        h, w = distance.shape
-        one, other = distance[: h - down, : w - right], distance[down:, right:]
-        # compared as sums, since infinite less infinite is nothing
-        for nearer, jump in ((0, other > one + limit), (1, one > other + limit)):
-            first = np.argwhere(jump)
-            second = first + np.array([down, right])
-            pairs.append(np.concatenate([second, first] if nearer else [first, second], 1))
-    near, far = np.split(np.concatenate(pairs), 2, axis=1)
-    row, column = near.T
-    low, high, depth = np.zeros(len(near)), np.ones(len(near)), distance[row, column]
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        at = near + middle[:, None] * (far - near) + 0.5
-        hit = tracer.nearest(*camera.rays(at[:, 1], at[:, 0])).distance
-        on = hit < depth + limit
-        low, high, depth = np.where(on, middle, low), np.where(on, high, middle), np.where(on, hit, depth)
-    at = near + low[:, None] * (far - near) + 0.5
-    origins, rays = camera.rays(at[:, 1], at[:, 0])
-    across = slope[row, column]
-    across = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
-    return origins + depth[:, None] * rays, across, view.mesh[row, column]
-
-
 class Aligner:
     """A scene whose camera is looked for, at a size of the photo that is enough for it."""
 
@@ -193,8 +136,8 @@ class Aligner:
         self.depth = bool(unseen_meshes(scene.job))
         self.scene = scene.at_most(SIDE_OF_A_DEPTH if self.depth else SIDE)
         self.job, self.tracer = self.scene.job, scene.tracer
-        view, camera = self.scene.view, self.job.camera
-        seen = self.objects_in(view)
+        view, camera, edge = self.scene.view, self.job.camera, None
+        seen = (view.mesh >= 0) & (view.mesh < len(self.job.objects))
         rows, columns = np.nonzero(seen)
         origins, rays = camera.rays(columns + 0.5, rows + 0.5)
         centre = np.median(origins + view.distance[seen][:, None] * rays, 0)
@@ -202,10 +145,11 @@ class Aligner:
         self.frame = Frame(camera, centre, radius)
         if self.depth:
             # the middle of an even block of the photo lies half a pixel before the surface that stands for it
-            self.edge = round(scene.job.camera.fx / camera.fx)
-            self.frame = Shifts(camera.shifted(*[(1 - self.edge % 2) / (2 * self.edge)] * 2), centre, radius)
+            edge = round(scene.job.camera.fx / camera.fx)
+            self.frame = Shifts(camera.shifted(*[(1 - edge % 2) / (2 * edge)] * 2), centre, radius)
+        self.sight = Sight(self.scene, edge=edge)
         self._about = grown(seen, NEAR)
-        self._seen: dict = {}  # camera -> what it sees, and the outlines there
+        self._misfits: dict = {}  # camera and level -> Misfit
         self._pictures: dict = {}  # level -> Picture
 
     def picture(self, level: int) -> Picture:
@@ -221,67 +165,26 @@ class Aligner:
         photo = self.job.photo
         return bool((photo.radiance[self._about & photo.usable] > 0).any())
 
-    def objects_in(self, view) -> np.ndarray:
-        """(h, w) bool, where a view shows an object and no occluder."""
-        return (view.mesh >= 0) & (view.mesh < len(self.job.objects))
-
-    def seen(self, camera: Camera):
-        """`camera_view` and `outline_of` of a camera: several levels ask for the same."""
-        key = camera.fx, camera.to_world.tobytes()
-        if key not in self._seen:
-            own = camera is self.job.camera
-            view = self.scene.view if own else camera_view(self.tracer, replace(self.job, camera=camera))
-            self._seen[key] = view, outline_of(view, camera, self.tracer, limit=DEEP * self.tracer.radius)
-        return self._seen[key]
-
     def marks(self, camera: Camera, level: int) -> Marks:
-        """What a camera sees, as points on the geometry."""
-        if not self.depth:
-            return self.marks_of(camera, level)
-        return self.first_marks(level)
+        """What a camera sees, as points on the geometry; of a depth, what the job's own sees."""
+        if self.depth:
+            return self.first_marks(level)
+        return self.sight.marks(camera, blur=LEVELS[level].blur, points=LEVELS[level].points)
 
     def first_marks(self, level: int) -> Marks:
         """Those that the job's own camera sees, whatever the photo shows."""
-        of = [self.scene.seen, self.tracer.key, level]
-        return kept.recalled("marks", of, lambda: self.marks_of(self.job.camera, level))
-
-    def marks_of(self, camera: Camera, level: int) -> Marks:
-        """The same, made anew."""
-        job = replace(self.job, camera=camera)
-        view, (outline, across, mesh) = self.seen(camera)
-        mine = (mesh < len(job.objects)) & across.any(1)
-        if self.depth:
-            at = camera.project(outline)
-            if (mask := job.objects[0].mask) is not None:  # outside it the depth shows other things
-                column, row = np.clip(at.astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
-                mine &= grown(mask, 2)[row, column]
-            # the surface ends in the middle of the last pixel that shows it, the object half a pixel farther on
-            beyond = at - 0.5 / self.edge * across
-            origins, rays = camera.rays(*beyond.T)
-            outline = origins + np.linalg.norm(outline - origins, axis=1)[:, None] * rays
-        inner = ~grown(~self.objects_in(view), 1 + round(1.5 * LEVELS[level].blur), beyond=True)
-        points = []
-        for i, obj in enumerate(job.objects):
-            region = inner & (view.mesh == i) & (True if obj.mask is None else obj.mask)
-            points.append(surface_points(view, job, i, region=region))
-        given = [name for name, value in vars(points[0]).items() if value is not None]
-        joined = SurfacePoints(**{n: np.concatenate([getattr(p, n) for p in points]) for n in given})
-        joined = joined.take(spread(joined, LEVELS[level].points))
-        return Marks(outline[mine], across[mine], joined.position, self.light(joined))
-
-    def light(self, p: SurfacePoints) -> np.ndarray:
-        """(n, 9 + 16): what each term of a light gives to a matt surface, shadows included, and to a shining one."""
-        sees = self.tracer.visible(p.position, p.flat_normal, DIRECTIONS)
-        cosine = np.maximum(p.normal @ DIRECTIONS.T, 0) * sees
-        matt = cosine @ sh.evaluate(ORDER, DIRECTIONS) * (4 / len(DIRECTIONS))
-        mirrored = 2 * (p.normal * p.to_eye).sum(1, keepdims=True) * p.normal - p.to_eye
-        mirrored /= np.maximum(np.linalg.norm(mirrored, axis=1, keepdims=True), 1e-300)
-        return np.concatenate([matt, sh.evaluate(LOBE_ORDER, mirrored) * cosine.mean(1, keepdims=True)], 1)
+        stage, of = LEVELS[level], [self.scene.seen, self.tracer.key, level]
+        camera = self.job.camera
+        return kept.recalled("marks", of, lambda: self.sight.marks(camera, blur=stage.blur, points=stage.points))
 
     def misfit(self, q, level: int) -> Misfit:
-        """The objective about seven numbers."""
+        """The objective about seven numbers, with what the camera sees from there; several ask for the same."""
         camera = self.frame.at(q)
-        return Misfit(self.picture(level), self.marks(camera, level), camera, shading=LEVELS[level].shading)
+        key = key_of(camera), level
+        if key not in self._misfits:
+            picture, marks = self.picture(level), self.marks(camera, level)
+            self._misfits[key] = Misfit(picture, marks, camera, shading=LEVELS[level].shading)
+        return self._misfits[key]
 
     def left(self, q) -> Left | None:
         """What speaks against seven numbers; None where too little is seen to say."""
@@ -304,15 +207,18 @@ class Aligner:
         return min(TILE, self.frame.radius / 4)
 
     def follow(self, q, level: int, free) -> np.ndarray:
-        """Seven numbers refined at one level, with marks made anew."""
+        """Seven numbers refined at one level, with marks made anew as long as they move."""
         for _ in range(LEVELS[level].rounds):
-            q = refined(self.misfit(q, level), self.frame, q, free=free)
+            before, q = q, refined(self.misfit(q, level), self.frame, q, free=free)
+            if np.linalg.norm(q - before) < STILL:
+                break
         return q
 
     def search(self, before: Left) -> tuple[np.ndarray, Left]:
         """The best seven numbers, and what speaks against them."""
         start, held = np.zeros(PARAMETERS), SHIFTS if self.depth else HELD
-        starts = [start, *best_shifts(self.misfit(start, 0), self.frame, step=4.0, keep=STARTS, apart=5.0)]
+        shifts = best_shifts(self.misfit(start, 0), self.frame, step=4.0, keep=STARTS, apart=5.0)
+        starts = [start, *(q for q in shifts if q.any())]
         for level in (0, 1):
             ends: list = []
             for q in starts:

@@ -36,10 +36,15 @@ def spread(points, count: int, *, seed: int = 0) -> np.ndarray:
     Stratified along the Hilbert-like order of a space-filling (Morton) curve: every stretch of the curve gives
     one pixel, at a random place in it.
     """
-    n = len(points)
+    return evenly(points.pixels, count, seed=seed)
+
+
+def evenly(pixels, count: int, *, seed: int = 0) -> np.ndarray:
+    """The same of pixels (n, 2), rows and columns."""
+    n = len(pixels)
     if count >= n:
         return np.arange(n)
-    order = np.argsort(morton(points.pixels, bits=16), kind="stable")
+    order = np.argsort(morton(pixels, bits=16), kind="stable")
     return systematic(order, np.ones(n), count, seed=seed)
 
 

@@ -79,7 +79,7 @@ def test_a_camera_that_is_off_comes_back(potatoes, moved):
     start = off_by(potatoes, moved)
     found = align(start)
     assert found.aligned
-    assert away(potatoes, found.camera) < 0.15 * away(potatoes, start.job.camera)
+    assert away(potatoes, found.camera) < 0.18 * away(potatoes, start.job.camera)
     assert found.moved_px == pytest.approx(away(potatoes, start.job.camera), rel=0.1)
 
 
@@ -161,13 +161,13 @@ def job_off_by(scene, pixels, folder):
 
 
 def test_what_texture_draws_is_no_gain(potatoes):
-    """Blotches on object and wall: a place nearby goes better, but only here and there in the picture."""
+    """Blotches on object and wall have edges of their own, but no place nearby goes better."""
     blotches = gaussian_filter(np.random.default_rng(1).normal(size=potatoes.view.mesh.shape), 2.0)
     photo = potatoes.job.photo.radiance * np.exp(0.3 / blotches.std() * blotches)[..., None]
     blotched = scene_of(potatoes.job)
     blotched.job = replace(blotched.job, photo=replace(blotched.job.photo, radiance=photo.astype(np.float32)))
     found = align(blotched)
-    assert found.gain.outline + found.gain.shading > 0.03
+    assert abs(found.gain.outline + found.gain.shading) < 0.01
     assert found.gain.significance < 3
     assert not found.aligned
 
