@@ -49,6 +49,12 @@ def natural_light(photo: Photograph, *, rounds: int = ROUNDS, start: Solution | 
     return solve(photo, first.model, white=first.white, v=first.v, rounds=rounds)
 
 
+def from_elsewhere(photo: Photograph, model: LightModel, white, v) -> Solution:
+    """The most probable light of a model, from unknowns ``white`` on that another photograph, or basis, asks for."""
+    photo.learn_from(model.light(white)[0])
+    return solve(photo, model, white=white, v=v)
+
+
 def elect(photo: Photograph, **held) -> tuple[Solution, Solution | None]:
     """The model that the photograph asks for, at its most probable light, and its rival: see `decided`.
 

@@ -27,9 +27,18 @@ from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
-from btfsep_engine.fit.election import elect, follow, natural_light, next_lamp, one_lamp_more, onward, rough_light
+from btfsep_engine.fit.election import (
+    elect,
+    follow,
+    from_elsewhere,
+    natural_light,
+    next_lamp,
+    one_lamp_more,
+    onward,
+    rough_light,
+)
 from btfsep_engine.fit.ground import Ground, WithGround
-from btfsep_engine.fit.light_model import LightModel
+from btfsep_engine.fit.light_model import OF_LAMP, LightModel
 from btfsep_engine.fit.posterior import HIDDEN, WIDER, hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
 from btfsep_engine.fit.search import Solution, nearby
@@ -219,7 +228,7 @@ class LightSolver:
             best = fit.election.solution
             return next_lamp(best)(best, fit.election.photo)
 
-    def sharp_lamps(self, radiance, fit: Fit, directions, excess, *, weights) -> tuple[np.ndarray, np.ndarray, float]:
+    def sharp_lamps(self, radiance, fit: Fit, directions, excess, *, weights, start=None) -> "SharpLight":
         """A free sky and lamps, of which the first ones have images of their own (`fit.sharp_lamp`).
 
         Parameters
@@ -227,20 +236,21 @@ class LightSolver:
         fit : of the same photograph; weights : (p, 3), as of `solve`
         directions : (k, 3), of all lamps
         excess : (p, j, 3), j <= k: what the first ones' own images have that the basis images do not
-
-        Returns
-        -------
-        the lamps' irradiances (k, 3); all of the light (terms, 3); the logarithm of the evidence
+        start : SharpLight of such lamps nearby, in this order, from which the search goes on; None: from even light
         """
         with one_thread():
             k, told, own = len(directions), len(self.given), excess.shape[1]
             kind = partial(Sharpened, directions=directions[:own], excess=excess) if own else Photograph
             photo = self._photograph(radiance, weights, fit, kind=kind)
             held = {"lamps": (*self._held["lamps"], *directions), "given": (*self._held["given"], *[0.0] * k)}
-            best = natural_light(photo, **held)
+            if start is None:
+                best = natural_light(photo, **held)
+            else:
+                best = from_elsewhere(photo, LightModel(photo.fields[0], **held), start.white, start.v)
             lamps = slice(told, told + k)
             irradiances = best.model.lamp(lamps, best.model.parts(best.white)[1][lamps])[1]
-            return irradiances * photo.level, best.x.T[: self.basis.terms] * photo.level, best.evidence
+            x = best.x.T[: self.basis.terms] * photo.level
+            return SharpLight(irradiances * photo.level, x, best.evidence, best.white, best.v)
 
     def shows(self, direction) -> bool:
         """Whether a lamp in that direction (3,) lights more of the pixels than one that the photo could not know of."""
@@ -324,6 +334,30 @@ def moved(before: Fit, now: Fit) -> Stated:
         share = float(irradiance.mean()) / mean
         lamps.append(replace(lamp, direction=direction, irradiance=irradiance, share=share))
     return replace(stated, interval=stated.interval + step, samples=stated.samples + step, lamps=tuple(lamps))
+
+
+@dataclass(frozen=True)
+class SharpLight:
+    """A free sky and k lamps that were found, of which some have images of their own.
+
+    Attributes
+    ----------
+    irradiances : (k, 3), the lamps'; x : (terms, 3), all of the light; evidence : its logarithm
+    white, v : the unknowns and the noise, as of `fit.search.Solution`
+    """
+
+    irradiances: np.ndarray
+    x: np.ndarray
+    evidence: float
+    white: np.ndarray
+    v: np.ndarray
+
+    def reordered(self, order) -> "SharpLight":
+        """The same with the lamps in another order, (k,) int."""
+        k = len(self.irradiances)
+        own = self.white[len(self.white) - k * OF_LAMP :].reshape(k, OF_LAMP)[list(order)]
+        white = np.concatenate([self.white[: len(self.white) - k * OF_LAMP], own.ravel()])
+        return replace(self, irradiances=self.irradiances[list(order)], white=white)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The integrand's weights BTF cos(theta_i) d_omega for pairs of a surface point and a light direction."""
 
+from functools import partial
+
 import numpy as np
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.render.appearance import LightTables
 from btfsep_engine.render.arrays import divided, dr, floats, integers, mi, packets
 from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.storage import kept
+
+KEPT = 1 << 25  # bytes of some points' tables; larger ones are of a whole picture, and made for one look
 
 
 class Weights:
@@ -52,6 +57,16 @@ class Weights:
         direction = lane - point * dr.opaque(mi.UInt32, self.count)
         return [w.reshape(len(points), self.count) for w in self._of(points, point, direction, active)]
 
+    def _tables_at(self, points: SurfacePoints):
+        """`LightTables.tables_at`; those of few points are kept for their other directions."""
+        unit = float(self.millimetres_per_unit)
+        size = len(points) * self.tables.lights * 16
+        if size > KEPT:
+            return self.tables.tables_at(points, millimetres_per_unit=unit)
+        parts = [self.tables.material, points, unit]
+        make = partial(self.tables.tables_at, points, millimetres_per_unit=unit)
+        return kept.recalled("tables", parts, make, size=size)
+
     def of_pairs(self, points: SurfacePoints, point, direction) -> list[np.ndarray]:
         """Weights of pairs, given by numbers of points and directions (t,): 1 or 3 arrays (t,) float32."""
         point, direction = (integers(i) for i in (point, direction))
@@ -64,7 +79,7 @@ class Weights:
             cosine = normal.x * omega.x + normal.y * omega.y + normal.z * omega.z
             values = [dr.select(active & (cosine > 0), cosine * omega.w, 0)]
         else:
-            tables = self.tables.tables_at(points, millimetres_per_unit=self.millimetres_per_unit)
+            tables = self._tables_at(points)
             frames = floats(np.stack([points.tangent, points.bitangent, points.normal, np.zeros((len(points), 3))], 1))
             a, b, c = (dr.gather(mi.Vector4f, frames, point * 3 + i) for i in range(3))
             local = mi.Vector3f(

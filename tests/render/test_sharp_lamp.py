@@ -2,6 +2,7 @@
 """A sun on gloss has an image of its own; light without one has not."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -84,6 +85,24 @@ def test_of_several_lamps_those_that_gain_nothing_are_not_kept(prepared):
     lamps = tuple(sharp.OwnImage([problem], d) for d in (TOWARDS, -SECOND, SECOND))
     found = sharp.OwnImages(lamps).at(np.array([[3.0], [0.1], [3.0]]) * np.ones(3), pursuit.rms, pursuit.known)
     assert [lamp.direction.tolist() for lamp in pursuit.kept(found).lamps] == [TOWARDS.tolist(), SECOND.tolist()]
+
+
+def test_a_search_goes_on_from_the_light_of_lamps_nearby_in_any_order(prepared):
+    scene, _ = photographed(prepared, 3.0, towards=(TOWARDS, SECOND))
+    problem = view_problem(scene, [prepared[2]], SETTINGS)
+    light = fit_together([problem], replace(SETTINGS, order=2))
+    own = [sharp.OwnImage([problem], d) for d in (TOWARDS, SECOND)]
+    excess, weights = np.stack([lamp.excess for lamp in own], 1), np.ones(own[0].excess.shape)
+    solve = partial(light.solver.sharp_lamps, problem.radiance(), light.fit, weights=weights)
+    directions = np.array([TOWARDS, SECOND])
+    anew = solve(directions, excess)
+    assert anew.irradiances.mean(1) == pytest.approx(3, rel=0.25)
+    assert np.array_equal(anew.reordered([1, 0]).reordered([1, 0]).white, anew.white)
+    assert np.array_equal(anew.reordered([1, 0]).white[-5:], anew.white[-10:-5])
+    turned = solve(directions[::-1], excess[:, ::-1], start=anew.reordered([1, 0]))
+    assert turned.evidence == pytest.approx(anew.evidence, abs=1)  # noise settles to a twentieth
+    np.testing.assert_allclose(turned.irradiances[::-1], anew.irradiances, rtol=0.02)
+    np.testing.assert_allclose(turned.x, anew.x, atol=0.02 * np.abs(anew.x).max())
 
 
 def test_lamps_are_sought_all_around_where_gloss_leaves_much_over(prepared, monkeypatch):

@@ -19,7 +19,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.conventions import across
 from btfsep_engine.fit.diagnose import effect
-from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import USUAL
 from btfsep_engine.pipeline.refine.in_front import shining
 from btfsep_engine.pipeline.refine.lamp_search import LampSearch
@@ -112,17 +112,17 @@ def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
     scene, exact, smooth = problem.scene, [], []
     directions = problem.transport.get("directions", USUAL)  # the basis images' own, so that errors are theirs, too
     order = sh.order_of(problem.basis[0].shape[1])
-    towards = np.repeat(sh.evaluate(order, beams[0])[:, None], 3, 1)
+    towards = sh.evaluate(order, beams[0]).astype(np.float32)
     straight = problem.transport["bounces"] == 1 and problem.transport["by"] == "kernel"
     for points, material, basis in zip(problem.points, problem.materials, problem.basis, strict=True):
         unit = scene.millimetres_per_unit
         own = beam_radiance(scene.tracer, points, material, beams, millimetres_per_unit=unit)
         if material.mirror_reflectance is not None:  # it shows nothing of light without extent
             by_order = own[:, 0]
-        elif straight:
-            by_order = np.einsum("ptc,tc->pc", basis, towards)
         else:
-            by_order = scene.radiance(points, material, SHLighting(towards), directions=directions)[:, 0]
+            if not straight:
+                basis = scene.radiance(points, material, SHBasis(order), directions=directions)
+            by_order = np.einsum("ptc,t->pc", basis, towards)
         exact.append(own.astype(np.float64))
         smooth.append(by_order.astype(np.float64))
     return np.concatenate(exact), np.concatenate(smooth)
@@ -245,34 +245,40 @@ class Pursuit:
             self._images[key] = OwnImage(self.problems, direction)
         return self._images[key]
 
-    def solved(self, found, sharp=None):
-        """`LightSolver.sharp_lamps` of lamps; ``sharp`` : the numbers of those with own images; None: of all."""
+    def solved(self, found, sharp=None, *, start=None):
+        """`LightSolver.sharp_lamps` of lamps, in their order.
+
+        ``sharp`` : the numbers of those with own images; None: of all. ``start`` : that of lamps nearby; None: where
+        all have own images, it is the one of these
+        """
         each = range(len(found.lamps))
-        sharp = list(each) if sharp is None else list(sharp)
-        key = id(found.weights), *sharp
+        every = list(each) if sharp is None else list(sharp)
+        key = id(found.weights), *every
         if key not in self._solutions:
-            order = sharp + [i for i in each if i not in sharp]
-            excess = np.stack([found.lamps[i].excess for i in sharp], 1) if sharp else np.zeros((len(self.b), 0, 3))
-            directions, weights = found.directions[order], found.weights
-            solved = self.solver.sharp_lamps(self.b, self.light.fit, directions, excess, weights=weights)
-            self._solutions[key] = (solved[0][np.argsort(order)], *solved[1:]), weights
+            order = every + [i for i in each if i not in every]
+            if sharp is not None and start is None:
+                start = self.solved(found)
+            excess = np.stack([found.lamps[i].excess for i in every], 1) if every else np.zeros((len(self.b), 0, 3))
+            how = {"weights": found.weights, "start": start and start.reordered(order)}
+            solved = self.solver.sharp_lamps(self.b, self.light.fit, found.directions[order], excess, **how)
+            self._solutions[key] = solved.reordered(np.argsort(order)), found.weights
         return self._solutions[key][0]
 
     def with_one(self, found, direction, irradiance):
         """The lamps and one more from about a direction (3,), and what is left over then (p, 3); None: none counts."""
-        best, most = None, -np.inf
+        best, most, last = None, -np.inf, None
         for _ in range(TRIALS):
             more = OwnImages((*found.lamps, self.image(direction)))
             more = more.at(np.concatenate([found.irradiances, irradiance[None]]), self.rms, self.known)
             if not more.weights.sum(0).all():
                 break
-            irradiances, x, evidence = self.solved(more)
-            irradiance = irradiances[-1]
-            if evidence < most:
+            last = self.solved(more, start=last)
+            irradiance = last.irradiances[-1]
+            if last.evidence < most:
                 break
-            grew, most = evidence - most, evidence
-            more = replace(more, irradiances=irradiances)
-            left = self.b - more.excess - self.solver.basis.predicted(x)
+            grew, most = last.evidence - most, last.evidence
+            more = replace(more, irradiances=last.irradiances)
+            left = self.b - more.excess - self.solver.basis.predicted(last.x)
             best = more, left
             if grew < SETTLED:
                 break
@@ -284,18 +290,18 @@ class Pursuit:
         """The lamps that are sharp, by the evidence of pixels that count as much as they do beside all of them."""
         if not found.lamps or self.gain(found) < self.clearly:
             return OwnImages()
-        each, (irradiances, x, _) = range(len(found.lamps)), self.solved(found)
-        bright = irradiances.sum(1) > FAINTEST * np.sqrt(4 * np.pi) * x[0].sum()
+        each, light = range(len(found.lamps)), self.solved(found)
+        bright = light.irradiances.sum(1) > FAINTEST * np.sqrt(4 * np.pi) * light.x[0].sum()
         others = [[j for j in each if j != i] for i in each]
         sharp = [i for i in each if bright[i] and (len(each) == 1 or self.gain(found, others[i]) > SPEAKS)]
         if len(sharp) == len(each):
             return found
         few = OwnImages(tuple(found.lamps[i] for i in sharp)).at(found.irradiances[sharp], self.rms, self.known)
-        return self.kept(replace(few, irradiances=self.solved(few)[0])) if sharp else OwnImages()
+        return self.kept(replace(few, irradiances=self.solved(few).irradiances)) if sharp else OwnImages()
 
     def gain(self, found, sharp=()) -> float:
         """By how much the logarithm of the evidence is larger than where the ``sharp`` ones alone have own images."""
-        return self.solved(found)[2] - self.solved(found, sharp)[2]
+        return self.solved(found).evidence - self.solved(found, sharp).evidence
 
 
 def looks_sharp(light, problems, excess, weights) -> bool:
