@@ -42,6 +42,12 @@ KNOWN = (
     ),
     Advice(BY_CURVE, "What {0} is taken for depends on the tone curve; choose its material", "MATERIAL", "AMBER"),
     Advice("the object's colour is not known", "The object's own colour is not known; give it", "COLOUR", "AMBER"),
+    Advice(
+        "has a colour that is seldom met",
+        "Coloured lamps, or {0} is of another colour than it is said to be",
+        "COLOUR",
+        "AMBER",
+    ),
     Advice("light from nearby", "Part of the light is near (a lamp, a window); a World is far away", level="AMBER"),
     Advice(
         "brighter than they should be",

@@ -4,11 +4,13 @@
 The tint t = (log R/B, log G/sqrt(R B)) of all of the light, with the material's colour taken for true, is the light's
 own plus that by which the object departs from its material:
 
-    t = light + object,    light ~ N(0, LIGHT^2),    object ~ N(0, DYE^2), or with the probability UNKNOWN N(0, ANY^2).
+    t = light + object,    light ~ N(0, LIGHT^2),    object ~ N(0, DYE^2), or with the probability UNKNOWN N(0, ANY^2),
 
-The posterior of the light's tint is a mixture of two Gaussians. Where the second has the upper hand, the object's
-colour is not known, and most of the tint is the object's. LIGHT is what the training lights' tints scatter by, and as
-much again for lamps (their log R/B scatters by 0.13, their green by 0.07).
+or, of an object whose colour somebody stated, with the probability FILTERED light ~ N(0, VIVID^2) and object ~ N(0,
+DYE^2): a lamp's filter makes colours that no dye does. The posterior of the light's tint is a mixture of Gaussians.
+Where the second has the upper hand, the object's colour is not known, and most of the tint is the object's. LIGHT is
+what the training lights' tints scatter by, and as much again for lamps (their log R/B scatters by 0.13, their green by
+0.07). Where the photo shows lights of strong colours (`pipeline.refine.vivid`), all light is N(0, VIVID^2).
 """
 
 from dataclasses import dataclass
@@ -19,9 +21,10 @@ from scipy.special import softmax
 from btfsep_engine.light.log_field import CHROMA
 
 LIGHT = np.array([0.30, 0.10])
+VIVID = np.array([1.5, 0.8])  # of light of strong colours, as on a stage
 DYE = np.array([0.05, 0.03])
 ANY = np.array([1.0, 0.6])
-UNKNOWN = 0.05
+UNKNOWN, FILTERED = 0.05, 0.01
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,7 @@ class Tint:
     gain : (3,), by which the channels of the light are multiplied to take the object's part out, luminance kept
     covariance : (2, 2) of the light's tint
     unknown : probability that the object's colour is not its material's, 0 to 1
+    filtered : probability that it is, and the light has a strong colour
     dye : (2,), what of ``object_tint`` the basis images have already
     """
 
@@ -41,6 +45,7 @@ class Tint:
     gain: np.ndarray
     covariance: np.ndarray
     unknown: float
+    filtered: float = 0.0
     dye: np.ndarray | float = 0.0
 
     @property
@@ -69,19 +74,22 @@ def base_colour(tint) -> np.ndarray:
     return colour / colour.max()
 
 
-def split(level, dye=0.0) -> Tint:
+def split(level, dye=0.0, *, stated: bool = False, vivid: bool = False) -> Tint:
     """The tint of the light's mean radiance (3,), found with the material's colour, split between light and object.
 
     ``dye`` : (2,), the tint of a colour that was taken from the photo, in the place of the material's: it is the
-    object's as far as the tint of both together is
+    object's as far as the tint of both together is; ``stated`` : whether somebody told the object's colour by its
+    numbers; ``vivid`` : whether the photo shows light of strong colours
     """
     left = tint_of(level)
     tint = left + dye
     hypotheses = []
-    for spread, probability in ((DYE, 1 - UNKNOWN), (ANY, UNKNOWN)):
-        total = LIGHT**2 + spread**2
-        log = np.log(probability) - 0.5 * float((tint**2 / total + np.log(total)).sum())
-        hypotheses.append((log, tint * LIGHT**2 / total, LIGHT**2 * spread**2 / total))
+    filtered = 1 - UNKNOWN if vivid else FILTERED * stated
+    usual, known = VIVID if vivid else LIGHT, 1 - UNKNOWN - filtered
+    for of_light, spread, probability in ((LIGHT, DYE, known), (usual, ANY, UNKNOWN), (VIVID, DYE, filtered)):
+        total = of_light**2 + spread**2
+        log = np.log(max(probability, 1e-300)) - 0.5 * float((tint**2 / total + np.log(total)).sum())
+        hypotheses.append((log, tint * of_light**2 / total, of_light**2 * spread**2 / total))
     share = softmax([h[0] for h in hypotheses])
     mean = sum(s * h[1] for s, h in zip(share, hypotheses, strict=True))
     covariance = sum(
@@ -89,4 +97,4 @@ def split(level, dye=0.0) -> Tint:
     )
     gain = np.exp(CHROMA[:, 1:] @ (mean - left))
     gain *= np.sum(level) / np.sum(gain * level)
-    return Tint(tint - mean, gain, covariance, float(share[1]), dye)
+    return Tint(tint - mean, gain, covariance, *map(float, share[-2:]), dye)

@@ -5,8 +5,9 @@
     log E_c = log(2 pi) + `BRIGHTNESS` q3 + V[c] (`TINT` q4, `GREEN` q5)
 
 with u of `light.log_field`, in units of the photo's own level (even light of radiance 1 has the irradiance pi). All
-unknowns are N(0, 1) before the photo is looked at; d0 is where a lamp was first seen, t1 and t2 lie across it. Of a
-lamp whose direction is given, d0 is that and s is 0: the photo says how bright it is, and nothing of where it stands.
+unknowns are N(0, 1) before the photo is looked at; d0 is where a lamp was first seen, t1 and t2 lie across it. Lamps
+beside a field whose colours may be strong have q4 and q5 do `log_field.VIVID` times as much. Of a lamp
+whose direction is given, d0 is that and s is 0: the photo says how bright it is, and nothing of where it stands.
 """
 
 from dataclasses import dataclass
@@ -16,12 +17,13 @@ import numpy as np
 
 from btfsep_engine.conventions import across
 from btfsep_engine.light.hidden_light import hidden_share
-from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, LogField
+from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, VIVID, LogField
 
 OF_LAMP = 5  # unknowns
 DIRECTION = np.radians(10)  # s
 BRIGHTNESS, TINT, GREEN = 2.0, 0.3, 0.1
 BY_CHANNEL = np.array([BRIGHTNESS, TINT, GREEN])[:, None] * CHROMA.T  # (q3 to q5, channels)
+OF_VIVID = VIVID[:, None] * BY_CHANNEL
 STEP = 1e-3  # of a numerical derivative by the direction
 
 
@@ -43,6 +45,11 @@ class LightModel:
         directions = [self.lamp(i, q)[0] for i, q in enumerate(self.parts(white)[1])]
         told, found = directions[: len(self.given)], directions[len(self.given) :]
         return sum(any(d @ t > np.cos(np.radians(degrees)) for t in told) for d in found)
+
+    @property
+    def by_channel(self) -> np.ndarray:
+        """(3, 3): what q3 to q5 do to the logarithm of each channel."""
+        return OF_VIVID if self.field.vivid else BY_CHANNEL
 
     def towards(self, i: int) -> float:
         """s of lamp i."""
@@ -68,7 +75,7 @@ class LightModel:
         """Directions (…, 3) and irradiances (…, 3) of lamp i with unknowns q (…, 5); of a slice, (…, lamps, 5)."""
         place = self._places[i]
         d = place[..., 0, :] + q[..., :1] * place[..., 1, :] + q[..., 1:2] * place[..., 2, :]
-        log = np.log(2 * np.pi) + q[..., 2:] @ BY_CHANNEL
+        log = np.log(2 * np.pi) + q[..., 2:] @ self.by_channel
         return d / np.sqrt(np.square(d).sum(-1, keepdims=True)), np.exp(np.minimum(log, LARGEST_LOG))
 
     def light(self, white):
@@ -162,5 +169,5 @@ class LightModel:
         directions, irradiances = self.lamp(slice(None), q + moves[:, None])
         y, *moved = self.field.of_beam(directions)  # (lamps, terms)
         aside = [(there - y) / STEP for there in moved]
-        each = [np.stack([*aside, *(share * y for share in shares)], 1) for shares in BY_CHANNEL.T]
+        each = [np.stack([*aside, *(share * y for share in shares)], 1) for shares in self.by_channel.T]
         return (irradiances[0].T[..., None, None] * np.stack(each)).reshape(3, -1, len(self.field.to_coefficients))

@@ -44,7 +44,7 @@ from btfsep_engine.fit.products import SINGLE, Basis, Photograph
 from btfsep_engine.fit.search import Solution, nearby
 from btfsep_engine.fit.sharp_lamp import Sharpened
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
-from btfsep_engine.light.log_field import natural_field
+from btfsep_engine.light.log_field import as_vivid, natural_field
 from btfsep_engine.threads import one_thread
 
 SAMPLES = 200
@@ -97,7 +97,7 @@ class LightSolver:
             self.basis = Basis(basis, normals)
         self.order, self.seed, self.coarsening = order, seed, coarsening
         self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
-        self.slopes, self.dye = None, 0.0
+        self.slopes, self.dye, self.stated_colour = None, 0.0, False
         self.field = natural_field() if hidden is None else replace(natural_field(), hidden=hidden)
 
     @property
@@ -115,6 +115,18 @@ class LightSolver:
         """The same of basis images of an object of the tint ``dye``, which the photo says (`colour.split`)."""
         out = copy.copy(self)
         out.dye = np.asarray(dye)
+        return out
+
+    def with_stated_colour(self) -> "LightSolver":
+        """The same of basis images of objects whose colour somebody told (`colour.split`)."""
+        out = copy.copy(self)
+        out.stated_colour = True
+        return out
+
+    def with_vivid(self) -> "LightSolver":
+        """The same for light that may have strong colours, other ones from each direction."""
+        out = copy.copy(self)
+        out.field = as_vivid(self.field)
         return out
 
     def without_given(self, number=None) -> "LightSolver":
@@ -195,7 +207,7 @@ class LightSolver:
 
     def _fit(self, photo: Photograph, best: Solution, rival: Solution | None, *, like: Fit | None = None) -> Fit:
         """The Fit of a solution; ``like`` : of nearly the same light by its model, which decides as many unknowns."""
-        tint = colour.split(best.x[:, 0] * photo.level, self.dye)
+        tint = colour.split(best.x[:, 0] * photo.level, self.dye, stated=self.stated_colour, vivid=self.field.vivid)
         unit = photo.level * tint.gain
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
         energy = photo.mean_square * photo.level**2 * self.basis.response**2

@@ -34,7 +34,7 @@ from scipy.linalg import lapack
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
-from btfsep_engine.light.log_field import LogField, even_field, natural_field
+from btfsep_engine.light.log_field import LogField, as_vivid, even_field, natural_field
 
 CHANNELS = ("red", "green", "blue")
 EVIDENCE = 500  # pixels: alpha of the coarsened posterior
@@ -206,7 +206,8 @@ class Photograph:
         self, basis: Basis, radiance, *, weights=None, coarsening: float = 1.0, effective=None, slopes=None, field=None
     ):
         self.basis, self._stiff, self._field = basis, coarsening, field or natural_field()
-        self._even = even_field() if self._field.hidden is None else replace(even_field(), hidden=self._field.hidden)
+        even = as_vivid(even_field()) if self._field.vivid else even_field()
+        self._even = even if self._field.hidden is None else replace(even, hidden=self._field.hidden)
         b = np.asarray(radiance, np.float64) / basis.response
         weight = np.ones_like(b) if weights is None else np.asarray(weights, np.float64)
         level = (weight * b).sum(0) / np.maximum(weight.sum(0), 1e-300)

@@ -29,6 +29,7 @@ GAIN = 3e-3  # of the logarithm of the probability: less is no step worth taking
 EXACT = 0.02  # discrepancy of a model that is as good as exact
 EXACT_COST = 12.0  # of the logarithm of the evidence: how much less probable such a model is
 LAMP_COST = 5.0  # of the logarithm of the evidence: how much less probable one more lamp is, wherever it stands
+VIVID_COST = 10.0  # of it: of light of strong colours, which few photographs show
 BESIDE_COST, BESIDE = 20.0, 15.0  # of it, of a lamp so near (degrees) to one whose direction is given: it is that one
 NEAR = 0.3  # of the same: after so small a gain,
 AGAIN = 3  # so many steps are made with the slopes that are there, and the gradient anew: a fifth of the cost
@@ -136,6 +137,7 @@ def solve(
         - LAMP_COST * model.found
         - BESIDE_COST * model.beside(white, BESIDE)
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)
+        - VIVID_COST * model.field.vivid
     )
     return Solution(model, white, x, radiance, v, discrepancy, rows, evidence, all_steps, slopes, factor)
 

@@ -32,6 +32,7 @@ from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
 from btfsep_engine.pipeline.refine.veil import veiled
+from btfsep_engine.pipeline.refine.vivid import vivid_light
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.together import SolvedLight
@@ -143,6 +144,7 @@ REFINEMENTS = (
     without_things_in_front,
     left_as_it_is,
     finished,
+    vivid_light,
     nearer_materials,
     shifted,
     near_lamps,

@@ -60,12 +60,22 @@ def colour_words(fit: Fit) -> str:
             "the object's colour is not the material's, and not known: the light was taken to be as little coloured as "
             "light usually is"
         )
+    if fit.tint.filtered > UNKNOWN_COLOUR and not fit.election.photo.fields[0].vivid:
+        return "the object's colour was taken to be the one that is said, and the light to be strongly coloured"
     return "the object's colour was taken to be the material's"
 
 
 def colour_doubts(fit: Fit) -> list[str]:
     """That the object's colour is not known."""
-    if fit.tint is None or fit.tint.unknown <= UNKNOWN_COLOUR:
+    if fit.tint is None:
+        return []
+    if fit.tint.filtered > UNKNOWN_COLOUR and not fit.election.photo.fields[0].vivid:
+        return [
+            "the light has a colour that is seldom met, as from a lamp with a filter, or the object has another colour "
+            "than its 'surface' says: one photo cannot tell, and the light's colour is known only so far; check the "
+            "object's colour"
+        ]
+    if fit.tint.unknown <= UNKNOWN_COLOUR:
         return []
     r, g, b = fit.tint.reflected
     return [

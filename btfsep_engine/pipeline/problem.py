@@ -34,6 +34,7 @@ class Problem:
         off; or None
     veil : (3,), light over the photograph that never met the objects, which is taken off (`pipeline.refine.veil`); or
         None
+    vivid : whether it shows light of strong colours (`pipeline.refine.vivid`)
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
@@ -48,6 +49,7 @@ class Problem:
     correction: np.ndarray | None = None
     slopes: np.ndarray | None = None
     veil: np.ndarray | None = None
+    vivid: bool = False
     left_out: int | None = None
 
     @property

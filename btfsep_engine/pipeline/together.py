@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.log_normal import LightSolver
@@ -86,6 +87,8 @@ def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: 
     of = [*parts, order, settings.seed, float(coarsening), list(given), [] if hidden is None else hidden]
     solver = kept.recalled("solver", of, made)
     solver = solver if (dye := common_dye(problems)) is None else solver.with_dye(dye)
+    solver = solver.with_stated_colour() if stated_colour(problems) else solver
+    solver = solver.with_vivid() if any(p.vivid for p in problems) else solver
     return solver if (slopes := all_slopes(problems)) is None else solver.with_slopes(slopes)
 
 
@@ -110,6 +113,11 @@ def common_dye(problems: list[Problem]):
     """The `dye` of all objects' materials; None where they have none, or several."""
     each = {m.dye for p in problems for m in p.materials}
     return each.pop() if len(each) == 1 else None
+
+
+def stated_colour(problems: list[Problem]) -> bool:
+    """Whether the job says of all objects by numbers or images what colour they have."""
+    return all(m.name == GIVEN for p in problems for m in p.materials)
 
 
 def given_lamps(jobs) -> tuple:

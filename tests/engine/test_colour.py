@@ -1,50 +1,68 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whose colour a tint is: against numerical integration of the two hypotheses."""
+"""Whose colour a tint is: against numerical integration of the hypotheses."""
 
 import numpy as np
 import pytest
 
-from btfsep_engine.fit.colour import ANY, DYE, LIGHT, UNKNOWN, split, tint_of
+from btfsep_engine.fit.colour import ANY, DYE, FILTERED, LIGHT, UNKNOWN, VIVID, split, tint_of
 
 
-def integrated(tint):
-    """Mean (2,), covariance (2, 2) of the light's tint and the probability of an unknown colour, on a fine grid."""
-    axes = [np.linspace(-8 * s, 8 * s, 1601) for s in LIGHT]
+def integrated(tint, hypotheses):
+    """Mean (2,), covariance (2, 2) of the light's tint and the hypotheses' probabilities, on a fine grid.
+
+    ``hypotheses`` : (probability, spread of the light, of the object) of each
+    """
+    axes = [np.linspace(-8 * s, 8 * s, 3201) for s in np.max([light for _, light, _ in hypotheses], 0)]
     a, b = np.meshgrid(*axes, indexing="ij")
 
     def density(x, y, spread):
         square = (x / spread[0]) ** 2 + (y / spread[1]) ** 2
         return np.exp(-0.5 * square) / (2 * np.pi * spread[0] * spread[1])
 
-    light = density(a, b, LIGHT)
-    known, unknown = (p * light * density(tint[0] - a, tint[1] - b, s) for p, s in ((1 - UNKNOWN, DYE), (UNKNOWN, ANY)))
-    whole = known + unknown
+    each = [p * density(a, b, light) * density(tint[0] - a, tint[1] - b, own) for p, light, own in hypotheses]
+    whole = sum(each)
     whole_sum = whole.sum()
     mean = np.array([(a * whole).sum(), (b * whole).sum()]) / whole_sum
     x, y = a - mean[0], b - mean[1]
     covariance = np.array(
         [[(x * x * whole).sum(), (x * y * whole).sum()], [(x * y * whole).sum(), (y * y * whole).sum()]]
     )
-    return mean, covariance / whole_sum, unknown.sum() / whole_sum
+    return mean, covariance / whole_sum, [part.sum() / whole_sum for part in each]
+
+
+USUAL = [(1 - UNKNOWN, LIGHT, DYE), (UNKNOWN, LIGHT, ANY)]
+STATED = [(1 - UNKNOWN - FILTERED, LIGHT, DYE), (UNKNOWN, LIGHT, ANY), (FILTERED, VIVID, DYE)]
+ON_STAGE = [(1 - UNKNOWN, VIVID, DYE), (UNKNOWN, VIVID, ANY)]
 
 
 @pytest.mark.parametrize(
     "colour", [(1, 1, 1), (1.2, 1, 0.9), (1.6, 1.1, 0.8), (2.2, 1, 0.6), (0.3, 1, 0.9), (1, 2.5, 1)]
 )
-def test_the_split_is_that_of_numerical_integration(colour):
+@pytest.mark.parametrize(("how", "hypotheses"), [({}, USUAL), ({"stated": True}, STATED), ({"vivid": True}, ON_STAGE)])
+def test_the_split_is_that_of_numerical_integration(colour, how, hypotheses):
     colour = 3 * np.array(colour)
     tint = tint_of(colour)
     np.testing.assert_allclose(
         tint, [np.log(colour[0] / colour[2]), np.log(colour[1] / np.sqrt(colour[0] * colour[2]))]
     )
-    mean, covariance, unknown = integrated(tint)
-    found = split(colour)
+    mean, covariance, shares = integrated(tint, hypotheses)
+    found = split(colour, **how)
     np.testing.assert_allclose(tint - found.object_tint, mean, atol=1e-4)
     np.testing.assert_allclose(found.covariance, covariance, atol=1e-4 * covariance.max())
-    assert found.unknown == pytest.approx(unknown, abs=1e-4)
+    assert found.unknown == pytest.approx(shares[1], abs=1e-4)
+    filtered = shares[2] if "stated" in how else shares[0] if "vivid" in how else 0
+    assert found.filtered == pytest.approx(filtered, abs=1e-4)
     lights_own = colour * found.gain
     np.testing.assert_allclose(tint_of(lights_own), mean, atol=1e-4)
     assert lights_own.sum() == pytest.approx(colour.sum())
+
+
+def test_a_filters_colour_is_the_lights_where_the_objects_is_stated_and_a_dyes_is_the_objects():
+    magenta, teal = np.array([1.0, 0.03, 0.8]), np.array([0.1, 0.5, 0.4])
+    of_light = [tint_of(c) - split(c, stated=True).object_tint for c in (magenta, teal)]
+    assert of_light[0][1] < 0.9 * tint_of(magenta)[1] < 0
+    assert np.abs(of_light[1]).max() < 0.35 * np.abs(tint_of(teal)).max()
+    assert split(magenta).unknown > 0.99  # of what nobody said of
 
 
 def test_factors_are_drawn_with_the_covariance_of_the_lights_tint(rng):

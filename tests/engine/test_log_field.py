@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light import log_field, maps
-from btfsep_engine.light.log_field import CHROMA, even_field, natural_field
+from btfsep_engine.light.log_field import CHROMA, VIVID, as_vivid, even_field, natural_field
 from scripts.studies.makers import learn_natural_light
 
 BELOW = fibonacci_sphere(300)[:, 2] < -0.1
@@ -100,6 +100,16 @@ def test_even_light_is_one_level_and_one_colour():
     assert field.unknowns == 3
     radiance = field.radiance(np.array([0.3, 1.0, -0.5]))
     assert np.ptp(radiance, axis=1).max() < 1e-12 and np.ptp(radiance[:, 0]) > 0.01
+
+
+def test_vivid_light_varies_by_more_in_its_colours_and_by_as_much_in_its_brightness(rng):
+    field, vivid = natural_field(), as_vivid(natural_field())
+    white = rng.standard_normal((200, field.unknowns))
+    usual, strong = (np.linalg.inv(CHROMA) @ f.logarithm(white) for f in (field, vivid))  # l, c1, c2
+    varies = [(each - each.mean((0, 2), keepdims=True)).std((0, 2)) for each in (usual, strong)]
+    times = varies[1] / varies[0]
+    np.testing.assert_allclose(times, VIVID, rtol=2e-3)  # logarithms end at `LARGEST_LOG`
+    assert times[0] == pytest.approx(1) and times[1] > 3 and times[2] > 3
 
 
 def test_the_table_is_what_the_shipped_maps_teach():

@@ -11,14 +11,16 @@ from scipy.optimize import approx_fprime
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.fit.search import _cholesky, nearby, solve
-from btfsep_engine.light.log_field import even_field, natural_field
+from btfsep_engine.light.log_field import as_vivid, even_field, natural_field
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, shown, side_light
 
 COST = 5.0  # of a lamp, of the logarithm of the evidence (docs/results/fit.md)
 EXACT, EXACT_COST = 0.02, 12.0  # a discrepancy as good as none, and how much less probable it is
 
 
-@pytest.mark.parametrize("field", [even_field(), natural_field()], ids=["even", "natural"])
+@pytest.mark.parametrize(
+    "field", [even_field(), natural_field(), as_vivid(even_field())], ids=["even", "natural", "vivid"]
+)
 def test_the_jacobian_with_lamps_is_that_of_finite_differences(field, rng):
     model = LightModel(field, (SUN, FILL))
     white = 0.7 * rng.normal(size=model.unknowns)
