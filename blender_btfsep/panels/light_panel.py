@@ -66,7 +66,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
 
     def _suns(self, context, layout):
         """The Sun lamps: those of the estimate, those that are known, and the active one, each with its button."""
-        scene, known, active = context.scene, sun_lamp.known(context.scene), context.object
+        scene, known, active = context.scene, sun_lamp.known_suns(context.scene), context.object
         chosen = [active] if active is not None and active.type == "LIGHT" else []
         shown = dict.fromkeys((*known, *sun_lamp.lamps(scene), *chosen))
         column = layout.column(align=True)

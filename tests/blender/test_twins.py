@@ -208,5 +208,5 @@ def test_the_words_of_the_contract():
     assert engine_process.BUG == engine_command.BUG
     assert known_suns.MOST == MAX_KNOWN_LAMPS
     spaces = JobSchema.model_json_schema()["properties"]["image_colorspace"]["enum"]
-    assert {"auto", "linear"} <= set(spaces)  # what photo.put gives
+    assert {"auto", "linear"} <= set(spaces)  # what photo.put_into_job gives
     assert {name for name, *_ in properties.CURVES} == set(spaces)
