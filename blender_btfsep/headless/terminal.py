@@ -132,7 +132,7 @@ def _photo(options, scene, path, own):
     path = path or options.image
     path = path and bpy.path.abspath(str(path))
     if not getattr(options, "upright", False):
-        lies = upright.orientation_of(scene.btfsep.image) if path is None else photo_file.orientation(path)
+        lies = upright.orientation_of(scene.btfsep.image) if path is None else photo_file.facts_of(path).orientation
         if lies > 4 and hasattr(options, "upright"):
             say("the photo's file asks for it to be turned, which --upright does", sys.stderr)
         return path
@@ -140,7 +140,7 @@ def _photo(options, scene, path, own):
         if upright.orientation_of(scene.btfsep.image) != 1:
             scene.btfsep.image = upright.copy_of(scene.btfsep.image)
         return None
-    if photo_file.orientation(path) == 1:
+    if photo_file.facts_of(path).orientation == 1:
         return path
     try:
         return own(upright.copy_of(own(bpy.data.images.load(str(Path(path).absolute()), check_existing=False))))

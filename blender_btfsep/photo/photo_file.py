@@ -43,11 +43,6 @@ def facts_of(file) -> FileFacts:
     return FileFacts(turned if turned in range(1, 9) else 1, bool({_MAKER, _MODEL} & set(tags)), rendered)
 
 
-def orientation(file) -> int:
-    """How a file (its path, or its bytes) says that its pixels are to be turned (EXIF, 1 to 8; 1: not, or not said)."""
-    return facts_of(file).orientation
-
-
 def holds_floats(path, file: bytes | None = None) -> bool:
     """Whether the file at ``path`` is a TIFF of floating-point numbers, which Blender takes for coded ones.
 

@@ -170,7 +170,7 @@ def use(context) -> str:
     light_picture.small(image, file)  # for the picture of the light, later
     if upright.orientation_of(image) != 1:
         words.append(PRESS)
-    elif not image.packed_file and file is not None and photo_file.orientation(file) != 1:
+    elif not image.packed_file and file is not None and photo_file.facts_of(file).orientation != 1:
         words.append(TURNED)
     for space in views(context):
         through(space, camera)

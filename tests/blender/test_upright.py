@@ -228,7 +228,7 @@ def test_broken_headers_lose_what_they_say_and_no_more(tmp_path, name):
         except InputError:
             continue
         found = cv2.imdecode(np.frombuffer(data, np.uint8), -1)
-        assert found.shape[:2] == (4, 6) and photo_file.orientation(data) == 1
+        assert found.shape[:2] == (4, 6) and photo_file.facts_of(data).orientation == 1
         at = data.index(b"IHDR") - 4
         while at < len(data):
             (length,) = struct.unpack_from(">I", data, at)
