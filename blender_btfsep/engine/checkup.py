@@ -27,7 +27,7 @@ def _file() -> Path:
     return durations._file().with_name(FILE)
 
 
-def found() -> dict:
+def findings() -> dict:
     """What is known."""
     global _found
     if _found is None:
@@ -47,13 +47,13 @@ def take(result: dict) -> None:
 
 def take_failure(message: str) -> None:
     """It does not: ``what; what was got; what to do``."""
-    _keep({"ok": False, "facts": found().get("facts") or {}, "message": message})
+    _keep({"ok": False, "facts": findings().get("facts") or {}, "message": message})
 
 
 def measure() -> None:
     """How much the cache holds now."""
-    if found():
-        _keep({key: value for key, value in found().items() if key != "bytes"})
+    if findings():
+        _keep({key: value for key, value in findings().items() if key != "bytes"})
 
 
 def _keep(state: dict) -> None:
@@ -68,14 +68,14 @@ def _keep(state: dict) -> None:
     drawing.redraw(at_once=True)
 
 
-def words(name: str, value: str) -> str:
+def fact_words(name: str, value: str) -> str:
     """A fact as it is shown: with what the test render ran is in lines of their own."""
     return value.partition(", with ")[0] if name == "test render" else value
 
 
 def draw(layout) -> None:
     """The findings, the button that asks anew, and the cache."""
-    state = found()
+    state = findings()
     box = layout.box()
     row = box.row()
     if not state:
@@ -96,7 +96,7 @@ def draw(layout) -> None:
         if value:
             line = column.split(factor=0.25)
             line.label(text=label)
-            line.label(text=words(name, value))
+            line.label(text=fact_words(name, value))
     row = box.row()
     row.label(text=f"Kept of earlier runs: {state.get('bytes', 0) / 1e6:.0f} MB")
     row.operator("btfsep.clear_cache", icon="TRASH")

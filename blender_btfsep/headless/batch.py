@@ -40,7 +40,7 @@ def _run(options, *, estimate, save) -> dict:
         raise InputError("--out", "it is missing", "name the folder for the results")
     if options.job or options.image:
         given = "--job" if options.job else "--image"
-        raise InputError(given, "a batch has more than one", "leave it away; photos are given by --photos")
+        raise InputError(given, "a batch has more than one", "leave it out; photos are given by --photos")
     files = [Path(file).absolute() for file in options.files] or [None]
     taken = [path.stem for path in files if path is not None]
     twice = next((name for name in taken if taken.count(name) > 1), None)

@@ -132,15 +132,15 @@ def _photo(options, scene, path, own):
     path = path or options.image
     path = path and bpy.path.abspath(str(path))
     if not getattr(options, "upright", False):
-        lies = upright.asked(scene.btfsep.image) if path is None else photo_file.orientation(path)
+        lies = upright.orientation_of(scene.btfsep.image) if path is None else photo_file.facts_of(path).orientation
         if lies > 4 and hasattr(options, "upright"):
             say("the photo's file asks for it to be turned, which --upright does", sys.stderr)
         return path
     if path is None:
-        if upright.asked(scene.btfsep.image) != 1:
+        if upright.orientation_of(scene.btfsep.image) != 1:
             scene.btfsep.image = upright.copy_of(scene.btfsep.image)
         return None
-    if photo_file.orientation(path) == 1:
+    if photo_file.facts_of(path).orientation == 1:
         return path
     try:
         return own(upright.copy_of(own(bpy.data.images.load(str(Path(path).absolute()), check_existing=False))))

@@ -11,7 +11,7 @@ TAG = "btfsep_lamps"
 COLOUR = "COLOR_03"  # yellow in the outliner
 
 
-def put(scene, lamp) -> None:
+def add_lamp(scene, lamp) -> None:
     """Puts a new lamp into the collection, which is made where ``scene`` has none."""
     own = next(iter(_tagged(scene)), None)
     if own is None:

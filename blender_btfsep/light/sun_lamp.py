@@ -77,11 +77,11 @@ def beside(scene) -> str:
 
 def others(scene) -> list:
     """Lamps of ``scene`` that a render shows beside the light, and that the light knows nothing of."""
-    ours = {*lamps(scene), *known(scene)}
+    ours = {*lamps(scene), *known_suns(scene)}
     return [t for t in scene.objects if t.type == "LIGHT" and not t.hide_render and t not in ours]
 
 
-def known(scene) -> list:
+def known_suns(scene) -> list:
     """The Sun lamps of ``scene`` whose direction the user knows, each once: ours or others."""
     settings = getattr(scene, "btfsep", None)  # a light can be put into a scene without the add-on's panel
     things = [entry.object for entry in settings.known_suns] if settings else []
@@ -102,7 +102,7 @@ def known_direction(scene, lamp, depsgraph=None) -> np.ndarray:
     return to / np.linalg.norm(to)
 
 
-def put(scene, suns) -> None:
+def set_lamps(scene, suns) -> None:
     """Makes ``suns`` the lamps of ``scene``: earlier ones of ours become the nearest of them, the others go.
 
     Those of ours whose direction is known stay where they stand: they become what was found of them, and are dark where
@@ -117,7 +117,7 @@ def put(scene, suns) -> None:
     for copy in _copies(_tagged(scene)):
         del copy[LAMP_TAG]
     free, held = [], []
-    directions = {lamp.name: known_direction(scene, lamp) for lamp in known(scene)}
+    directions = {lamp.name: known_direction(scene, lamp) for lamp in known_suns(scene)}
     for old in lamps(scene):
         if len(old.users_scene) > 1 or "direction" not in _tag(old):
             _remove(scene, old)  # another scene has it, too
@@ -132,7 +132,7 @@ def put(scene, suns) -> None:
         lamp = max(free, key=lambda old: np.dot(_tag(old)["direction"], sun["direction"]), default=None)
         if lamp is None:
             lamp = bpy.data.objects.new(LAMP_NAME, bpy.data.lights.new(LAMP_NAME, "SUN"))
-            lamp_collection.put(scene, lamp)
+            lamp_collection.add_lamp(scene, lamp)
             lamp[LAMP_TAG] = {}
             _turn_with(scene.world, lamp)
         else:

@@ -78,7 +78,7 @@ def apply_lighting(
         sampling.sampling_method = "MANUAL" if mode == "NODES" else "AUTOMATIC"
         sampling.sample_map_resolution = SAMPLING_MAP
     world[WORLD_TAG] = {"mode": mode, "order": order, "exposure_ev": float(lighting.get("exposure_ev", 0.0))}
-    sun_lamp.put(scene, suns["lamps"] if suns else [])
+    sun_lamp.set_lamps(scene, suns["lamps"] if suns else [])
     return world
 
 
@@ -98,7 +98,7 @@ def restore_previous(scene):
     if hasattr(scene, "btfsep"):
         scene.btfsep.known_suns.clear()
     scene.world = previous
-    sun_lamp.put(scene, [])
+    sun_lamp.set_lamps(scene, [])
     if ours.users == 0:
         bpy.data.worlds.remove(ours)
     _remove_orphans()

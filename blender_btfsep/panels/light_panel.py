@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The panel of the light, in the tab "BTFsep": its settings, the run, and what was found; and the advanced settings."""
+"""The panels of the light, in the tab "BTFsep": settings, run, what was found; advanced settings; a World's sliders."""
 
 import bpy
 
@@ -66,7 +66,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
 
     def _suns(self, context, layout):
         """The Sun lamps: those of the estimate, those that are known, and the active one, each with its button."""
-        scene, known, active = context.scene, sun_lamp.known(context.scene), context.object
+        scene, known, active = context.scene, sun_lamp.known_suns(context.scene), context.object
         chosen = [active] if active is not None and active.type == "LIGHT" else []
         shown = dict.fromkeys((*known, *sun_lamp.lamps(scene), *chosen))
         column = layout.column(align=True)
@@ -182,4 +182,20 @@ class BTFSEP_PT_advanced(sidebar.Sidebar, bpy.types.Panel):
             column.prop(settings, "interpolation")
 
 
-register, unregister = bpy.utils.register_classes_factory((BTFSEP_PT_light, BTFSEP_PT_advanced))
+class BTFSEP_PT_adjust(sidebar.Sidebar, bpy.types.Panel):
+    bl_label = "Adjust"
+    bl_order = 10
+
+    @classmethod
+    def poll(cls, context):
+        return world.is_ours(context.scene.world)
+
+    def draw(self, context):
+        column, sliders = sidebar.fields(self.layout), context.scene.world.btfsep
+        for name in ("rotation", "key", "fill", "tint", "saturation"):
+            row = column.row()
+            row.enabled = name != "key" or bool(sun_lamp.lamps(context.scene))
+            row.prop(sliders, name, slider=name != "rotation")
+
+
+register, unregister = bpy.utils.register_classes_factory((BTFSEP_PT_light, BTFSEP_PT_advanced, BTFSEP_PT_adjust))

@@ -59,7 +59,7 @@ class BTFSEP_PT_photo(sidebar.Sidebar, bpy.types.Panel):
         if sequence_run.is_sequence(image):
             shown = photo.file_at(image, camera, scene.frame_current)
             sidebar.wrapped(context, layout, f"At this frame: {shown.name if shown else ''}", icon="SEQUENCE")
-        if upright.asked(image) != 1:
+        if upright.orientation_of(image) != 1:
             sidebar.wrapped(context, layout, "The photo's file asks for it to be turned", icon="INFO")
             layout.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
         behind = use_photo.is_behind(scene)
@@ -127,7 +127,7 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
             split.prop(entry, "roughness")
             split.prop(entry, "metallic")
         elif entry.source == "BLENDER":
-            sidebar.wrapped(context, layout, own_surface.words(entry.object), icon="MATERIAL")
+            sidebar.wrapped(context, layout, own_surface.material_words(entry.object), icon="MATERIAL")
         elif entry.source == "LIBRARY":
             self._library(context, layout, entry)
         elif entry.candidates:

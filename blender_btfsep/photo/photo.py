@@ -16,18 +16,17 @@ from ..basics.atomic import replacing, write_bytes
 from ..basics.errors import InputError
 from ..basics.scratch import save_exr, scratch
 from .frames import SUFFIXES, split
-from .photo_file import Said, holds_floats, unread
-from .photo_file import said as said_by
+from .photo_file import FileFacts, facts_of, holds_floats, unread
 
 FLOAT = {".exr", ".hdr"}
 CODED = {"sRGB": "auto", "Display P3": "display-p3", "sRGB Encoded P3-D65": "display-p3"}
 """Blender's colour spaces that have sRGB's curve, and their primaries for the engine (auto: what the file says)."""
 MOVIE = "save it as an image sequence, or the frame as an image, and open that"
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
-_last = None, Said()
+_last = None, FileFacts()
 
 
-class Put(NamedTuple):
+class JobPhoto(NamedTuple):
     """A picture in a job: its file's name, the job's ``image_colorspace``, (width, height), ``image_primaries``."""
 
     name: str
@@ -36,7 +35,7 @@ class Put(NamedTuple):
     primaries: str = "auto"
 
 
-def put(source, folder, *, file=None) -> Put:
+def put_into_job(source, folder, *, file=None) -> JobPhoto:
     """Puts the photo into ``folder``.
 
     Parameters
@@ -45,7 +44,7 @@ def put(source, folder, *, file=None) -> Put:
     folder : Path that exists
     file : of a sequence the one of its files that is meant (of :func:`file_at`); None for the one that was opened
 
-    Gives a Put; its colour space is "auto" or "linear". Raises InputError when there is no picture.
+    Gives a JobPhoto; its colour space is "auto" or "linear". Raises InputError when there is no picture.
     """
     if isinstance(source, bpy.types.Image):
         if source.source == "SEQUENCE":
@@ -61,7 +60,7 @@ def put(source, folder, *, file=None) -> Put:
             raise InputError(f"the photo {path.name}", error, "choose an EXR, HDR, PNG, JPEG, TIFF or WebP") from None
         if path.suffix.lower() in SUFFIXES:
             _only_one(image)
-            return Put(_copy(path, Path(folder)), "auto", _size(image))
+            return JobPhoto(_copy(path, Path(folder)), "auto", _size(image))
         return _put_image(image, Path(folder))
 
 
@@ -98,22 +97,22 @@ def size_of(image) -> tuple[int, int]:
         bpy.data.images.remove(one)
 
 
-def said(image) -> Said:
+def facts_of_image(image) -> FileFacts:
     """What the file of ``image`` says of it; nothing where the image is no file's. For a panel: it is read once."""
     global _last
     if image is None or image.source != "FILE" or image.is_dirty:
-        return Said()
+        return FileFacts()
     path, packed = file_of(image), image.packed_file
     try:
         stat = None if packed or path is None else path.stat()
     except OSError:
-        return Said()
+        return FileFacts()
     if packed is None and stat is None:
-        return Said()
+        return FileFacts()
     stamp = packed.size if packed else (stat.st_mtime_ns, stat.st_size)
     key = image.session_uid, str(path), bool(packed), stamp
     if key != _last[0]:
-        _last = key, said_by(packed.data if packed else path)
+        _last = key, facts_of(packed.data if packed else path)
     return _last[1]
 
 
@@ -171,10 +170,10 @@ def _put_image(image, folder: Path, stem: str = "photo"):
     if as_is and (image.packed_file or path.is_file()):
         source = image.packed_file.data if image.packed_file else path
         name = _copy(source, folder, suffix=path.suffix.lower(), stem=stem)
-        return Put(name, coding, size, CODED.get(space, "auto"))
+        return JobPhoto(name, coding, size, CODED.get(space, "auto"))
     if not image.is_float and (space in LINEAR or space in CODED):
-        return Put(_save_codes(image, folder, stem), coding, size, CODED.get(space, "auto"))
-    return Put(_save(image, folder, stem), "linear", size)
+        return JobPhoto(_save_codes(image, folder, stem), coding, size, CODED.get(space, "auto"))
+    return JobPhoto(_save(image, folder, stem), "linear", size)
 
 
 def put_texture(image, folder, stem: str) -> str:

@@ -27,7 +27,7 @@ def unread(path) -> str:
     return "" if path is None else _UNREAD.get(Path(path).suffix.lower().lstrip("."), "")
 
 
-class Said(NamedTuple):
+class FileFacts(NamedTuple):
     """What a file says: how its pixels are to be turned (EXIF, 1 to 8; 1: not), who made it."""
 
     orientation: int = 1
@@ -35,17 +35,12 @@ class Said(NamedTuple):
     is_render: bool = False
 
 
-def said(file) -> Said:
+def facts_of(file) -> FileFacts:
     """What a file (its path, or its bytes) says."""
     head, tags = _begin(file), _tags(file)
     turned = tags.get(_ORIENTATION)
     rendered = any(mark in head for mark in _RENDERED) or any(all(m in head for m in marks) for marks in _OF_A_SCENE)
-    return Said(turned if turned in range(1, 9) else 1, bool({_MAKER, _MODEL} & set(tags)), rendered)
-
-
-def orientation(file) -> int:
-    """How a file (its path, or its bytes) says that its pixels are to be turned (EXIF, 1 to 8; 1: not, or not said)."""
-    return said(file).orientation
+    return FileFacts(turned if turned in range(1, 9) else 1, bool({_MAKER, _MODEL} & set(tags)), rendered)
 
 
 def holds_floats(path, file: bytes | None = None) -> bool:

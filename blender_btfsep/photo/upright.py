@@ -18,14 +18,14 @@ from . import photo, photo_file, upright_png
 _EDITOR = "turn it in the program that made it, and open that"
 
 
-def asked(image) -> int:
+def orientation_of(image) -> int:
     """How the file of ``image`` asks for it to be turned (EXIF, 1 to 8); 1: not, or the image is no file's."""
-    return photo.said(image).orientation
+    return photo.facts_of_image(image).orientation
 
 
 def copy_of(image):
     """A new bpy.types.Image: ``image`` turned as its file asks for. Raises InputError, and leaves nothing then."""
-    named, orientation = f"the photo '{image.name}'", asked(image)
+    named, orientation = f"the photo '{image.name}'", orientation_of(image)
     if orientation == 1:
         raise InputError(named, "its file does not ask to be turned", "leave it as it is")
     if not all(image.size):

@@ -9,7 +9,7 @@ from ..scene import meshes
 from . import runs
 
 
-def of(scene, view_layer, settings, entries: dict) -> str:
+def against_run(scene, view_layer, settings, entries: dict) -> str:
     """The first thing that the scene lacks for a run, as a sentence; empty when nothing is missing.
 
     ``entries`` : name -> entry of what is fitted.
@@ -63,7 +63,7 @@ def _of_shape(scene, image) -> str:
     if pinhole.shown(scene, (width, height)) is not None:
         return ""
     wide, high = pinhole.render_region(scene)[2:]
-    button = "Turn Upright" if upright.asked(image) > 4 else "Use Photo"
+    button = "Turn Upright" if upright.orientation_of(image) > 4 else "Use Photo"
     return f"The photo is {width} x {height}, the scene renders {wide} x {high}: press {button}"
 
 

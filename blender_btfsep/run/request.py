@@ -56,7 +56,7 @@ def missing(context) -> str:
     settings = context.scene.btfsep
     if runs.is_running():
         return runs.RUNNING
-    return reasons.of(context.scene, context.view_layer, settings, fitted(settings))
+    return reasons.against_run(context.scene, context.view_layer, settings, fitted(settings))
 
 
 def nothing_to_recognise(settings) -> str:

@@ -80,14 +80,14 @@ def export_job(
         view_layer.update()
         depsgraph = view_layer.depsgraph
         shown = isinstance(image_path, bpy.types.Image) and photo.file_at(image_path, camera, scene.frame_current)
-        file_name, colorspace, size, primaries = photo.put(image_path, folder, file=shown or None)
+        file_name, colorspace, size, primaries = photo.put_into_job(image_path, folder, file=shown or None)
         if curve != "auto" and not photo.is_linear(Path(folder) / file_name):
             colorspace = curve
         evaluated = camera.evaluated_get(depsgraph)
         lens = pinhole.for_photo(scene, evaluated, size)
         lens |= pinhole.distortion(scene, evaluated, lens, warn=warn)
         lens["to_world"] = pinhole.to_world(evaluated).tolist()
-        suns = sun_lamp.known(scene) if known_suns is None else known_suns
+        suns = sun_lamp.known_suns(scene) if known_suns is None else known_suns
         suns = [{"direction": sun_lamp.known_direction(scene, sun, depsgraph).tolist()} for sun in suns]
         shadowing = meshes.render_occluders(view_layer, depsgraph, objects) if occluders is None else list(occluders)
         shadowing = [thing for thing in shadowing if thing not in objects]
@@ -103,7 +103,7 @@ def export_job(
     for name, part in parts.items():
         file, mask = names.of(name), (masks or {}).get(name)
         told = {"mapping": mapping, "baked": baked.get(name), "warn": warn}
-        surface, uv = own_surface.of(name, part, surfaces, folder, **told)
+        surface, uv = own_surface.surface_of(name, part, surfaces, folder, **told)
         part = part if uv is None else {**part, "uv": uv}
         if (surfaces or {}).get(name) == own_surface.BLENDER:  # else it is all of what the user says
             part, clear = _told_apart(name, part)

@@ -33,7 +33,7 @@ def material_of(entry) -> str | None:
 
 
 def chosen(entry):
-    """What `of` takes for an entry of the object list: a "surface" of the job, BLENDER, or None."""
+    """What `surface_of` takes for an entry of the object list: a "surface" of the job, BLENDER, or None."""
     if entry.source == "COLOUR":
         base = [round(float(value), 6) for value in to_rec709(entry.colour).clip(0, 1)]
         return {"base_color": base, "roughness": round(entry.roughness, 6), "metallic": round(entry.metallic, 6)}
@@ -41,7 +41,7 @@ def chosen(entry):
     return BLENDER if entry.source == BLENDER and not stands_for else None
 
 
-def words(thing) -> str:
+def material_words(thing) -> str:
     """What an object (or None) is made of as in Blender, for the panel."""
     if thing is None:
         return "It has no material of its own"
@@ -89,7 +89,7 @@ def _finish_inputs(areas: dict) -> list:
     return [i for i in shader.node.inputs if i.name in VARYING[:-2]]
 
 
-def of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn, baked=None) -> tuple:
+def surface_of(name: str, part: dict | None, surfaces: dict | None, folder, *, mapping: str, warn, baked=None) -> tuple:
     """The "surface" of an object in the job, or None, and the texture coordinates that it needs instead of the part's.
 
     Parameters
@@ -152,7 +152,7 @@ def _stem(what: str, name: str) -> str:
 
 
 def _of_several(name: str, part: dict, mean: dict, folder, warn) -> tuple:
-    """`of` for several materials: what each reflects, in images; the ``mean`` for what cannot be read."""
+    """`surface_of` for several materials: what each reflects, in images; the ``mean`` for what cannot be read."""
     each = [surroundings.read_alone(material) or mean for material in part["areas"]]
     values = np.array([[*numbers["base_color"], *(numbers[key] for key in FINISH)] for numbers in each])
     if np.ptp(values, axis=0).max() < ALIKE:

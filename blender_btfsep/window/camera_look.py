@@ -42,7 +42,7 @@ def is_set(view) -> bool:
     return straight and len(there) == len(RADIANCE) and np.allclose(there.T, (RADIANCE, shown(RADIANCE)), atol=CLOSE)
 
 
-def put(view) -> None:
+def set_curve(view) -> None:
     """Gives a scene's view settings the camera's curve, in place of any other."""
     view.use_curve_mapping = True
     *single, combined = view.curve_mapping.curves

@@ -36,7 +36,7 @@ def _first_time():
 
 
 def register():
-    if not bpy.app.background and not checkup.found():
+    if not bpy.app.background and not checkup.findings():
         bpy.app.timers.register(_first_time, first_interval=SOON, persistent=True)
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The buttons of suns whose direction the user knows (`sun_lamp.known`): the next estimate leaves them there."""
+"""The buttons of suns whose direction the user knows (`sun_lamp.known_suns`): the next estimate leaves them there."""
 
 import bpy
 from bpy.props import StringProperty
 
 from ..basics.errors import InputError
-from ..light.sun_lamp import known
+from ..light.sun_lamp import known_suns
 from ..run import runs
 
 MOST = 8  # that a job may name
@@ -34,9 +34,9 @@ class BTFSEP_OT_freeze_sun(_OfSun, bpy.types.Operator):
 
     def do(self, context):
         lamp, scene = self.sun(context), context.scene
-        if lamp in known(scene):
+        if lamp in known_suns(scene):
             return
-        if len(known(scene)) == MOST:
+        if len(known_suns(scene)) == MOST:
             raise InputError("the known suns", f"there are {MOST}", "free one of them first")
         scene.btfsep.known_suns.add().object = lamp
 

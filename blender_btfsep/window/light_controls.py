@@ -8,7 +8,7 @@ need know of nothing else. Only the key's factor is kept on the World itself.
 import bpy
 from bpy.props import FloatProperty, FloatVectorProperty, PointerProperty
 
-from ..light import sh_nodes, sun_lamp, world
+from ..light import sh_nodes, sun_lamp
 
 
 def _node(self):
@@ -80,37 +80,11 @@ class BTFSEP_PG_light(bpy.types.PropertyGroup):
     )
 
 
-class BTFSEP_PT_adjust(bpy.types.Panel):
-    bl_label = "Adjust"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "BTFsep"
-    bl_order = 10
-
-    @classmethod
-    def poll(cls, context):
-        return world.is_ours(context.scene.world)
-
-    def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        sliders = context.scene.world.btfsep
-        column = layout.column()
-        for name in ("rotation", "key", "fill", "tint", "saturation"):
-            row = column.row()
-            row.enabled = name != "key" or bool(sun_lamp.lamps(context.scene))
-            row.prop(sliders, name, slider=name != "rotation")
-
-
-_register, _unregister = bpy.utils.register_classes_factory((BTFSEP_PG_light, BTFSEP_PT_adjust))
-
-
 def register():
-    _register()
+    bpy.utils.register_class(BTFSEP_PG_light)
     bpy.types.World.btfsep = PointerProperty(type=BTFSEP_PG_light)
 
 
 def unregister():
     del bpy.types.World.btfsep
-    _unregister()
+    bpy.utils.unregister_class(BTFSEP_PG_light)

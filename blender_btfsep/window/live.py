@@ -107,7 +107,7 @@ class Follower:
     def _begin(self, scene) -> None:
         settings, state = scene.btfsep, runs.run_state()
         asked, self.due = self.due, ""
-        if reasons.of(scene, self.place.view_layer, settings, request.fitted(settings)):
+        if reasons.against_run(scene, self.place.view_layer, settings, request.fitted(settings)):
             return  # the panel says it
         self.due = WHOLE if asked == DRAFT else ""
         state.error = state.summary = ""
@@ -201,7 +201,7 @@ def _told(scene) -> tuple:
     camera = s.camera or scene.camera
     pictures.append(s.image and str(photo.file_at(s.image, camera, scene.frame_current)))
     shape = [getattr(r, name) for name in SHAPE]
-    suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known(scene)]
+    suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known_suns(scene)]
     shift = tuple(s.depth_shift)
     own = (suns, s.occluders, _beside(scene), s.mapping, s.exposure_ev, s.curve, shift)
     own += (camera and camera.session_uid,)
@@ -233,7 +233,7 @@ def _matters(update, scene) -> bool:
         case bpy.types.Object():
             if not (update.is_updated_transform or update.is_updated_geometry):
                 return False
-            if thing in sun_lamp.known(scene):
+            if thing in sun_lamp.known_suns(scene):
                 return _differs(scene)
             if thing in ((settings.camera or scene.camera), *(entry.object for entry in entries)):
                 return True

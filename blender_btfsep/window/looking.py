@@ -73,7 +73,7 @@ def curves(scene) -> list[str]:
     if camera_look.is_wanted(scene):
         if camera_look.is_set(view):
             return []
-        camera_look.put(view)
+        camera_look.set_curve(view)
         return ["RGB curves: a camera's, as the photo's"]
     if not view.use_curve_mapping:
         return []

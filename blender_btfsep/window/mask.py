@@ -20,7 +20,7 @@ MARGIN = 0.004  # of the picture's longer side: so far from its outline, and two
 DARKEST = 0.15  # of the photo in the mask, so that nothing in it is black
 
 
-def seen(scene, view_layer, thing, size) -> np.ndarray:
+def part_seen(scene, view_layer, thing, size) -> np.ndarray:
     """Where the camera sees an object of the list, and nothing else that is known.
 
     Parameters
@@ -131,7 +131,7 @@ class BTFSEP_OT_new_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         scene, settings = context.scene, context.scene.btfsep
         entry = request.active_entry(settings)
         size = photo.size_of(settings.image)
-        where = seen(scene, context.view_layer, entry.object, size)
+        where = part_seen(scene, context.view_layer, entry.object, size)
         where &= ~spread(~where, max(round(MARGIN * max(size)), 2))
         if not where.any():
             raise InputError("the camera", f"it does not see '{entry.object.name}'", "move the camera, or the object")

@@ -53,7 +53,7 @@ def read_as(image, curve: str) -> str:
         return READ["linear"]
     if space not in photo.CODED:
         return f"read as {space}, as Blender shows it"
-    says = photo.said(image)
+    says = photo.facts_of_image(image)
     if says.is_by_camera:
         return f"read as {space} and by the usual curve of cameras: the file names one"
     if says.is_render and space == "sRGB":
@@ -142,7 +142,7 @@ class BTFSEP_OT_turn_upright(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         scene, settings = context.scene, context.scene.btfsep
         if runs.is_running():
             return runs.RUNNING
-        if upright.asked(settings.image) == 1:
+        if upright.orientation_of(settings.image) == 1:
             return "The photo's file does not ask for it to be turned"
         return reasons.of_camera(settings.camera or scene.camera)
 
@@ -168,9 +168,9 @@ def use(context) -> str:
     words += put_behind(scene, camera, image, size)
     file = photo.file_at(image, camera, scene.frame_current)
     light_picture.small(image, file)  # for the picture of the light, later
-    if upright.asked(image) != 1:
+    if upright.orientation_of(image) != 1:
         words.append(PRESS)
-    elif not image.packed_file and file is not None and photo_file.orientation(file) != 1:
+    elif not image.packed_file and file is not None and photo_file.facts_of(file).orientation != 1:
         words.append(TURNED)
     for space in views(context):
         through(space, camera)

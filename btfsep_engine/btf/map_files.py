@@ -43,7 +43,7 @@ class MapFiles:
     normal_convention: str = "auto"
     metallic: Path | None = None
 
-    def used(self) -> dict:
+    def file_names(self) -> dict:
         """kind -> file name, of those that are measured."""
         rough = self.roughness or self.gloss
         paths = {"base colour": self.base_colour, "height": self.height, "normal": self.normal}

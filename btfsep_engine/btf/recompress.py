@@ -43,9 +43,7 @@ class LinearFactors:
     relative_error: float
 
 
-def recompress(
-    decode, texels: int, pairs: int, *, components: int, seed: int = 0, reporter: Reporter | None = None
-) -> LinearFactors:
+def recompress(decode, texels: int, pairs: int, *, components: int, reporter: Reporter | None = None) -> LinearFactors:
     """Factorises what ``decode`` gives.
 
     Parameters
@@ -53,10 +51,9 @@ def recompress(
     decode : function of (texel indices, pair indices) -> (texels, pairs, 3) float32
     texels, pairs : how many there are
     components : k at most
-    seed : of the samples; the same seed gives the same factors
     reporter : told the progress as stage "decode"
     """
-    reporter, rng = reporter or Reporter(), np.random.default_rng([seed, 0xB7F])
+    reporter, rng = reporter or Reporter(), np.random.default_rng([0, 0xB7F])
     chosen = _stratified(texels, SAMPLED_TEXELS, rng)
     step = max(1, BUDGET // (3 * len(chosen)))
     sweeps = [np.arange(start, min(start + step, pairs)) for start in range(0, pairs, step)]

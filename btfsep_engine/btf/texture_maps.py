@@ -95,7 +95,7 @@ def read_maps(
         f0=float(f0),
         metallic=metallic,
     )
-    return TextureMaps(maps, files.used(), float(relief[1] - relief[0]), convention)
+    return TextureMaps(maps, files.file_names(), float(relief[1] - relief[0]), convention)
 
 
 def _check_numbers(size_mm, height_mm, f0, *, needs_height: bool) -> None:

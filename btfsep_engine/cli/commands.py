@@ -22,9 +22,12 @@ from btfsep_engine.cli.options import (
     SEQUENCE,
     out_option,
     takes_settings,
+    together,
 )
 from btfsep_engine.errors import InputError
 from btfsep_engine.loading import loading
+
+BY_RECOGNITION = together(JOB, LIBRARY, command, takes_settings(*RECOGNITION))
 
 
 class Commands(click.Group):
@@ -111,10 +114,7 @@ def align(*, job, out, reporter):
 
 
 @cli.command()
-@JOB
-@LIBRARY
-@command
-@takes_settings(*RECOGNITION)
+@BY_RECOGNITION
 def recognise(*, job, library_folder, settings, reporter):
     """The material of each object of JOB, with scores."""
     from btfsep_engine.commands.recognise import run_recognise
@@ -124,10 +124,7 @@ def recognise(*, job, library_folder, settings, reporter):
 
 
 @cli.command()
-@JOB
-@LIBRARY
-@command
-@takes_settings(*RECOGNITION)
+@BY_RECOGNITION
 def train(*, job, library_folder, settings, reporter):
     """Renders the training data of JOB's objects and trains the recogniser, kept in the cache."""
     from btfsep_engine.commands.recognise import run_train

@@ -44,7 +44,7 @@ def lanes_for(wanted: str | int, tasks: int) -> int:
     return max(1, min(wanted, tasks))
 
 
-def tried(worker: Worker, work, task, time_limit: float | None, retries: int) -> Outcome:
+def with_retries(worker: Worker, work, task, time_limit: float | None, retries: int) -> Outcome:
     """`Worker.run`, and again where the process died or it took too long."""
     for _ in range(retries + 1):
         end = worker.run(work, task, time_limit=time_limit)
@@ -102,7 +102,7 @@ def run_all(
                     number, task = next(todo, (None, None))
                 if number is None:
                     break
-                ended.put((number, tried(worker, work, task, time_limit, retries)))
+                ended.put((number, with_retries(worker, work, task, time_limit, retries)))
         except BaseException as error:  # a task that cannot be sent, say: not for this thread alone to know
             ended.put((None, error))
         ended.put((None, None))

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 
 from btfsep_engine.cli.command import BUG
-from btfsep_engine.cli.lanes import MOST_MB, MOST_TASKS, tried
+from btfsep_engine.cli.lanes import MOST_MB, MOST_TASKS, with_retries
 from btfsep_engine.cli.worker import Outcome, Worker
 from btfsep_engine.errors import InputError
 
@@ -90,4 +90,4 @@ def done_here(work, task, time_limit: float | None, retries: int) -> Outcome:
         # Dask has malloc give memory back all the time, for the worker's own sake; an estimate takes half as long again
         os.environ.pop("MALLOC_TRIM_THRESHOLD_", None)
         own.worker = Worker(threads=1, most_tasks=MOST_TASKS, most_mb=MOST_MB)
-    return tried(own.worker, work, task, time_limit, retries)
+    return with_retries(own.worker, work, task, time_limit, retries)

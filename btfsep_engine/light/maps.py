@@ -12,25 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import pixel_solid_angles
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
 from btfsep_engine.light.lightings import EnvironmentMaps, turned
 
 FOLDER = Path(__file__).resolve().parents[1] / "data" / "lights"
-
-
-def normalised(radiance) -> np.ndarray:
-    """An environment map (h, w, 3) scaled so that its mean luminance over the sphere is 1 / pi; float64.
-
-    Raises ValueError: the map is black.
-    """
-    a = np.asarray(radiance, np.float64)
-    weight = pixel_solid_angles(*a.shape[:2])[:, None] / (4 * np.pi)
-    mean = float((images.luminance(a) * weight).sum())
-    if not mean > 0:
-        raise ValueError("a black map has no scale")
-    return a / (np.pi * mean)
 
 
 def read_map(path) -> np.ndarray:

@@ -22,7 +22,6 @@ from btfsep_engine import sh
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
 from btfsep_engine.imaging.images import luminance
 
-DIRECTIONS = 400  # 10 degrees apart, finer than the kernel is wide
 FLOOR = 0.5  # of the blurred luminance: no place is darker
 ROUNDING = 1e-6  # of the brightest radiance: less below zero than that is none
 

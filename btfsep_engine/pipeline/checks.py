@@ -39,19 +39,13 @@ def all_doubts(estimate) -> list[str]:
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
     out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
-    out += misshapen_doubts(estimate) + occluder_doubts(estimate)
-    out += in_front_doubts(estimate) + veil_doubts(estimate)
+    out += shape_and_colour_doubts(estimate) + in_front_doubts(estimate) + veil_doubts(estimate)
     return out + curve_doubts(estimate.model.problems, estimate.light)
 
 
-def misshapen_doubts(estimate) -> list[str]:
-    """That objects are of another shape than their mesh, or painted (`refine.misshapen`)."""
-    return [estimate.choice[UNEXPLAINED]] if UNEXPLAINED in estimate.choice else []
-
-
-def occluder_doubts(estimate) -> list[str]:
-    """That the photo shows surroundings in another colour than the job says (`refine.said_surface`)."""
-    return [estimate.choice[key] for key in (OTHERWISE, UNLIKE) if key in estimate.choice]
+def shape_and_colour_doubts(estimate) -> list[str]:
+    """What was said on the way of shapes (`refine.misshapen`) and of surroundings (`refine.said_surface`)."""
+    return [estimate.choice[key] for key in (UNEXPLAINED, OTHERWISE, UNLIKE) if key in estimate.choice]
 
 
 def in_front_doubts(estimate) -> list[str]:

@@ -69,7 +69,7 @@ class Cells:
         )
         place = np.ix_(rows, columns)
         pixels = np.stack(np.broadcast_arrays(*place), -1).reshape(-1, 2)
-        away = (outlines.at(pixels) * edge).reshape(len(rows), len(columns))
+        away = (outlines.rings_at(pixels) * edge).reshape(len(rows), len(columns))
         shown = (mesh[place] >= 0) & (mesh[place] < len(scene.job.objects))
         apart = away >= len(KAPPA) - 1
         self.inside, self.outside = shown & apart, ~shown & (apart | self._beyond(outlines, pixels, apart.shape))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import angles_of_direction
+from btfsep_engine.conventions import angles_of_direction, pixel_solid_angles
 from btfsep_engine.fit.diagnose import Effect
 from btfsep_engine.fit.misalignment import Shift
 
@@ -138,7 +138,7 @@ def angles_words(direction) -> str:
 def clamped_share(x) -> float:
     """The power of a light (terms, 3) where it is negative, over that of where it is not."""
     radiance = sh.to_map(x, 32, 64)
-    area = np.sin((np.arange(32) + 0.5) / 32 * np.pi)[:, None, None]
+    area = pixel_solid_angles(32, 64)[:, None, None]
     return float((area * np.maximum(-radiance, 0)).sum() / max((area * np.maximum(radiance, 0)).sum(), 1e-300))
 
 

@@ -17,7 +17,7 @@ class ObjectMaterial:
 
     Attributes
     ----------
-    likely : as of `recognise.Recognition`
+    likely : as of `recogniser.Recognition`
     mirror : the Surface by which it mirrors, where ``material`` is a rougher metal in its place (`pipeline.mirrors`)
     surface : the Surface that it was found to have (`refine.finish`); None: that was not sought, or none explains more
     """

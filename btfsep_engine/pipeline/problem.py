@@ -75,7 +75,7 @@ class Problem:
     @property
     def rings(self) -> np.ndarray:
         """(p,) int: how far each point lies from the next outline (`render.outlines`)."""
-        return self.scene.outlines.at(self.pixels)
+        return self.scene.outlines.rings_at(self.pixels)
 
     @property
     def clipped(self) -> np.ndarray:

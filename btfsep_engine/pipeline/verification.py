@@ -190,7 +190,7 @@ class Verification:
             likely = [i for i in likely[:RENDERED] if odds[i] > enough or mirrors[i]]
         texture = recogniser.encoder.part(vectors[-1], "sift")
         seen = Masked(self.region, self.region & np.isfinite(radiance).all(-1))
-        photo = Photographed(seen, texture, contrast_of(seen.of(radiance), seen))
+        photo = Photographed(seen, texture, contrast_of(seen.values_of(radiance), seen))
         similar = [
             dict.fromkeys(SIMILARITIES, np.nan)
             if mirrors[i]

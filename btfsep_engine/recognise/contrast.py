@@ -46,7 +46,7 @@ class Contrast:
 def contrast(radiance, mask) -> Contrast:
     """The contrast of ``radiance`` (h, w, 3), linear, NaN where unusable, within ``mask`` (h, w) bool."""
     seen = Masked(mask, mask & np.isfinite(radiance).all(-1))
-    return contrast_of(seen.of(radiance), seen)
+    return contrast_of(seen.values_of(radiance), seen)
 
 
 def contrast_of(radiance, seen: Masked) -> Contrast:

@@ -182,7 +182,7 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise",
         shared.clear()
         shared[key] = Masked(mask, valid)
     seen = shared[key]
-    every = described(seen.of(radiance), seen, settings=settings, what=what)
+    every = described(seen.values_of(radiance), seen, settings=settings, what=what)
     return replace(every, xy=every.xy + np.array([left, top], np.float32))
 
 

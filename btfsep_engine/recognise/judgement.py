@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How probable each candidate is, how probable that it is none of them, and which are not to be ruled out.
 
-Each candidate m has cues f_m (`Cues`), of which a table says the weights, learned as a multinomial logistic regression:
+Each candidate m has cues f_m, of which a table says the weights, learned as a multinomial logistic regression:
 
     p(m) = exp(w f_m) / (exp(w0) + sum over k of exp(w f_k)),     p(none) the rest.
 

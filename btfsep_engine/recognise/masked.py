@@ -39,7 +39,7 @@ class Masked:
         """(h, w) float32, 1 where usable."""
         return self.valid.astype(np.float32)
 
-    def of(self, image) -> np.ndarray:
+    def values_of(self, image) -> np.ndarray:
         """The usable pixels (n, …) of an image (h, w, …)."""
         return image.reshape(-1, *image.shape[2:])[self.pixels]
 
@@ -75,7 +75,7 @@ class Masked:
 
         ``image`` : (h, w) or (h, w, c) float32, contiguous, 0 where not usable
         """
-        flat, even = image.reshape(-1, *image.shape[2:]), self.of(image).mean(0)
+        flat, even = image.reshape(-1, *image.shape[2:]), self.values_of(image).mean(0)
         # all means are those of usable pixels: none is put in before the last is found
         filled = [
             (pixels, even if sigma is None else self.mean(image, sigma, pixels))

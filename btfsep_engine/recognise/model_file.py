@@ -102,7 +102,7 @@ def known_materials(view: str, contents: dict) -> dict:
         missing = {name: content for name, content in contents.items() if name not in known}
         if missing and (found := _found(entry)) is not None:
             with suppress(ValueError):  # whole, but of other sizes
-                known |= found.known(missing)
+                known |= found.known_vectors(missing)
     return known
 
 

@@ -57,7 +57,7 @@ class Recogniser:
         """The names it can answer with."""
         return self.model.classes
 
-    def known(self, contents: dict) -> dict:
+    def known_vectors(self, contents: dict) -> dict:
         """Material -> its training vectors (M, windows + 1, length) float16, of those whose content is the same.
 
         ``contents`` : material -> text

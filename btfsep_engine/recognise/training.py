@@ -275,7 +275,7 @@ def train(
     method : Method
     expected : number of samples, for the progress only
     known : material -> its lights (M,) and vectors (M, windows + 1, length) float16, of an earlier training
-        (`Recogniser.known`): its images need not be made again. Only where the method's dictionaries are ready
+        (`Recogniser.known_vectors`): its images need not be made again. Only where the method's dictionaries are ready
     contents : material -> text that says all that it is made of
 
     Raises

@@ -258,9 +258,9 @@ def _syntax_later():
 
 def _btf_plugin(properties):
     """The BSDF plugin ``btf`` of a scene, whose module most scenes do not need."""
-    from btfsep_engine.render.mitsuba_bsdf import made
+    from btfsep_engine.render.mitsuba_bsdf import plugin_of
 
-    return made(properties)
+    return plugin_of(properties)
 
 
 def limit_threads(count: int) -> None:

@@ -51,10 +51,10 @@ def register(mi) -> None:
 
     ``mi`` : the mitsuba module, with a variant set
     """
-    mi.register_bsdf(NAME, made)
+    mi.register_bsdf(NAME, plugin_of)
 
 
-def made(properties):
+def plugin_of(properties):
     """The plugin of the current variant with these properties."""
     return _plugin_class(mi.variant())(properties)
 

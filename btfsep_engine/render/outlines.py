@@ -33,7 +33,7 @@ class Outlines:
     edge: int
     rings: np.ndarray
 
-    def at(self, pixels) -> np.ndarray:
+    def rings_at(self, pixels) -> np.ndarray:
         """The ring (n,) of each of ``pixels : (n, 2)``, row and column."""
         cells = (np.asarray(pixels) - (self.top, self.left)) // self.edge
         return self.rings[tuple(np.clip(cells, 0, np.array(self.rings.shape) - 1).T)]

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.render.arrays import dr
+from btfsep_engine.render.sampling import NORMAL_WEIGHT
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.storage import kept
 
@@ -26,7 +27,6 @@ DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more 
 LANES = 1 << 20  # pairs of pixel and direction that are followed at once
 NEIGHBOURS = 3
 MOST = 0.98  # of an albedo: light in a closed room ends
-NORMAL_SCALE = 0.5  # weight of a normal's difference against a distance in objects' radii, in the neighbour search
 COARSE = 0.5  # longest edge of a face from which samples are drawn, over its distance
 SPLITS = 40  # the most times that a face is cut into four
 
@@ -91,7 +91,7 @@ class Network:
         return twice[0], np.concatenate([normal, -normal]), *twice[1:], outer
 
     def _feature(self, position, normal):
-        return np.concatenate([(position - self.tracer.centre) / self.tracer.radius, normal * NORMAL_SCALE], 1)
+        return np.concatenate([(position - self.tracer.centre) / self.tracer.radius, normal * NORMAL_WEIGHT], 1)
 
     def albedos(self, of_meshes) -> np.ndarray:
         """(s, 3) float32, of each sample; ``of_meshes`` : (3,) or an image (n, n, 3) by its UVs, of each mesh."""

@@ -12,7 +12,7 @@ from btfsep_engine.render.tracer import Tracer
 PLACES = 400  # of what is photographed, and as many rays from there that end on other surfaces
 
 
-def response(tracer: Tracer, points, directions, *, seed: int = 0) -> np.ndarray:
+def response(tracer: Tracer, points, directions) -> np.ndarray:
     """How much a white surface shows of light from each direction, over many places: (n,), of the largest.
 
     Parameters
@@ -21,7 +21,7 @@ def response(tracer: Tracer, points, directions, *, seed: int = 0) -> np.ndarray
     points : SurfacePoints, what is photographed
     directions : (n, 3) float, unit, world, to the light
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     some = points.take(random.permutation(len(points))[:PLACES])
     straight = _irradiance(tracer, some.position, some.flat_normal, directions).mean(0)
     towards = some.flat_normal + _on_sphere(random, len(some))  # as much as the cosine says

@@ -3,7 +3,7 @@
 
 A thing is called by the content of all that it is made from (:func:`content`), never by whose it is, so that an answer
 that stands on what is kept is, bit for bit, that of a process that has just begun. What is kept does not change any
-more: its arrays are read-only. All together has at most so many bytes (`ENVIRONMENT`, or :meth:`Store.allow`); what was
+more: its arrays are read-only. All together has at most so many bytes (`ENVIRONMENT`, or `Store.most_bytes`); what was
 unused for longest goes.
 """
 

@@ -28,10 +28,11 @@ from btfsep_engine.btf.directions import light_projection, ubo2014_directions
 from btfsep_engine.btf.factorise import StreamingFactoriser
 from btfsep_engine.commands import measure as measuring
 from btfsep_engine.light.lightings import EnvironmentMaps, shrink
-from btfsep_engine.light.maps import normalised, read_map
+from btfsep_engine.light.maps import read_map
 from btfsep_engine.render.patch import Patch
 from scripts.cycles.lights import studio_lights
 from scripts.studies import ROOT, parser, tables
+from scripts.studies.makers.prepare_lights import normalised
 
 MATERIALS = ("carpet/loop-sand", "fabric/denim-twill", "leather/brown-grain", "wood/walnut-lacquered")
 COMPONENTS = (1, 2, 4, 6, 8, 10, 14, 20, 28, 40, 56)

@@ -132,7 +132,7 @@ def groups(rows):
 EACH = ("photograph", "error", "evidence", "above", "evidence", "stated", "evidence")
 
 
-def each(rows):
+def each_photograph(rows):
     """A line for each photograph whose table is known."""
     for name, some in tables.groups(rows, ("object", "light", "table", "knows"), every=None):
         both = {r["evidence"]: r for r in some}
@@ -165,5 +165,5 @@ def main(arguments) -> int:
     if given.numbers:
         write_json(given.numbers, rows)
     print(tables.summary(("photographs", "table", "its pixels"), COLUMNS, groups(rows)), end="\n\n")
-    print(tables.table(EACH, each(rows)))
+    print(tables.table(EACH, each_photograph(rows)))
     return 0

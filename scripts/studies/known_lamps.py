@@ -43,7 +43,7 @@ def turned(direction, degrees: float, random) -> np.ndarray:
     return np.cos(angle) * direction + np.sin(angle) * ([np.cos(side), np.sin(side)] @ across(direction))
 
 
-def told(folder: Path, light: str) -> dict:
+def beside_truth(folder: Path, light: str) -> dict:
     """Of a job the true coefficients, the lamps' directions and their share of all light; whether the scale is free."""
     beside = folder / "truth.json"
     if beside.exists() and "directions" in json.loads(beside.read_text()):
@@ -56,7 +56,7 @@ def told(folder: Path, light: str) -> dict:
 
 def study(folder: Path, light: str, material):
     """A photograph's row for each way."""
-    job, true, random = load_job(folder), told(folder, light), np.random.default_rng(len(folder.name))
+    job, true, random = load_job(folder), beside_truth(folder, light), np.random.default_rng(len(folder.name))
     for way, degrees in WAYS.items():
         given = [] if degrees is None else [(turned(d, degrees, random), 1.0) for d in true["directions"]]
         found = estimated(replace(job, known_lamps=known_lamps(given, way)), material)

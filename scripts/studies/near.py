@@ -59,14 +59,14 @@ def study(setting: Setting, lamps) -> dict:
             near.SPEAKS = speaks
             found = estimated(job, case.material)
             row |= {name + k: v for k, v in worth(found, case.truth).items()}
-            row["lamps"] += [told(lamps, direction, how, job) for direction, how in found.light.near]
+            row["lamps"] += [beside_truth(lamps, direction, how, job) for direction, how in found.light.near]
             row[name + "said"] = found.choice.get("near")
     finally:
         near.SPEAKS = usual
     return row
 
 
-def told(lamps, direction, how, job) -> dict:
+def beside_truth(lamps, direction, how, job) -> dict:
     """What is said of a lamp that is believed to stand near, beside the true one in its direction (or none)."""
     unit = float(np.linalg.norm(np.ptp(job.objects[0].mesh.vertices, axis=0))) / 2
     off = [float(np.degrees(np.arccos(np.clip(direction @ scenes.unit(d), -1, 1)))) for _, d in lamps]

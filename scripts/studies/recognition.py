@@ -69,7 +69,7 @@ def calibration(confidence, right) -> tuple[float, list]:
     return float(sum(n * abs(c - r) for c, r, n in bins) / len(right)), bins
 
 
-def asked(seen, model: str | None = None) -> list[dict]:
+def answers(seen, model: str | None = None) -> list[dict]:
     """What is answered of photographs (cues.Seen), by a model of the table; None: as an estimate chooses it."""
     out = []
     for s in seen:
@@ -221,10 +221,10 @@ def main(arguments) -> int:
         begun = time.perf_counter()
         seen = cues.cues_of(found, library, settings, flaw=flaw)
         print(f"{flaw}: {time.perf_counter() - begun:.0f} s")
-        answers_of[flaw] = asked(seen)
+        answers_of[flaw] = answers(seen)
         rows.append(judge(answers_of[flaw], flaw))
         if flaw == "clean":
-            rows.append(judge(asked(seen, "votes"), "clean, by the classifier alone"))
+            rows.append(judge(answers(seen, "votes"), "clean, by the classifier alone"))
     heads = list(rows[0])
     print("\n" + tables.table(heads, [[row.get(h, "–") for h in heads] for row in rows]))
     (given.folder / "answers.json").write_text(json.dumps(answers_of, indent=1))

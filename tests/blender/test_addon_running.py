@@ -28,7 +28,7 @@ def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographe
 
     checkup._file().unlink(missing_ok=True)
     checkup._found = None
-    assert checkup.found() == {}
+    assert checkup.findings() == {}
     cache = tmp_path / "cache"
     cache.mkdir()
     (cache / "a.entry").write_bytes(bytes(3_000_000))
@@ -36,28 +36,28 @@ def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographe
     fake_engine(lines=[{"type": "done", "result": {"ok": True, "facts": facts}}])
     assert bpy.ops.btfsep.doctor() == {"FINISHED"}
     checkup._found = None  # of the next session: read from its file
-    assert checkup.found() == {"ok": True, "facts": facts, "message": "", "bytes": 3_000_000}
-    assert checkup.words("test render", "right, with llvm_ad_rgb /usr/lib/libLLVM.so.19.1") == "right"
-    assert checkup.words("libLLVM", "/usr/lib/libLLVM.so.19.1") == "/usr/lib/libLLVM.so.19.1"
+    assert checkup.findings() == {"ok": True, "facts": facts, "message": "", "bytes": 3_000_000}
+    assert checkup.fact_words("test render", "right, with llvm_ad_rgb /usr/lib/libLLVM.so.19.1") == "right"
+    assert checkup.fact_words("libLLVM", "/usr/lib/libLLVM.so.19.1") == "/usr/lib/libLLVM.so.19.1"
     (cache / "a.entry").unlink()
     fake_engine(lines=[{"type": "done", "result": {"folder": str(cache), "bytes": 0, "freed": 3_000_000}}])
-    assert bpy.ops.btfsep.clear_cache() == {"FINISHED"} and checkup.found()["bytes"] == 0
+    assert bpy.ops.btfsep.clear_cache() == {"FINISHED"} and checkup.findings()["bytes"] == 0
     assert bpy.context.window_manager.btfsep.summary == "3 MB are free now"
     sentence = "this machine; no libLLVM was found; install one (brew install llvm)"
     fake_engine(lines=[{"type": "failed", "message": sentence, "exit_code": 2}], exit=2)
     with pytest.raises(RuntimeError, match="brew install llvm"):
         bpy.ops.btfsep.doctor()
-    assert not checkup.found()["ok"] and checkup.found()["message"] == sentence
+    assert not checkup.findings()["ok"] and checkup.findings()["message"] == sentence
 
     # what is asked once by itself, some seconds after switching on
     fake_engine(lines=[{"type": "done", "result": {"ok": True, "facts": facts}}])
     while first_checkup._first_time() is not None:
         pass
-    assert checkup.found()["ok"]
+    assert checkup.findings()["ok"]
     for text in ("", "[]", '{"facts": 3}'):
         checkup._file().write_text(text)
         checkup._found = None
-        assert checkup.found() == {}
+        assert checkup.findings() == {}
     checkup._file().unlink()
     checkup._found = None
 

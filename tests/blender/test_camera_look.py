@@ -23,7 +23,7 @@ def test_what_is_saved_through_it_is_read_as_the_light_that_it_was(tmp_path):
     image.pixels.foreach_set(np.dstack([np.repeat(light, 8, 0), np.ones((8, 64, 1))]).astype(np.float32).ravel())
     view = scene.view_settings
     view.view_transform, view.look, view.exposure, view.gamma = "Standard", "None", 0, 1
-    camera_look.put(view)
+    camera_look.set_curve(view)
     assert camera_look.is_set(view)
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "PNG", "16"
     image.save_render(str(tmp_path / "shown.png"), scene=scene)

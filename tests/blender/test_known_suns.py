@@ -72,7 +72,7 @@ def test_a_job_has_a_known_sun_as_it_stands_without_the_turn_of_the_world(photog
     turn = np.array([[np.cos(0.5), np.sin(0.5), 0], [-np.sin(0.5), np.cos(0.5), 0], [0, 0, 1]])
     np.testing.assert_allclose(told(photographed, tmp_path / "two")[1], turn @ shines_from(own), atol=1e-6)
     assert bpy.ops.btfsep.free_sun(name=lamp.name) == {"FINISHED"}
-    assert [thing.name for thing in sun_lamp.known(photographed)] == ["Own"]
+    assert [thing.name for thing in sun_lamp.known_suns(photographed)] == ["Own"]
 
 
 def test_an_estimate_neither_moves_nor_loses_it_and_makes_it_as_bright_as_found(photographed, lamp, tmp_path):
@@ -115,7 +115,7 @@ def test_a_lamp_that_the_light_knows_nothing_of_is_told_from_ours_and_from_a_kno
 def test_the_previous_world_comes_back_without_it(photographed, lamp):
     bpy.ops.btfsep.freeze_sun(name=lamp.name)
     assert bpy.ops.btfsep.restore_world() == {"FINISHED"}
-    assert not sun_lamp.known(photographed) and not sun_lamp.lamps(photographed)
+    assert not sun_lamp.known_suns(photographed) and not sun_lamp.lamps(photographed)
 
 
 def test_freezing_is_undone(photographed, lamp):
@@ -124,9 +124,9 @@ def test_freezing_is_undone(photographed, lamp):
     bpy.ops.btfsep.freeze_sun(name=name)
     bpy.ops.ed.undo_push(message="frozen")
     bpy.ops.ed.undo()
-    assert not sun_lamp.known(bpy.data.scenes[scene])
+    assert not sun_lamp.known_suns(bpy.data.scenes[scene])
     bpy.ops.ed.redo()
-    assert [thing.name for thing in sun_lamp.known(bpy.data.scenes[scene])] == [name]
+    assert [thing.name for thing in sun_lamp.known_suns(bpy.data.scenes[scene])] == [name]
 
 
 def test_what_is_no_sun_is_refused(photographed):
@@ -153,7 +153,7 @@ def test_without_a_window_suns_are_named(photographed, lamp, tmp_path, capsys):
         return json.loads(job.read_text()).get("known_lamps") if status == 0 else status
 
     np.testing.assert_allclose(exported("--known-sun", lamp.name)[0]["direction"], DIRECTION, atol=1e-6)
-    assert exported() is None and not sun_lamp.known(photographed)
+    assert exported() is None and not sun_lamp.known_suns(photographed)
     bpy.ops.btfsep.freeze_sun(name=lamp.name)
     assert len(exported()) == 1 and exported("--known-sun") is None
     assert exported("--known-sun", photographed.camera.name) == 2 and "it is no Sun lamp" in capsys.readouterr().err

@@ -84,9 +84,9 @@ def test_as_in_blender_is_what_its_material_says(photographed, cube, tmp_path):
 
 def test_each_of_several_materials_is_where_it_is(photographed, cube, tmp_path):
     cube.source, thing = "BLENDER", cube.object
-    assert own_surface.words(thing) == "It has no material: white"
+    assert own_surface.material_words(thing) == "It has no material: white"
     thing.data.materials.append(material())
-    assert own_surface.words(thing) == "'Own'"
+    assert own_surface.material_words(thing) == "'Own'"
     job_of(photographed, tmp_path)
     warnings = bpy.context.window_manager.btfsep.warnings
     assert not warnings
@@ -109,10 +109,12 @@ def test_each_of_several_materials_is_where_it_is(photographed, cube, tmp_path):
         assert np.allclose(colours[~top], (0.2, 0.4, 0.1), atol=1e-5)
         assert np.allclose(surface.finish[row, column, 0], np.where(top, 0.9, 0.5))
     assert not warnings
-    assert own_surface.words(thing) == "'Own', 'Own.001', each where it is"
+    assert own_surface.material_words(thing) == "'Own', 'Own.001', each where it is"
     holder = bpy.data.objects.new("Holder", None)
     holder.instance_type, holder.instance_collection = "COLLECTION", photographed.collection
-    assert own_surface.words(holder) == "As what it instances" and own_surface.words(None).startswith("It has no")
+    assert own_surface.material_words(holder) == "As what it instances" and own_surface.material_words(None).startswith(
+        "It has no"
+    )
 
 
 def test_materials_of_one_colour_need_no_picture(photographed, cube, tmp_path):

@@ -45,18 +45,18 @@ def test_it_is_where_cycles_sees_the_object(hidden_in_part, tmp_path, kind):
     scene, cube = hidden_in_part, hidden_in_part.btfsep.objects[0].object
     data = scene.camera.data
     data.type, data.shift_x, data.ortho_scale = kind, 0.1, 6
-    found = mask.seen(scene, bpy.context.view_layer, cube, SIZE)
+    found = mask.part_seen(scene, bpy.context.view_layer, cube, SIZE)
     truth = rendered(scene, tmp_path)
     whole, none = truth > 0.99, truth < 0.01
     assert whole.sum() > 4000 and found[whole].mean() > 0.9999 and found[none].mean() < 1e-4
     scene.btfsep.occluders = "NONE"
-    more = mask.seen(scene, bpy.context.view_layer, cube, SIZE)
+    more = mask.part_seen(scene, bpy.context.view_layer, cube, SIZE)
     assert more.sum() > found.sum() + 1000 and (more | ~found).all()
 
 
 def test_the_button_makes_a_mask_that_a_job_takes(hidden_in_part, tmp_path):
     entry = hidden_in_part.btfsep.objects[0]
-    seen = mask.seen(hidden_in_part, bpy.context.view_layer, entry.object, SIZE)
+    seen = mask.part_seen(hidden_in_part, bpy.context.view_layer, entry.object, SIZE)
     assert bpy.ops.btfsep.new_mask() == {"FINISHED"}
     assert (
         tuple(entry.mask.size) == SIZE and entry.mask.packed_file and entry.mask.name == f"Mask of {entry.object.name}"

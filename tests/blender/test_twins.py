@@ -168,14 +168,14 @@ def test_how_a_photo_is_to_be_turned(tmp_path, suffix):
         tag = {274: (3, 1, number.to_bytes(2, "little"))}
         picture = np.full((6, 8, 3), 90, np.uint8)
         path.write_bytes(tiff(picture, tag) if suffix == ".tif" else with_exif(suffix, turned(number)))
-        assert photo_file.orientation(path) == images.orientation(path) == number
-        assert photo_file.orientation(path.read_bytes()) == number
+        assert photo_file.facts_of(path).orientation == images.orientation(path) == number
+        assert photo_file.facts_of(path.read_bytes()).orientation == number
     whole = path.read_bytes()
     for end in range(1, len(whole), 3):
         path.write_bytes(whole[:end])
-        assert photo_file.orientation(path) in (1, 8) and images.orientation(path) in (1, 8)
+        assert photo_file.facts_of(path).orientation in (1, 8) and images.orientation(path) in (1, 8)
     path.unlink()
-    assert photo_file.orientation(path) == 1
+    assert photo_file.facts_of(path).orientation == 1
 
 
 def test_the_primaries_that_photos_have():
@@ -208,5 +208,5 @@ def test_the_words_of_the_contract():
     assert engine_process.BUG == engine_command.BUG
     assert known_suns.MOST == MAX_KNOWN_LAMPS
     spaces = JobSchema.model_json_schema()["properties"]["image_colorspace"]["enum"]
-    assert {"auto", "linear"} <= set(spaces)  # what photo.put gives
+    assert {"auto", "linear"} <= set(spaces)  # what photo.put_into_job gives
     assert {name for name, *_ in properties.CURVES} == set(spaces)

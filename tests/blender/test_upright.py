@@ -88,10 +88,10 @@ def same(found, own, turn):
 def test_nothing_is_lost_of_a_photo_that_is_turned(addon, tmp_path, name, number):
     path = lying(tmp_path / name, number, order=">" if number == 8 else "<")
     image = bpy.data.images.load(str(path))
-    assert upright.asked(image) == number
+    assert upright.orientation_of(image) == number
     copy = upright.copy_of(image)
-    assert upright.asked(copy) == 1 and not copy.is_dirty and len(list(tmp_path.iterdir())) == 1
-    put = photo.put(copy, tmp_path)
+    assert upright.orientation_of(copy) == 1 and not copy.is_dirty and len(list(tmp_path.iterdir())) == 1
+    put = photo.put_into_job(copy, tmp_path)
     assert (put.colorspace, put.primaries) == ("auto", "auto")
     own, found = read(path), read(tmp_path / put.name)
     assert put.size == found.pixels.shape[1::-1] == ((20, 30) if number > 4 else (30, 20))
@@ -148,7 +148,7 @@ def test_one_button_turns_the_photo_and_uses_it(photographed, tmp_path, capfd):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kept.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "kept.blend"))
     scene = bpy.context.scene
-    assert upright.asked(scene.btfsep.image) == 1 and request.missing(bpy.context) == ""
+    assert upright.orientation_of(scene.btfsep.image) == 1 and request.missing(bpy.context) == ""
     again = load_job(request.write_job(scene, folder=tmp_path / "again")).photo
     np.testing.assert_array_equal(again.radiance, found.radiance)
 
@@ -159,10 +159,10 @@ def test_a_packed_photo_of_a_relative_path_is_turned_where_its_file_is_gone(phot
     image = bpy.context.scene.btfsep.image = bpy.data.images.load(str(path))
     image.filepath = "//a.jpg"
     own = read(path)
-    assert upright.asked(image) == 3
+    assert upright.orientation_of(image) == 3
     image.pack()
     path.unlink()
-    assert upright.asked(image) == 3
+    assert upright.orientation_of(image) == 3
     bpy.ops.btfsep.turn_upright()
     scene = bpy.context.scene
     assert scene.btfsep.image.filepath == "//a upright.png"
@@ -185,12 +185,12 @@ def test_what_is_not_turned_says_why_and_leaves_nothing(photographed, tmp_path, 
     assert len(bpy.data.images) == before + 2
     painted = settings.image = bpy.data.images.load(str(lying(tmp_path / "a.jpg", 6)))
     painted.pixels[0] = 0.5
-    assert upright.asked(painted) == 1
+    assert upright.orientation_of(painted) == 1
     bpy.ops.btfsep.use_photo()
     assert use_photo.TURNED in capfd.readouterr().out
     gone = settings.image = bpy.data.images.load(str(lying(tmp_path / "a.webp", 6)))
     (tmp_path / "a.webp").unlink()
-    assert upright.asked(gone) == upright.asked(None) == 1
+    assert upright.orientation_of(gone) == upright.orientation_of(None) == 1
 
 
 def test_without_a_window(photographed, tmp_path, capsys):
@@ -228,7 +228,7 @@ def test_broken_headers_lose_what_they_say_and_no_more(tmp_path, name):
         except InputError:
             continue
         found = cv2.imdecode(np.frombuffer(data, np.uint8), -1)
-        assert found.shape[:2] == (4, 6) and photo_file.orientation(data) == 1
+        assert found.shape[:2] == (4, 6) and photo_file.facts_of(data).orientation == 1
         at = data.index(b"IHDR") - 4
         while at < len(data):
             (length,) = struct.unpack_from(">I", data, at)

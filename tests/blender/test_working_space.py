@@ -52,7 +52,7 @@ def test_a_packed_photo(acescg, tmp_path, kind):
     image = bpy.data.images.new("photo", 4, 2, float_buffer=kind == "float")
     image.pixels.foreach_set(np.tile(np.float32([*ORANGE, 1]), 8))
     image.pack()
-    put = photo.put(image, tmp_path)
+    put = photo.put_into_job(image, tmp_path)
     known, stored = ("linear", colour.to_rec709(ORANGE)) if kind == "float" else ("auto", ORANGE)
     assert put.colorspace == known and np.allclose(codes_of(tmp_path / put.name), stored, atol=3e-3)
 

@@ -107,7 +107,7 @@ def test_no_library_no_json_and_another_version(tmp_path):
 def test_exported_maps_have_v_upward(tmp_path):
     from btfsep_engine.imaging.images import read_linear
 
-    maps = procedural.export_maps("wood/oak-boards", tmp_path, 64, 1)
+    maps = procedural.export_maps("wood/oak-boards", tmp_path, 64)
     stored = read_linear(tmp_path / "basecolor.exr").pixels
     np.testing.assert_allclose(stored, maps.base_colour[::-1], atol=1e-6)
     assert {p.name for p in tmp_path.iterdir()} == {"basecolor.exr", "height.exr", "roughness.exr"}

@@ -16,7 +16,8 @@ from btfsep_engine.conventions import (
     pixel_solid_angles,
 )
 from btfsep_engine.light import lightings as li
-from btfsep_engine.light.maps import FOLDER, normalised, read_map, training_lights
+from btfsep_engine.light.maps import FOLDER, read_map, training_lights
+from scripts.studies.makers.prepare_lights import normalised
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def image(rng, sigma=1.5) -> np.ndarray:
 @pytest.mark.parametrize("sigma", [0.8, 3.2])
 def test_means_are_those_of_usable_pixels(rng, holed, sigma):
     pixels = np.flatnonzero(MASK)[::7]
-    values = holed.of(image(rng))
+    values = holed.values_of(image(rng))
     found = holed.mean(holed.image(values), sigma, pixels)
     weighted = gaussian_filter(holed.image(values).astype(float), (sigma, sigma, 0))
     share = gaussian_filter(holed.valid.astype(float), sigma)
@@ -47,17 +47,17 @@ def test_what_is_filled_is_like_its_neighbours_and_the_rest_as_it_was(rng, holed
     holed.fill(of_one_colour, 20)
     near = FROM_CENTRE < 75
     np.testing.assert_allclose(of_one_colour[near], np.broadcast_to(even, (near.sum(), 3)), rtol=1e-3)
-    values = holed.of(image(rng))
+    values = holed.values_of(image(rng))
     filled = holed.image(values)
     holed.fill(filled, 20)
-    np.testing.assert_array_equal(holed.of(filled), values)
+    np.testing.assert_array_equal(holed.values_of(filled), values)
 
 
 def test_images_of_the_same_pixels_are_described_as_if_each_were_alone(rng, holed):
     """With or without colours; after another image has been there."""
     for picture in (image(rng), image(rng, 0.8), 3 * image(rng, 4.0)):
         radiance = np.where(holed.valid[..., None], picture, np.nan)
-        alone, values = descriptors.extract(radiance, MASK), holed.of(picture)
+        alone, values = descriptors.extract(radiance, MASK), holed.values_of(picture)
         whole, texture = (descriptors.described(values, holed, colour=c) for c in (True, False))
         np.testing.assert_array_equal(whole.xy, alone.xy)
         np.testing.assert_allclose(whole.colour, alone.colour, atol=1e-4)
@@ -82,7 +82,7 @@ def test_what_is_shared_is_that_of_the_same_pixels(rng, holed):
 
 @pytest.mark.parametrize("settings", [descriptors.DEFAULT, descriptors.PAPER])
 def test_no_patch_looks_farther_than_is_filled(rng, monkeypatch, holed, settings):
-    values = holed.of(image(rng))
+    values = holed.values_of(image(rng))
     usual = descriptors.described(values, holed, settings=settings)
     monkeypatch.setattr(descriptors, "_reach", lambda _: SIDE)
     farther = descriptors.described(values, Masked(holed.mask, holed.valid), settings=settings)

@@ -50,9 +50,9 @@ def test_one_part_of_an_object_before_another_has_an_outline():
     assert set(np.unique(above)) == {-1.0, 0.0, 0.4}
     expected = has_another_beside(above) & (above >= 0)
     np.testing.assert_array_equal(found.beside(view.mesh.shape) & (view.mesh >= 0), expected)
-    assert set(np.unique(found.at(np.argwhere(expected)))) == {0}
+    assert set(np.unique(found.rings_at(np.argwhere(expected)))) == {0}
     next_ones = has_another_beside(expected) & ~expected & (above >= 0)
-    assert set(np.unique(found.at(np.argwhere(next_ones)))) == {1}
+    assert set(np.unique(found.rings_at(np.argwhere(next_ones)))) == {1}
 
 
 @pytest.mark.parametrize("degrees", [0, 40, 60])
@@ -71,7 +71,7 @@ def test_a_large_photo_is_looked_at_in_cells():
     view, found = seen(shape, looking_down(size=1200, focal=2500.0))
     assert found.edge == 2 and max(found.rings.shape) <= 514
     steps = has_another_beside(view.distance < 3.8) & (view.mesh == 0)
-    assert (found.at(np.argwhere(steps)) <= 1).all()
+    assert (found.rings_at(np.argwhere(steps)) <= 1).all()
     beside = found.beside(view.mesh.shape)
     assert 0.9 < beside[steps].mean() and beside.sum() < 5 * has_another_beside(view.mesh + (view.distance < 3.8)).sum()
 
@@ -88,7 +88,7 @@ def test_a_step_is_an_outline_from_a_few_edges_of_its_own_cells_on(size, cells, 
     above = heights(view, camera) > height / 2
     step = has_another_beside(above)
     assert above.mean() == pytest.approx((0.4 * 2.1 / 4) ** 2, rel=0.1) and (view.mesh[step] == 0).all()
-    assert step.sum() > size / 4 and (found.at(np.argwhere(step)).min() == 0) == is_outline
+    assert step.sum() > size / 4 and (found.rings_at(np.argwhere(step)).min() == 0) == is_outline
 
 
 def test_objects_that_touch_have_an_outline_between_them_and_only_objects_count():
@@ -102,7 +102,7 @@ def test_objects_that_touch_have_an_outline_between_them_and_only_objects_count(
     assert set(np.unique(view.mesh)) == {0, 1, 2} and found.edge == 2  # cells are those of the plates, not the table's
     column = int(np.flatnonzero(view.mesh[600] == 1).min())  # where the second begins
     away = np.arange(-20, 20)
-    rings = found.at(np.stack([np.full(40, 600), column + away], 1))
+    rings = found.rings_at(np.stack([np.full(40, 600), column + away], 1))
     expected = np.minimum(np.where(away < 0, -1 - away, away) // found.edge, FARTHEST)
     assert np.abs(rings - expected).max() <= 1 and rings[19] == rings[20] == 0 and rings.max() == FARTHEST
 

@@ -147,7 +147,7 @@ def maps(name: str, resolution: int = 256, *, variation: int = 0) -> Maps:
     )
 
 
-def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -> Maps:
+def export_maps(name: str, folder, resolution: int = 1024) -> Maps:
     """Writes ``basecolor.exr`` (linear RGB), ``height.exr`` (mm, mean 0), ``roughness.exr`` of a procedural material.
 
     The top row of a file is the largest v, as image textures are read (the maps in memory begin with the smallest).
@@ -156,7 +156,7 @@ def export_maps(name: str, folder, resolution: int = 1024, variation: int = 0) -
 
     Raises InputError: an unknown name; a folder that cannot be written.
     """
-    made = maps(name, resolution, variation=variation)
+    made = maps(name, resolution)
     for file, values in (("basecolor", made.base_colour), ("height", made.height_mm), ("roughness", made.roughness)):
         write_exr(Path(folder) / f"{file}.exr", np.ascontiguousarray(values[::-1]))
     return made

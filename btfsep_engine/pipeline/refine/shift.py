@@ -52,7 +52,7 @@ def differences(problem) -> np.ndarray:
     inside = np.clip(places, 0, np.array(view.mesh.shape) - 1)
     own = view.mesh[tuple(problem.pixels.T)]
     same = (places == inside).all(-1) & (view.mesh[inside[..., 0], inside[..., 1]] == own[:, None])
-    same &= outlines.at(inside.reshape(-1, 2)).reshape(same.shape) > 0
+    same &= outlines.rings_at(inside.reshape(-1, 2)).reshape(same.shape) > 0
     photo = problem.scene.job.photo
     image = photo.radiance[inside[..., 0], inside[..., 1]].astype(np.float64)
     same &= np.isfinite(image).all(-1)

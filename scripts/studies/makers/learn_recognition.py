@@ -29,13 +29,14 @@ from btfsep_engine.conventions import REC709_LUMINANCE, pixel_directions
 from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.light.lightings import shrink, turned
 from btfsep_engine.light.log_field import natural_field
-from btfsep_engine.light.maps import normalised, read_map
+from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.verification import EXPLANATIONS, SIMILARITIES, TINT
 from btfsep_engine.recognise.judgement import TABLE, judged, utilities
 from btfsep_engine.storage.atomic import write_text
 from scripts.cycles.lights import studio_lights
 from scripts.studies import cues, parser, photos
+from scripts.studies.makers.prepare_lights import normalised
 from scripts.studies.photos import WHITE
 
 OBJECTS = ("suzanne", "blob", "cloth")
