@@ -4,10 +4,12 @@
 import json
 
 import bpy
+import numpy as np
 import pytest
 
+from blender_btfsep.basics import harmonics, pixels
 from blender_btfsep.engine import engine_process
-from blender_btfsep.light import kept_light, lighting_file, sun_lamp
+from blender_btfsep.light import kept_light, lighting_file, sh_nodes, sun_lamp, world
 from blender_btfsep.run import answer, between_steps
 from blender_btfsep.window import live, operators
 from tests.blender.lit import LIGHTING
@@ -115,3 +117,16 @@ def test_a_picture_that_another_world_has_is_left_to_it(lit):
     picture = scene.btfsep.light.picture
     kept_light.keep(scene, kept_light.lighting_of(scene.btfsep.light))
     assert scene.btfsep.light.picture != picture == other.btfsep_kept.picture
+
+
+def test_a_second_map_comes_in_the_image_of_the_first(lit):
+    images = []
+    for factor in (1, 2):
+        again = {"order": 1, "coefficients": (factor * np.ones((4, 3))).tolist()}
+        world.apply_lighting(lit, again, mode="TEXTURE", clamp=False)
+        (node,) = (each for each in lit.world.node_tree.nodes if each.type == "GROUP")
+        image = sh_nodes.map_of(node.node_tree)
+        images.append(image)
+        assert image == images[0] and image.packed_file
+        shown = pixels.colours(image)[::-1]
+        assert np.allclose(shown, harmonics.to_map(np.array(again["coefficients"]), *shown.shape[:2]), atol=1e-5)
