@@ -9,7 +9,7 @@ from . import command
 from .engine import preferences
 from .panels import light_panel
 from .panels import photo_panels as panels
-from .run import runs
+from .run import between_steps, runs
 from .window import (
     alignment,
     example,
@@ -41,6 +41,7 @@ MODULES = (
     first_checkup,
     library,
     library_assets,
+    between_steps,
     operators,
     alignment,
     use_photo,

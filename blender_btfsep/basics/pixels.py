@@ -18,6 +18,19 @@ def colours(image) -> np.ndarray:
     return pixels[..., :3] if image.channels > 2 else np.repeat(pixels[..., :1], 3, -1)
 
 
+def move(image, into) -> bool:
+    """Gives ``into`` the pixels of ``image``, which goes, and packs it; gives whether their kinds let it."""
+    if image.channels != into.channels or image.is_float != into.is_float:
+        return False
+    if tuple(into.size) != tuple(image.size):
+        into.scale(*image.size)
+    into.pixels.foreach_set(read(image).ravel())
+    into.update()
+    into.pack()
+    bpy.data.images.remove(image)
+    return True
+
+
 def new(name: str, values, *, floats: bool = True):
     """An image of ``values`` (h, w, 3) or (h, w), the lowest row first; ``floats``: numbers, kept as they are.
 

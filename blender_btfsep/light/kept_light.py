@@ -43,10 +43,10 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
     sky, report = (out / name if (out / name).is_file() else None for name in ("lighting.exr", "report.png"))
     picture = pixels.new(PICTURE, light_picture.picture_of(scene, lighting, to_world, map_file=sky)[::-1], floats=False)
     picture.pack()
-    _replace(light, "picture", picture)
-    _replace(light, "report", report and _packed(report))
+    _put(scene, "picture", picture)
+    _put(scene, "report", report and _packed(report))
     mirrored = sky is not None and "mirrors" in ((result or {}).get("choice") or {})
-    _replace(light, "sky", _sky(sky, lighting) if mirrored else None)
+    _put(scene, "sky", _sky(sky, lighting) if mirrored else None)
 
 
 def put_with_world(scene) -> None:
@@ -101,11 +101,31 @@ def _content(text: str) -> dict:
     return found if isinstance(found, dict) else {}
 
 
+def _put(scene, name: str, image) -> None:
+    """Gives the scene's light another picture: in the data-block that it has, or had, where nothing else uses that.
+
+    What comes as a new one is to be known to a step of undo (`run/between_steps`).
+    """
+    light, world = scene.btfsep.light, scene.world
+    old = getattr(light, name)
+    if image is not None and old is None:
+        kind = image.name.partition(".")[0]
+        spare = (each for each in bpy.data.images if each != image and not each.users and not each.library)
+        old = next((each for each in spare if each.name.partition(".")[0] == kind), None)
+    beside = world is not None and old is not None and getattr(world.btfsep_kept, name) == old
+    own = old is not None and old.users == (getattr(light, name) == old) + beside
+    if beside and scene.btfsep.world_mode == "NONE":
+        own = False  # the World's light stays what it is
+    if image is not None and own and pixels.move(image, old):
+        image = old
+    _replace(light, name, image)
+
+
 def _replace(light, name: str, image) -> None:
-    """Gives a light another picture, and removes the one that nothing uses any more."""
+    """Gives a light another picture, and removes the one that is not used any more where this comes in its place."""
     old = getattr(light, name)
     setattr(light, name, image)
-    if old is not None and old != image and old.users == 0:
+    if old is not None and image is not None and old != image and old.users == 0:
         bpy.data.images.remove(old)
 
 

@@ -71,7 +71,10 @@ def apply_lighting(
         radiance = lighting.get("map") if lamp or not lighting.get("suns") else None
         if radiance is None:
             radiance = (harmonics.positive_map if clamp else harmonics.to_map)(coefficients, MAP_HEIGHT, 2 * MAP_HEIGHT)
-        _put_group(node, sh_nodes.build_map_group(_image_of(colour.to_working(radiance))))
+        image, old = _image_of(colour.to_working(radiance)), sh_nodes.map_of(node.node_tree)
+        own = old is not None and WORLD_TAG in old and old.users == node.node_tree.users == 1
+        if not (own and pixels.move(image, old)):
+            _put_group(node, sh_nodes.build_map_group(image))
     _remove_orphans()
     sampling = getattr(world, "cycles", None)  # absent when the Cycles add-on is off
     if sampling is not None:

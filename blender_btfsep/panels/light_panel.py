@@ -53,7 +53,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
                 unseen = reasons.unseen(context.scene, settings, request.fitted(settings))
                 if unseen:
                     sidebar.wrapped(context, layout, unseen, icon="ERROR")
-                self._beside(context, layout, run)
+            self._beside(context, layout, run, lacking)
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
         if light is not None:
@@ -77,10 +77,10 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             words, icon = ("Free", "UNLOCKED") if held else ("Freeze Sun", "LOCKED")
             row.operator(f"btfsep.{'free' if held else 'freeze'}_sun", text=words, icon=icon).name = lamp.name
 
-    def _beside(self, context, layout, run):
-        """How long an estimate takes, and the switch that spares asking for one."""
+    def _beside(self, context, layout, run, lacking):
+        """How long an estimate takes, and the switch that spares asking for one, which stays where one cannot be."""
         settings = context.scene.btfsep
-        seconds = durations.expected(operators.BTFSEP_OT_estimate.kind(context.scene))
+        seconds = None if lacking else durations.expected(operators.BTFSEP_OT_estimate.kind(context.scene))
         there = kept_light.kept(context.scene) is not None
         row = layout.split(factor=0.6) if there else layout
         if seconds is not None:
@@ -88,7 +88,8 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         elif there:
             row.label()
         if there:
-            row.prop(settings, "live", toggle=True, icon="FILE_REFRESH" if run.following else "PLAY")
+            icon = "PAUSE" if lacking and settings.live else "FILE_REFRESH" if run.following else "PLAY"
+            row.prop(settings, "live", toggle=True, icon=icon)
 
     def _outcome(self, context, layout, run):
         """What the last run said, but for what is in the card."""

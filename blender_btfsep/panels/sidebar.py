@@ -46,13 +46,26 @@ def wrapped(context, layout, text: str, *, icon: str = "NONE", icon_value: int =
     room = max((context.region.width - margin * scale) * share, 60 * scale)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    line, given = "", {"icon_value": icon_value} if icon_value else {"icon": icon}
+    given = {"icon_value": icon_value} if icon_value else {"icon": icon}
+    for line in lines(text, lambda part: blf.dimensions(0, part)[0] <= room):
+        column.label(text=line, **given)
+        given = {"icon": "BLANK1" if has_icon else "NONE"}
+
+
+def lines(text: str, fits) -> list:
+    """``text`` in lines of which ``fits(line)``; a word that is too long for one, as a path, is broken."""
+    made = [""]
     for word in text.split():
-        if line and blf.dimensions(0, f"{line} {word}")[0] > room:
-            column.label(text=line, **given)
-            line, given = "", {"icon": "BLANK1" if has_icon else "NONE"}
-        line = f"{line} {word}".strip()
-    column.label(text=line, **given)
+        if fits(f"{made[-1]} {word}".strip()):
+            made[-1] = f"{made[-1]} {word}".strip()
+            continue
+        while not fits(word):
+            much = next((n for n in range(len(word) - 1, 1, -1) if fits(word[:n])), 1)
+            at = word.rfind("/", 1, much) + 1  # of a path rather between two names
+            made.append(word[: at or much])
+            word = word[at or much :]
+        made.append(word)
+    return [line for line in made if line] or [""]
 
 
 def refine_alignment(layout, settings) -> None:

@@ -120,5 +120,5 @@ def _of_entry(name: str, entry, view_layer, settings) -> str:
             return f"The library has no material '{entry.material}', which '{name}' is to be of"
     mask = entry.mask
     if mask is not None and all(settings.image.size) and tuple(mask.size) != tuple(settings.image.size):
-        return f"The mask of '{name}' has another size than the photo: make it from the photo"
+        return f"The mask of '{name}' has another size than the photo: take it away, and press + in its place"
     return ""

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """File > Import and File > Export of a light; dragging a .btfsep into the 3D view imports it."""
 
+import os
+from pathlib import Path
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
+from ..basics.errors import InputError
 from ..light import light_files, sh_nodes, world
 from ..run import runs
 from ..run.answer import apply_light
@@ -22,6 +26,15 @@ SUFFIXES = (
         "A dome light with its map beside it, a distant or sphere light for each key light",
     ),
 )
+
+
+FORMATS = [suffix for suffix, *_ in SUFFIXES]
+
+
+def _suffixed(path: str, suffix: str) -> str:
+    """A path whose name ends with ``suffix`` in the place of another of ours."""
+    own = Path(path).suffix
+    return (path.removesuffix(own) if own.lower() in FORMATS else path) + suffix
 
 
 class BTFSEP_OT_import_lighting(runs.AtOnce, bpy.types.Operator, ImportHelper):
@@ -69,17 +82,42 @@ class BTFSEP_OT_export_lighting(runs.Greyed, runs.AtOnce, bpy.types.Operator, Ex
     filename_ext = ""
     check_extension = None  # the suffix is the format's
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix, *_ in SUFFIXES), options={"HIDDEN"})
-    format: EnumProperty(name="Format", items=SUFFIXES, description="Where the file's name has no suffix")
+    format: EnumProperty(name="Format", items=SUFFIXES, description="The suffix of the file's name, which it changes")
     order: IntProperty(name="Order", description="Of harmonics", default=4, min=0, max=sh_nodes.MAX_NODE_ORDER)
 
     @staticmethod
     def reason(context) -> str:
         return "" if world.is_ours(context.scene.world) else "The World is none of BTFsep's"
 
+    def invoke(self, context, event):
+        if not self.filepath:
+            name = bpy.path.display_name_from_filepath(bpy.data.filepath) or "untitled"
+            self.filepath = os.path.join(os.path.dirname(bpy.data.filepath), f"{name} light")
+        self._chosen = self.format
+        self.filepath = _suffixed(self.filepath, self.format)
+        return super().invoke(context, event)
+
+    def check(self, context):
+        """The name in the file browser has its suffix before Export is pressed: Blender warns of a file that is there.
+
+        A format that is chosen changes the suffix, a suffix that is typed the format.
+        """
+        before, suffix = (self.filepath, self.format), Path(self.filepath).suffix.lower()
+        if self.format == getattr(self, "_chosen", self.format) and suffix in FORMATS:
+            self.format = suffix
+        self._chosen = self.format
+        self.filepath = _suffixed(self.filepath, self.format)
+        return before != (self.filepath, self.format)
+
     def do(self, context):
         path = bpy.path.abspath(self.filepath)
-        if not any(path.lower().endswith(suffix) for suffix, *_ in SUFFIXES):
-            path += self.format
+        if Path(path).suffix.lower() not in FORMATS:
+            path = _suffixed(path, self.format)
+            if Path(path).exists():
+                raise InputError(Path(path).name, "it is there already", "give the name with its suffix to replace it")
+        image = context.scene.btfsep.image
+        if image is not None and image.filepath and Path(bpy.path.abspath(image.filepath)) == Path(path):
+            raise InputError(Path(path).name, "it is the photo", "give another name")
         light_files.write(path, context.scene, self.order)
         return f"wrote {path}"
 

@@ -2,7 +2,8 @@
 """Live: after an estimate the light follows what is changed, by a draft at once and the preset when all is quiet.
 
 Photo, mask, camera, what has a surface, and what it is made of: Blender tells of changes (`_heard`), a timer asks the
-engine (`_step`). The World is changed in place, without a step of undo: what it follows has one.
+engine (`_step`). The World is changed in place, without a step of undo: what it follows has one. Where data-blocks come
+with a light, as a lamp does, that is a step (`between_steps`).
 """
 
 import argparse
@@ -18,12 +19,13 @@ from ..basics.errors import InputError
 from ..engine import engine_process, engine_settings
 from ..light import kept_light, sun_lamp
 from ..photo import photo
-from ..run import answer, reasons, request, runs
+from ..run import answer, between_steps, reasons, request, runs
 from ..scene import meshes
 
 INTERVAL = 0.02  # seconds between looks
 QUIET = 0.05  # seconds without a change, before a draft
 SETTLED = 1.0  # and before the preset
+TOLD = 1.0  # within which Blender tells of what an undo has changed
 DRAFT, WHOLE = "draft", "whole"
 
 
@@ -56,10 +58,13 @@ class Follower:
     ----------
     due : what is to be asked next: DRAFT, WHOLE, or "" for nothing
     run : Preparation or process of what is asked now (`asked`), or None
+    text : of the light that was given last
+    marked : number of the last step of undo that was a light's, and what stood where then (`_placed`)
     """
 
     def __init__(self):
         self.place, self.due, self.run, self.asked, self._at, self._cancelled = None, "", None, "", 0.0, False
+        self.text, self.marked, self._unheard = "", (0, ()), 0.0
 
     def changed(self, scene) -> None:
         """Something is not as it was: what is asked now is asked in vain."""
@@ -142,7 +147,7 @@ class Follower:
             return  # what the engine says waits
         for message in self.run.poll():
             if isinstance(message, engine_process.Light) and not self._cancelled:
-                answer.take_light(scene, message.lighting)
+                self._give(scene, answer.take_light, message.lighting)
                 if self.asked == DRAFT:
                     self._cancelled, self._at = True, time.monotonic()
                     self.run.cancel()  # what else it would say is not asked
@@ -151,9 +156,36 @@ class Follower:
                 raise InputError(message.message, "", "")
             elif isinstance(message, engine_process.Done) and not self._cancelled:
                 own = [warning.name for warning in runs.run_state().warnings]
-                answer.take_estimate(scene, message.result, self._ids, own=own)
+                self._give(scene, answer.take_estimate, message.result, self._ids, own=own)
         if self.run.over:
             self._over()
+
+    def _give(self, scene, take, *found, **more) -> None:
+        """Has ``take`` put what was found into the scene."""
+        with between_steps.writing():
+            take(scene, *found, **more)
+        self.text = scene.btfsep.light.text
+        if between_steps.is_open():
+            number = scene.btfsep.live_step = scene.btfsep.live_step + 1
+            self.marked = number, _placed(scene)
+            between_steps.close("Live")
+
+    def undone(self) -> None:
+        """Whether the light is older now than what it followed, and is to come anew; not where it alone was undone."""
+        scene = self.place and self.place.scene
+        if scene is None or not scene.btfsep.live or not kept_light.kept(scene):
+            return
+        number, stood = self.marked
+        self.marked = scene.btfsep.live_step, stood
+        if scene.btfsep.live_step == number - 1:  # where things stand is not known yet
+            self._unheard = time.monotonic() + TOLD
+        elif self.text and scene.btfsep.light.text != self.text:
+            self.changed(scene)
+
+    def is_to_hear(self, scene) -> bool:
+        """Whether what Blender tells is more than that a light alone was undone, which it tells once."""
+        until, self._unheard = self._unheard, 0.0
+        return time.monotonic() > until or _placed(scene) != self.marked[1]
 
     def _over(self) -> None:
         self.run, self.asked = None, ""
@@ -206,6 +238,12 @@ def _told(scene) -> tuple:
     own = (suns, s.occluders, _beside(scene), s.mapping, s.exposure_ev, s.curve, shift)
     own += (camera and camera.session_uid,)
     return (*own, pictures, made, shape, engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s))
+
+
+def _placed(scene) -> tuple:
+    """What an undo of a light alone leaves as it is."""
+    things = [scene.btfsep.camera or scene.camera, *(entry.object for entry in request.listed(scene.btfsep))]
+    return _told(scene), [thing and [round(part, 6) for row in thing.matrix_world for part in row] for thing in things]
 
 
 def _beside(scene) -> list:
@@ -264,8 +302,13 @@ def _heard(scene, depsgraph):
         return  # of another window: it is told of the same later, also of what the export did
     if any(_matters(update, scene) for update in depsgraph.updates):
         _known[scene.session_uid] = _told(scene)  # what is told a second time is no second change
-        if kept_light.kept(scene):
+        if _follower.is_to_hear(scene) and kept_light.kept(scene):
             _follower.changed(scene)
+
+
+@persistent
+def _undone(*_):
+    _follower.undone()
 
 
 @persistent
@@ -290,7 +333,10 @@ def switched(settings) -> None:
         _follower.give_way()
 
 
-HANDLERS = (("depsgraph_update_post", _heard), ("load_pre", _left), ("load_post", _come))
+HANDLERS = (
+    *(("depsgraph_update_post", _heard), ("undo_post", _undone), ("redo_post", _undone)),
+    *(("load_pre", _left), ("load_post", _come)),
+)
 
 
 def register():

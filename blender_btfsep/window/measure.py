@@ -45,7 +45,7 @@ def library_folder(folder: str = "") -> Path:
         raise InputError(
             "the material library",
             "none is chosen, and the engine's own is not written to",
-            "choose a folder in the preferences of BTFsep; it is made if it is not there",
+            "choose a folder as Library, or in the preferences of BTFsep; it is made if it is not there",
         )
     return Path(bpy.path.abspath(folder)).absolute()
 
@@ -125,7 +125,8 @@ class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Ope
         layout.use_property_split = True
         for name in self.__annotations__:
             if name != "ask":
-                layout.prop(self, name)
+                empty = {"placeholder": "Choose a folder"} if name == "library" else {}
+                layout.prop(self, name, **empty)
         words = engine_settings.measuring_words(self.size_mm, self.texels, self.samples, os.cpu_count() or 1)
         layout.label(text=words, icon="TIME")
         layout.label(text="Blender stays usable; what is measured is kept if it is stopped")
@@ -134,7 +135,11 @@ class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Ope
         if not getattr(self, "_asked", False):
             return super().execute(context)
         chosen = {name: getattr(self, name) for name in self.__annotations__ if name != "ask"}
-        bpy.ops.btfsep.measure_material("INVOKE_DEFAULT", ask=False, **chosen)  # the dialog ends, the run begins
+        try:
+            bpy.ops.btfsep.measure_material("INVOKE_DEFAULT", ask=False, **chosen)  # the dialog ends, the run begins
+        except RuntimeError as error:  # what the run has reported already
+            self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+            return {"CANCELLED"}
         return {"FINISHED"}
 
     def begin(self, context):

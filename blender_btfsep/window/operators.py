@@ -8,7 +8,7 @@ import bpy
 from ..basics.errors import InputError
 from ..engine import checkup, engine_process
 from ..photo import photo
-from ..run import request, runs
+from ..run import between_steps, request, runs
 from ..run.answer import FOUND, take_estimate, take_light, take_materials
 from . import library
 
@@ -63,7 +63,7 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
     def _heard(self, message):
         super()._heard(message)
         if isinstance(message, engine_process.Light):
-            with contextlib.suppress(InputError):  # what is wrong with it is said at the end
+            with contextlib.suppress(InputError), between_steps.writing():  # what is wrong is said at the end
                 take_light(self.scene(), message.lighting)
                 self._lit = True
 
@@ -71,6 +71,7 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         done = super()._end(context, last)
         if done == {"CANCELLED"} and getattr(self, "_lit", False):
             bpy.ops.ed.undo_push(message=self.bl_label)  # the light that came before the end is a step of its own
+        between_steps.known()
         return done
 
     def finish(self, context, result):

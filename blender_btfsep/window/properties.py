@@ -213,6 +213,7 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         "a draft at once, the preset when nothing changes for a second",
         update=lambda self, context: live.switched(self),
     )
+    live_step: IntProperty(options={"HIDDEN"})  # how many steps of undo were a light that `live` gave
     interpolation: EnumProperty(
         name="Between Photos", description="What a sequence's light does between two photos", items=INTERPOLATIONS
     )

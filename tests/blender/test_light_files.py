@@ -3,6 +3,7 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -12,6 +13,7 @@ from mathutils import Matrix
 from blender_btfsep.basics import harmonics, pixels
 from blender_btfsep.basics.errors import InputError
 from blender_btfsep.light import light_files, sh_nodes, sun_lamp, world
+from blender_btfsep.window import importer
 from btfsep_engine import conventions, sh
 from btfsep_engine.imaging import images
 from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
@@ -205,8 +207,6 @@ def test_faults_are_in_words(addon, scene, tmp_path):
 
 
 def test_only_files_of_our_own_are_claimed_when_dropped(addon):
-    from blender_btfsep.window import importer
-
     assert importer.BTFSEP_FH_lighting.bl_file_extensions == ".btfsep"
 
 
@@ -215,3 +215,28 @@ def test_the_name_without_a_suffix_gets_the_formats(addon, scene, tmp_path):
     assert bpy.ops.btfsep.export_lighting(filepath=str(tmp_path / "light"), format=".json") == {"FINISHED"}
     assert json.loads((tmp_path / "light.json").read_text())["order"] == 4
     assert harmonics.order_of(25) == 4
+    kept = (tmp_path / "light.json").read_bytes()
+    with pytest.raises(RuntimeError, match="it is there already"):  # nobody was asked: it may be the photo
+        bpy.ops.btfsep.export_lighting(filepath=str(tmp_path / "light"), format=".json", order=1)
+    assert (tmp_path / "light.json").read_bytes() == kept
+    assert bpy.ops.btfsep.export_lighting(filepath=str(tmp_path / "light.json"), order=1) == {"FINISHED"}
+
+
+def test_the_file_browser_shows_the_name_that_is_written(addon):
+    """Else it cannot warn of a file that is there."""
+    check, shown = importer.BTFSEP_OT_export_lighting.check, SimpleNamespace(filepath="/a/photo", format=".json")
+    assert check(shown, None) and shown.filepath == "/a/photo.json" and not check(shown, None)
+    shown.format = ".exr"
+    assert check(shown, None) and shown.filepath == "/a/photo.exr"
+    shown.filepath = "/a/light.v2.HDR"
+    assert check(shown, None) and (shown.filepath, shown.format) == ("/a/light.v2.hdr", ".hdr")
+    shown.filepath = "/a/light.v2"
+    assert check(shown, None) and (shown.filepath, shown.format) == ("/a/light.v2.hdr", ".hdr")
+
+
+def test_the_photo_is_not_written_over(photographed):
+    world.apply_lighting(photographed, {"order": 1, "coefficients": positive_coefficients(1).tolist()})
+    photo = photographed.btfsep.image
+    photo.filepath_raw = photo.filepath_raw.replace(".png", ".exr")
+    with pytest.raises(RuntimeError, match="it is the photo"):
+        bpy.ops.btfsep.export_lighting(filepath=photo.filepath_raw)

@@ -2,6 +2,7 @@
 """A material's maps baked from its nodes, the scene left as it was, and the engine's run behind them."""
 
 import json
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -362,3 +363,13 @@ def test_the_class_is_told_by_the_name():
         "wallpaper",
         "",
     ]
+
+
+def test_a_dialog_that_lacks_its_library_says_so(addon, thing):
+    """In the words of the run that it begins, no traceback."""
+    operator, said = measure.BTFSEP_OT_measure_material, []
+    given = {"size_mm": 30.0, "library": "", "name": "cloth"}
+    dialog = SimpleNamespace(**given, _asked=True, __annotations__=given, report=lambda *told: said.append(told))
+    assert operator.execute(dialog, bpy.context) == {"CANCELLED"}
+    ((kind, sentence),) = said
+    assert kind == {"ERROR"} and sentence.startswith("the material library; none is chosen")
