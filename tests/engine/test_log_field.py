@@ -109,7 +109,7 @@ def test_vivid_light_varies_by_more_in_its_colours_and_by_as_much_in_its_brightn
     varies = [(each - each.mean((0, 2), keepdims=True)).std((0, 2)) for each in (usual, strong)]
     times = varies[1] / varies[0]
     np.testing.assert_allclose(times, VIVID, rtol=2e-3)  # logarithms end at `LARGEST_LOG`
-    assert times[0] == pytest.approx(1) and times[1] > 3 and times[2] > 3
+    assert (VIVID[1:] > 3).all()
 
 
 def test_the_table_is_what_the_shipped_maps_teach():
