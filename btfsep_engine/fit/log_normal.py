@@ -38,11 +38,11 @@ from btfsep_engine.fit.election import (
     rough_light,
 )
 from btfsep_engine.fit.ground import Ground, WithGround
-from btfsep_engine.fit.light_model import OF_LAMP, LightModel
+from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.posterior import HIDDEN, WIDER, hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
 from btfsep_engine.fit.search import Solution, nearby
-from btfsep_engine.fit.sharp_lamp import Sharpened
+from btfsep_engine.fit.sharp_lamp import Sharpened, SharpLight
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import as_vivid, natural_field
 from btfsep_engine.threads import one_thread
@@ -107,32 +107,27 @@ class LightSolver:
 
     def with_slopes(self, slopes) -> "LightSolver":
         """The same for photographs that may differ by ``slopes`` (p, k, 3) beside noise (`fit.products.Photograph`)."""
-        out = copy.copy(self)
-        out.slopes = slopes
-        return out
+        return self._with(slopes=slopes)
 
     def with_dye(self, dye) -> "LightSolver":
         """The same of basis images of an object of the tint ``dye``, which the photo says (`colour.split`)."""
-        out = copy.copy(self)
-        out.dye = np.asarray(dye)
-        return out
+        return self._with(dye=np.asarray(dye))
 
     def with_stated_colour(self) -> "LightSolver":
         """The same of basis images of objects whose colour somebody told (`colour.split`)."""
-        out = copy.copy(self)
-        out.stated_colour = True
-        return out
+        return self._with(stated_colour=True)
 
     def with_vivid(self) -> "LightSolver":
         """The same for light that may have strong colours, other ones from each direction."""
-        out = copy.copy(self)
-        out.field = as_vivid(self.field)
-        return out
+        return self._with(field=as_vivid(self.field))
 
     def without_given(self, number=None) -> "LightSolver":
         """The same of the same basis images with no lamp given; ``number`` : of the one to leave out alone."""
+        return self._with(given=() if number is None else (*self.given[:number], *self.given[number + 1 :]))
+
+    def _with(self, **changes) -> "LightSolver":
         out = copy.copy(self)
-        out.given = () if number is None else (*self.given[:number], *self.given[number + 1 :])
+        vars(out).update(changes)
         return out
 
     def solve(self, radiance, *, weights=None, start: Fit | None = None, beside: Fit | None = None) -> Fit:
@@ -240,7 +235,7 @@ class LightSolver:
             best = fit.election.solution
             return next_lamp(best)(best, fit.election.photo)
 
-    def sharp_lamps(self, radiance, fit: Fit, directions, excess, *, weights, start=None) -> "SharpLight":
+    def sharp_lamps(self, radiance, fit: Fit, directions, excess, *, weights, start=None) -> SharpLight:
         """A free sky and lamps, of which the first ones have images of their own (`fit.sharp_lamp`).
 
         Parameters
@@ -345,31 +340,8 @@ def moved(before: Fit, now: Fit) -> Stated:
         irradiance = irradiance * now.tint.gain
         share = float(irradiance.mean()) / mean
         lamps.append(replace(lamp, direction=direction, irradiance=irradiance, share=share))
-    return replace(stated, interval=stated.interval + step, samples=stated.samples + step, lamps=tuple(lamps))
-
-
-@dataclass(frozen=True)
-class SharpLight:
-    """A free sky and k lamps that were found, of which some have images of their own.
-
-    Attributes
-    ----------
-    irradiances : (k, 3), the lamps'; x : (terms, 3), all of the light; evidence : its logarithm
-    white, v : the unknowns and the noise, as of `fit.search.Solution`
-    """
-
-    irradiances: np.ndarray
-    x: np.ndarray
-    evidence: float
-    white: np.ndarray
-    v: np.ndarray
-
-    def reordered(self, order) -> "SharpLight":
-        """The same with the lamps in another order, (k,) int."""
-        k = len(self.irradiances)
-        own = self.white[len(self.white) - k * OF_LAMP :].reshape(k, OF_LAMP)[list(order)]
-        white = np.concatenate([self.white[: len(self.white) - k * OF_LAMP], own.ravel()])
-        return replace(self, irradiances=self.irradiances[list(order)], white=white)
+    ranges = {"interval": stated.interval + step, "pattern": stated.pattern + step}
+    return replace(stated, samples=stated.samples + step, lamps=tuple(lamps), **ranges)
 
 
 @dataclass(frozen=True)

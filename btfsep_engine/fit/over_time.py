@@ -108,6 +108,7 @@ def smoothed(frames: list[Frame], at: int, reach: int) -> tuple[Frame, int]:
         coefficients=mean(lambda light: light.coefficients),
         stddev=mean(lambda light: light.stddev),
         interval=None if own.lighting.interval is None else mean(lambda light: light.interval),
+        pattern=None if own.lighting.pattern is None else mean(lambda light: light.pattern),
         suns=tuple(suns),
     )
     if own.sky is None:

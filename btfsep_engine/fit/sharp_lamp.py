@@ -10,11 +10,12 @@ linear in one more unknown for each. In a search (`fit.search`) its column stand
 what a beam from d alone gives (`LogField.beside`): it goes with the irradiance of a lamp whose direction is held.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from btfsep_engine.fit.light_model import OF_LAMP
 from btfsep_engine.fit.products import Basis, Photograph
 
 SAME = 1e-9  # of a cosine: a direction and itself
@@ -43,3 +44,27 @@ class Sharpened(Photograph):
 def _towards(own, directions) -> np.ndarray:
     """(…, k), 1 where ``directions`` (…, 3) are one of the lamps' ``own`` (k, 3)."""
     return (np.asarray(directions) @ own.T > 1 - SAME).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class SharpLight:
+    """A free sky and k lamps that were found, of which some have images of their own.
+
+    Attributes
+    ----------
+    irradiances : (k, 3), the lamps'; x : (terms, 3), all of the light; evidence : its logarithm
+    white, v : the unknowns and the noise, as of `fit.search.Solution`
+    """
+
+    irradiances: np.ndarray
+    x: np.ndarray
+    evidence: float
+    white: np.ndarray
+    v: np.ndarray
+
+    def reordered(self, order) -> "SharpLight":
+        """The same with the lamps in another order, (k,) int."""
+        k = len(self.irradiances)
+        own = self.white[len(self.white) - k * OF_LAMP :].reshape(k, OF_LAMP)[list(order)]
+        white = np.concatenate([self.white[: len(self.white) - k * OF_LAMP], own.ravel()])
+        return replace(self, irradiances=self.irradiances[list(order)], white=white)

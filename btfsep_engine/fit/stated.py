@@ -20,6 +20,7 @@ DETERMINED = 0.5  # of what a coefficient could be: known to better than that
 REFLECTANCE = 0.1  # of all light: a material's reflectance differs from piece to piece
 RANGE = (2.5, 97.5)  # percentiles of what is stated as the range
 MIDDLE = (15.9, 84.1)  # of a standard deviation: tails of an exponential would make the mean square say anything
+LEAST_SCALE = 1e-3  # of a sample: one that has nothing in common with the estimate has no scale
 ERROR_RANGE = (16, 50, 84)  # percentiles of the expected error
 ERROR_ORDERS = (1, 2)
 
@@ -34,6 +35,7 @@ class Stated:
     interval : (2, terms, 3), the ends of the range that holds 95 % of the samples; None without a prior
     samples : (n, terms, 3), lights as probable as the posterior has them; None without a prior
     lamps : log_normal.Lamp, the brightest first
+    pattern : (4, terms, 3), `pattern_ranges`; None without a prior
     """
 
     stddev: np.ndarray
@@ -41,6 +43,7 @@ class Stated:
     interval: np.ndarray | None = None
     samples: np.ndarray | None = None
     lamps: tuple = ()
+    pattern: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +119,12 @@ class Fit:
         return None if interval is None else interval[:, : self.terms]
 
     @property
+    def pattern(self) -> np.ndarray | None:
+        """(4, terms, 3), `pattern_ranges`."""
+        pattern = self.state().pattern
+        return None if pattern is None else pattern[:, : self.terms]
+
+    @property
     def shown(self) -> np.ndarray:
         """All coefficients whose A x is the photo: in the colour that the object gives them."""
         if self.seen is not None:
@@ -156,7 +165,21 @@ def stated_by(coefficients, samples, lamps=()) -> Stated:
     low, below, above, high = _percentiles(samples, (RANGE[0], *MIDDLE, RANGE[1]))
     spread = np.maximum(np.maximum(above - x, x - below), 0)
     pattern = np.sqrt(np.maximum(spread**2 - (REFLECTANCE * x) ** 2, 0))
-    return Stated(spread, determined(x, pattern), np.stack([low, high]), samples, lamps)
+    return Stated(spread, determined(x, pattern), np.stack([low, high]), samples, lamps, pattern_ranges(x, samples))
+
+
+def pattern_ranges(coefficients, samples) -> np.ndarray:
+    """What the coefficients may be where only a light's pattern counts, whatever its scale, as of one free scale.
+
+    Each sample is brought to the scale in which ``coefficients`` (terms, 3) are nearest to it, up to the order of the
+    usual error. The scale of a photo's exposure and of a surface's reflectance is in none of it.
+
+    Gives (4, terms, 3), ascending: the ends of the range that holds 95 %, and within it of that which holds 68 %.
+    """
+    x, few = coefficients, sh.term_count(max(ERROR_ORDERS))
+    scale = np.einsum("ntc,tc->n", samples[:, :few], x[:few]) / max(float(np.square(x[:few]).sum()), 1e-300)
+    own = samples / np.maximum(scale, LEAST_SCALE)[:, None, None]
+    return _percentiles(own, (RANGE[0], *MIDDLE, RANGE[1]))
 
 
 def _percentiles(samples, percentages) -> np.ndarray:

@@ -40,6 +40,8 @@ class Lighting:
     exposure_ev : the exposure that had been applied to the photo, in stops; carried along, not applied
     suns : the key lights that are part of the coefficients, put in order: the brightest first; each knows its share
     interval : (2, terms, 3), the ends of the range that holds 95 % of what each coefficient may be, or None
+    pattern : (4, terms, 3), likewise where only the light's pattern counts, whatever its scale, and of 68 %: the ends
+        of both ranges, ascending, or None
     """
 
     order: int
@@ -49,6 +51,7 @@ class Lighting:
     exposure_ev: float = 0.0
     suns: tuple[Sun, ...] = ()
     interval: np.ndarray | None = None
+    pattern: np.ndarray | None = None
 
     def __post_init__(self):
         terms = sh.term_count(self.order)
@@ -66,6 +69,11 @@ class Lighting:
             if interval.shape != (2, terms, 3) or (interval[0] > interval[1]).any():
                 raise ValueError(f"interval of the shape {interval.shape}, or its ends the wrong way round")
             object.__setattr__(self, "interval", interval)
+        if self.pattern is not None:
+            pattern = np.asarray(self.pattern, np.float64)
+            if pattern.shape != (4, terms, 3) or (np.diff(pattern, axis=0) < 0).any():
+                raise ValueError(f"pattern of the shape {pattern.shape}, or its ends in another order")
+            object.__setattr__(self, "pattern", pattern)
         suns = sorted(self.suns, key=lambda sun: -sun.irradiance.mean())
         told = [s if s.share is not None else replace(s, share=s.share_of(self.coefficients)) for s in suns]
         object.__setattr__(self, "suns", tuple(told))
@@ -125,6 +133,13 @@ class SunsSchema(Strict):
     sky: list[Rgb]
 
 
+class PatternSchema(Strict):
+    low_95: list[Rgb]
+    low_68: list[Rgb]
+    high_68: list[Rgb]
+    high_95: list[Rgb]
+
+
 class LightingSchema(Strict):
     format: Literal["btfsep-lighting"]
     version: Literal[1]
@@ -135,6 +150,7 @@ class LightingSchema(Strict):
     determined: list[bool] | None = None
     low: list[Rgb] | None = None
     high: list[Rgb] | None = None
+    pattern: PatternSchema | None = None
     frame: Literal["blender-z-up"]
     exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
     sun: SunSchema | None = None
@@ -169,7 +185,21 @@ def read_lighting(path) -> Lighting:
         schema.exposure_ev,
         _suns(path.name, schema),
         interval,
+        _pattern(path.name, schema),
     )
+
+
+def _pattern(name: str, schema: LightingSchema) -> np.ndarray | None:
+    """`Lighting.pattern` of a file called ``name``, checked. Raises InputError."""
+    if schema.pattern is None:
+        return None
+    each = schema.pattern.model_dump().values()
+    if {len(rows) for rows in each} != {len(schema.coefficients)}:
+        raise InputError(f"{name}: pattern", "not as many rows as coefficients", "write as many, or leave it out")
+    ends = np.array(list(each))
+    if (np.diff(ends, axis=0) < 0).any():
+        raise InputError(f"{name}: pattern", "its ranges are none", "write low_95 <= low_68 <= high_68 <= high_95")
+    return ends
 
 
 def _suns(name: str, schema: LightingSchema) -> tuple[Sun, ...]:
@@ -218,8 +248,8 @@ def write_lighting(path, lighting: Lighting) -> None:
 
     Raises ValueError: something in it is not finite (a bug: nothing that is not finite is ever stored).
     """
-    arrays = (lighting.coefficients, lighting.stddev, 0.0 if lighting.interval is None else lighting.interval)
-    if not all(np.isfinite(each).all() for each in arrays):
+    arrays = (lighting.coefficients, lighting.stddev, lighting.interval, lighting.pattern)
+    if not all(np.isfinite(each).all() for each in arrays if each is not None):
         raise ValueError("a lighting that is not finite")
     fields = {
         "format": "btfsep-lighting",
@@ -234,6 +264,8 @@ def write_lighting(path, lighting: Lighting) -> None:
     }
     if lighting.interval is not None:
         fields["low"], fields["high"] = lighting.interval.tolist()
+    if lighting.pattern is not None:
+        fields["pattern"] = dict(zip(PatternSchema.model_fields, lighting.pattern.tolist(), strict=True))
     if lighting.suns:
         if not all(np.isfinite(sun.irradiance).all() for sun in lighting.suns):
             raise ValueError("a sun that is not finite")

@@ -106,9 +106,8 @@ class Estimate:
     def lighting(self) -> Lighting:
         """The light that is written."""
         fit, exposure_ev = self.fit, self.scene.job.exposure_ev
-        return Lighting(
-            fit.order, fit.coefficients, fit.stddev, fit.determined, exposure_ev, self.light.suns, fit.interval
-        )
+        known = fit.order, fit.coefficients, fit.stddev, fit.determined
+        return Lighting(*known, exposure_ev, self.light.suns, fit.interval, fit.pattern)
 
     @cached_property
     def map(self) -> np.ndarray:

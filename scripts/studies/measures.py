@@ -53,9 +53,11 @@ def covered(x, stddev, truth, *, interval=None) -> dict:
 def judged(light, samples, truth, *, free_scale: bool = False) -> dict:
     """An estimate and what it states: ``errors``, ``covered`` up to order 2, stated1 and stated2 (expected errors).
 
+    With ``free_scale`` also pattern68 and pattern95: shares of true coefficients in the ranges of the light's pattern.
+
     Parameters
     ----------
-    light : anything with coefficients, stddev and interval; samples : the fit's
+    light : anything with coefficients, stddev, interval and pattern; samples : the fit's
     truth : (terms, 3), order 2 or more
     free_scale : whether ranges are held against a truth of another scale
     """
@@ -65,6 +67,10 @@ def judged(light, samples, truth, *, free_scale: bool = False) -> dict:
     stated = expected_error(x, samples)
     out |= {f"stated{order}": stated[f"order_{order}"]["median"] for order in (1, 2)}
     ends = scale * light.interval[:, :n]
+    if free_scale and light.pattern is not None:
+        wide, far = scale * light.pattern[1:3, :n], scale * light.pattern[::3, :n]
+        for key, (low, high) in (("pattern68", wide), ("pattern95", far)):
+            out[key] = float(((low <= truth[:n]) & (truth[:n] <= high)).mean())
     return out | covered(scale * x[:n], scale * light.stddev[:n], truth[:n], interval=ends)
 
 

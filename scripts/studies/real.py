@@ -100,11 +100,19 @@ COLUMNS = {  # what of a row, and its form
     "within68": ("68 %", "{:.0f} %"),
     "within95": ("95 %", "{:.0f} %"),
     "inside": ("95 % range", "{:.0f} %"),
+    "pattern68": ("pattern: 68 %", "{:.0f} %"),
+    "pattern95": ("pattern: 95 %", "{:.0f} %"),
     "warned": ("warnings", "{:.0f}"),
     **{f"{k}_{what}": (f"{PLAIN[k]}: {what}", form) for k in PLAIN for what, form in (
         ("error", "{:.2f}"), ("angle", "{:.1f}°"))},
 }  # fmt: skip
-MEANS = ("within68", "within95", "inside")  # of shares the mean and the least; of all else the median and the most
+MEANS = (
+    "within68",
+    "within95",
+    "inside",
+    "pattern68",
+    "pattern95",
+)  # of shares the mean and the least; of all else the median and the most
 
 
 def by_job(rows: list) -> str:

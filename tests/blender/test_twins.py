@@ -39,7 +39,14 @@ def test_every_lighting_that_the_engine_writes_is_read(tmp_path, order):
     sun = Sun((0, 0.6, 0.8), (3, 2, 1), (0.1, 0.1, 0.1), size_degrees=0.5)
     lamp = Sun((0, 0, -1), (1, 1, 1), (0.1, 0.1, 0.1), size_degrees=5)
     light = files.Lighting(
-        order, x, np.abs(x), rng.random(len(x)) < 0.5, exposure_ev=-1.5, suns=(lamp, sun), interval=(x - 1, x + 1)
+        order,
+        x,
+        np.abs(x),
+        rng.random(len(x)) < 0.5,
+        exposure_ev=-1.5,
+        suns=(lamp, sun),
+        interval=(x - 1, x + 1),
+        pattern=(x - 1, x, x, x + 1),
     )
     files.write_lighting(tmp_path / "lighting.json", light)
     read = lighting_file.read(tmp_path / "lighting.json")

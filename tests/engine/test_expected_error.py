@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.fit.compare import relative_l2
-from btfsep_engine.fit.stated import expected_error
+from btfsep_engine.fit.stated import expected_error, pattern_ranges, stated_by
 
 
 def test_nothing_unknown_means_no_error_and_a_free_scale_costs_nothing(rng):
@@ -35,6 +35,25 @@ def test_true_errors_fall_as_stated(rng):
     errors = np.array([relative_l2(x, truth)["relative_l2_free_scale"] for truth in lights[500:]])
     assert np.mean((errors > found["low"]) & (errors < found["high"])) == pytest.approx(0.68, abs=0.08)
     assert np.mean(errors < found["median"]) == pytest.approx(0.5, abs=0.1)
+
+
+def test_ranges_of_the_pattern_know_of_no_scale_and_hold_what_they_say(rng):
+    x = 0.3 * rng.normal(size=(16, 3))
+    x[0] += 2
+    lights = x + 0.1 * rng.normal(size=(2000, 16, 3))
+    ranges = pattern_ranges(x, lights[:1000])
+    dimmed = lights[:1000] * np.exp(rng.normal(size=(1000, 1, 1)))
+    np.testing.assert_allclose(pattern_ranges(x, dimmed), ranges, rtol=1e-9)
+    assert (np.diff(ranges, axis=0) >= 0).all()
+    np.testing.assert_allclose(pattern_ranges(x, x * np.linspace(0.5, 2, 50)[:, None, None]), [x] * 4, atol=1e-12)
+    truths = lights[1000:]  # in the scale that `relative_l2` finds for the estimate
+    scales = [relative_l2(x[:9], t[:9])["scale"] for t in truths]
+    own = truths / np.array(scales)[:, None, None]
+    for (low, high), share in ((ranges[1:3], 0.682), (ranges[::3], 0.95)):
+        assert ((low <= own) & (own <= high)).mean() == pytest.approx(share, abs=0.02)
+    stated = stated_by(x, dimmed)
+    np.testing.assert_allclose(stated.pattern, ranges, rtol=1e-9)
+    assert (np.ptp(stated.interval, 0) > np.ptp(ranges[::3], 0)).all()
 
 
 def test_the_opposite_of_a_light_is_as_wrong_as_none(rng):

@@ -13,7 +13,8 @@ from btfsep_engine.light.sun import Sun
 def light(x, spread=0.1, suns=()) -> Lighting:
     x = np.asarray(x, np.float64)
     stddev = np.full_like(x, spread)
-    return Lighting(sh.order_of(len(x)), x, stddev, np.ones(len(x), bool), 0.0, suns, np.stack([x - 0.2, x + 0.3]))
+    ranges = np.stack([x - 0.2, x + 0.3]), np.stack([x - 0.1, x, x + 0.1, x + 0.2])
+    return Lighting(sh.order_of(len(x)), x, stddev, np.ones(len(x), bool), 0.0, suns, *ranges)
 
 
 @pytest.fixture
@@ -64,6 +65,7 @@ def test_what_is_stated_does_not_shrink_with_the_number_of_frames(base, rng):
     mean, count = smoothed(frames, 4, 4)
     assert count == 9 and np.allclose(mean.lighting.stddev, 0.1)
     assert np.allclose(np.ptp(mean.lighting.interval, axis=0), 0.5)
+    assert np.allclose(np.ptp(mean.lighting.pattern, axis=0), 0.3)
     off = [np.abs(f.lighting.coefficients - base).mean() for f in (mean, frames[4])]
     assert off[0] < 0.6 * off[1]
     assert smoothed(frames, 4, 0) == (frames[4], 1)

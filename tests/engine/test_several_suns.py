@@ -34,7 +34,13 @@ def light(rng) -> Lighting:
     x = sky + sum(s.coefficients(ORDER) for s in (LAMP, SUN, FAINT))
     spread = np.full_like(x, 0.1)
     return Lighting(
-        ORDER, x, spread, np.ones(len(x), bool), suns=(LAMP, SUN, FAINT), interval=np.stack([x - 0.3, x + 0.2])
+        ORDER,
+        x,
+        spread,
+        np.ones(len(x), bool),
+        suns=(LAMP, SUN, FAINT),
+        interval=np.stack([x - 0.3, x + 0.2]),
+        pattern=np.stack([x - 0.2, x - 0.1, x + 0.05, x + 0.15]),
     )
 
 
@@ -59,6 +65,8 @@ def test_what_is_written_is_what_is_read(tmp_path, light):
     data = written(tmp_path / "l.json", light)
     back = read_lighting(tmp_path / "l.json")
     assert np.array_equal(back.coefficients, light.coefficients) and np.array_equal(back.interval, light.interval)
+    assert np.array_equal(back.pattern, light.pattern)
+    assert np.array_equal(data["pattern"]["high_68"], light.pattern[2])
     assert np.allclose(back.sky, light.sky, atol=1e-12) and len(back.suns) == 3
     for a, b in zip(back.suns, light.suns, strict=True):
         for key in ("direction", "irradiance", "stddev"):
@@ -152,6 +160,15 @@ def test_infinities_of_two_lamps_do_not_cancel(tmp_path):
         ({"high": [[-9.0, 9.0, 9.0]] * 25}, "low <= high"),
         ({"high": [[9.0, 9.0, 9.0]] * 24}, "high; it has 24 rows"),
         ({"low": [[-9.0, float("-inf"), -9.0]] * 25}, "low"),
+        ({"pattern": {f"{end}_{share}": [[1, 1, 1]] * 24 for end in ("low", "high") for share in (68, 95)}}, "as many"),
+        ({"pattern": dict.fromkeys(("low_68", "high_68", "high_95"), [[0, 0, 0]] * 25)}, "low_95"),
+        (
+            {
+                "pattern": dict.fromkeys(("low_68", "high_68", "high_95"), [[0, 0, 0]] * 25)
+                | {"low_95": [[1, 1, 1]] * 25}
+            },
+            "low_95 <= low_68",
+        ),
     ],
 )
 def test_ranges_that_are_none_are_refused_in_words(tmp_path, light, change, words):
@@ -160,6 +177,8 @@ def test_ranges_that_are_none_are_refused_in_words(tmp_path, light, change, word
         read_lighting(tmp_path / "l.json")
     with pytest.raises(ValueError, match="interval"):
         Lighting(ORDER, light.coefficients, light.stddev, light.determined, interval=light.interval[::-1])
+    with pytest.raises(ValueError, match="pattern"):
+        Lighting(ORDER, light.coefficients, light.stddev, light.determined, pattern=light.pattern[::-1])
 
 
 def test_nothing_that_is_not_finite_is_written(tmp_path, light):
