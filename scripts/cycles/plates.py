@@ -64,13 +64,14 @@ def take(plate, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scene = studio.clear()
     scene.world = studio.make_world(plate["light"], rotation_euler=(0, 0, math.radians(plate["turn"])))
+    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = plate.get("dimmed", 1)
     thing = objects.build(plate["object"], seed=plate["seed"], view=studio.VIEW_FROM)
     for surface in (plate["surface"], *plate.get("more", ())):
         thing.data.materials.append(principled(surface))
     if "more" in plate:
         dress(thing.data)
-    if plate["sun"]:
-        studio.add_sun(plate["sun"]["direction"], plate["sun"]["irradiance"], degrees=0.53)
+    for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
+        studio.add_sun(lamp["direction"], lamp["irradiance"], degrees=0.53)
     positions = objects.vertex_positions(thing.data)
     table = [studio.add_table(positions[:, 2].min(), TABLE, plate["table"])] if plate["table"] else []
     lens = studio.add_camera(scene, positions, resolution=RESOLUTION, fill=FILL).data

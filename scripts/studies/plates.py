@@ -10,7 +10,8 @@ has, under Blender's studio lights, turned, half of them with a Sun lamp. Each i
 is*), with the camera in line (*in line*), with nothing said of what it is made of (*as recognised*) or only that it is
 plastic (*as any plastic*), and a render that was saved with AgX also as if nothing were known of that but what the file
 says (*not said*), or as if it were sRGB (*taken for sRGB*). Objects of the set *several* have three such materials, and
-are estimated with their mean, too (*as their mean*). The error of plates with a table is that of the light from above
+are estimated with their mean, too (*as their mean*). Those of the set *stage* stand in dim light under lamps
+with filters of strong colours. The error of plates with a table is that of the light from above
 it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
 
@@ -44,6 +45,7 @@ SETS = {
     "fifth": 7,
     "sixth": 8,
     "seventh": 9,
+    "stage": 10,
 }  # seeds; what was chosen by which of them, docs/accuracy.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -63,6 +65,12 @@ POLISHED = (0.0, 0.1, 0.2)  # roughness
 CURVES = ("srgb", "srgb", "agx", "floats")
 WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
 SUN_COLOUR = np.array([1.05, 1.0, 0.9])
+FILTERS = {
+    "red": (1, 0.03, 0.02), "amber": (1, 0.45, 0.05), "green": (0.05, 1, 0.1), "cyan": (0.05, 0.8, 1),
+    "blue": (0.03, 0.06, 1), "magenta": (1, 0.03, 0.8), "white": (1, 1, 1),
+}  # fmt: skip
+LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its other light, times what it is; lamps'
+# irradiance, times what that of the other light would be undimmed
 AS_IS, IN_LINE, AS_MEAN = "as it is", "in line", "as their mean"
 NOT_SAID, AS_SRGB = "not said", "taken for sRGB"
 RECOGNISED, AS_PLASTIC = "as recognised", "as any plastic"
@@ -126,9 +134,26 @@ def mirroring(plates: list[dict]) -> list[dict]:
     return out
 
 
+def on_stage(plates: list[dict]) -> list[dict]:
+    """The plates under lamps with filters in place of the sun, and dim light."""
+    random, out = np.random.default_rng(SETS["stage"]), []
+    for plate in plates:
+        count, usual = int(random.integers(1, LAMPS + 1)), np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
+        lamps = []
+        for colour in random.choice(list(FILTERS), count, replace=False):
+            azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
+            towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
+            irradiance = random.uniform(*STRONG) * usual * 2 * np.array(FILTERS[colour])
+            lamps.append({"direction": towards, "irradiance": irradiance.tolist()})
+        kinds = [*plate["kinds"], f"{count} lamp{'s' if count > 1 else ''}"]
+        more = {"lamps": lamps, "dimmed": random.uniform(*DIMMED), "sun": None, "kinds": kinds}
+        out.append(plate | more)
+    return out
+
+
 def of_set(name: str) -> list[dict]:
     """The plates of a set by its name."""
-    made = {"several": several, "chrome": mirroring}
+    made = {"several": several, "chrome": mirroring, "stage": on_stage}
     return made.get(name, list)(drawn(SETS[name]))
 
 
@@ -166,10 +191,16 @@ def truth(plate) -> np.ndarray:
     """The light's coefficients (100, 3)."""
     c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
     x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    if plate["sun"]:
-        beam = sh.evaluate(9, np.array([plate["sun"]["direction"]]))[0]
-        x = x + beam[:, None] * plate["sun"]["irradiance"]
+    x = x * plate.get("dimmed", 1)
+    for lamp in lamps_of(plate):
+        beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
+        x = x + beam[:, None] * lamp["irradiance"]
     return x
+
+
+def lamps_of(plate) -> list:
+    """Its bare lamps, be it a sun."""
+    return [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", [])
 
 
 def judged(plate, job) -> dict:
