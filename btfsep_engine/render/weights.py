@@ -11,7 +11,7 @@ from btfsep_engine.render.arrays import divided, dr, floats, integers, mi, packe
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.storage import kept
 
-KEPT = 1 << 25  # bytes of some points' tables; larger ones are of a whole picture, and made for one look
+KEPT = 1 << 23  # bytes of some points' tables: a fit's. Larger ones are made for one look: a training's, a picture's
 
 
 class Weights:

@@ -92,7 +92,7 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome"} == {*left_out, THREE[1]}
     models = dict.fromkeys(("verified", "spoilt"), learned_by_hand())
     monkeypatch.setattr(recognition, "judgements", lambda: models)
-    (answer,) = recognition.asked([seen])
+    (answer,) = recognition.answers([seen])
     assert answer["truth"] == THREE[1] and answer["left_out"] > answer["strangeness"]
     kept = json.loads((seen.photograph.folder / "cues-clean.json").read_text())
     monkeypatch.setattr(cues, "View", None)  # what is kept is not asked again
