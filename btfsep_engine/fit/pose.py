@@ -296,10 +296,10 @@ def refined(misfit: Misfit, frame: Frame, q, *, free, rounds: int = 6) -> np.nda
     return objective.every(found.x[None])[0]
 
 
-def first_steps(misfit: Misfit, frame: Frame, *, free, steps: int) -> np.ndarray:
-    """Seven numbers to which Gauss and Newton's first steps from the start lead, as long as the misfit shrinks."""
-    objective = Objective(misfit, frame, np.zeros(PARAMETERS), free)
-    moved = np.zeros(int(objective.free.sum()))
+def first_steps(misfit: Misfit, frame: Frame, q, *, free, steps: int) -> np.ndarray:
+    """Seven numbers to which Gauss and Newton's first steps from ``q`` lead, as long as the misfit shrinks."""
+    objective = Objective(misfit, frame, q, free)
+    moved = objective.q[objective.free]
     left = objective.residuals(moved[None])[0]
     for _ in range(steps):
         step = np.linalg.lstsq(objective.slopes(moved), -left, rcond=None)[0]

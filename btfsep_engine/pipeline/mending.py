@@ -36,7 +36,7 @@ def mends(scene: PreparedScene, alignment) -> bool:
         return alignment.moved_px <= MOST_OF_A_DEPTH
     camera = scene.job.camera
     moved = alignment.moved_px / max(1.0, max(camera.width, camera.height) / SIDE)
-    clear = moved >= OFF and alignment.gain.outline >= OUTLINES
+    clear = alignment.settled or (moved >= OFF and alignment.gain.outline >= OUTLINES)
     return (clear or shift_doubt(scene) is not None) and moved <= MOST_PIXELS and alignment.degrees <= MOST_DEGREES
 
 

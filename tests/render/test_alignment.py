@@ -36,9 +36,9 @@ def potato():
     return shape
 
 
-def photographed(folder, shape, *, focal=200.0, seed=0, **lens):
+def photographed(folder, shape, *, size=96, focal=200.0, seed=0, **lens):
     """Writes a job of a white shape before an uneven wall, shaded in closed form, and gives it as a scene."""
-    camera, x = looking_down(focal=focal), positive_light(2)
+    camera, x = looking_down(size, focal), positive_light(2)
     write_job(folder, shape, camera, mesh="shape.ply", metres=0.05, name="shape")
     edited(folder, camera=lens)
     scene = scene_of(load_job(folder, with_photo=False))
