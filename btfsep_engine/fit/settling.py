@@ -2,11 +2,11 @@
 """The last pixel of a pose: by how much the photo's own edges lie beside known outlines, and what pose goes with that.
 
 Across an outline a photo goes from the object's brightness to that of what is behind it. The area under that passage
-tells where the edge lies to a fraction of a pixel, whatever the blur, as the slope in which `fit.pose` searches does
-not: of logarithms it leans to the darker side, and it hardly changes within a pixel. The brightness of an object
-changes towards its rim, more where it is glossy, so that all edges together may lie farther in or out; that is a number
-of its own. Poses are held near the start, as what is seen of them within a pixel is little: outlines of round things
-tell no turn.
+tells where the edge lies to a fraction of a pixel, as the slope in which `fit.pose` searches does not: of logarithms it
+leans to the darker side, and it hardly changes within a pixel. An object's brightness changes towards its rim, and is
+taken to go on changing as it does inside. What that leaves where a rim is glossy, and whatever is wrong with the size
+of a mesh, brings all edges together farther in or out; that is a number of its own. Poses are held near the start, as
+what is seen of them within a pixel is little: outlines of round things tell no turn.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,8 @@ import numpy as np
 
 from btfsep_engine.fit.pose import PARAMETERS, STEP, Frame, Misfit
 
-WINDOW, SIDES = 2.0, 1.5  # pixels to either side of an outline in which its edge is looked for, and of what lies beyond
+WINDOW, SIDES = 2.0, 2.0  # pixels to either side of an outline in which its edge is looked for, and of what lies beyond
+FAINT = 0.3  # of an edge's step at the rim: a smaller one farther in is no measure
 SAMPLES = 4  # a pixel
 SURE = 0.15  # pixels, of the best edge
 UNEVEN = 1.5  # pixels, of one whose sides are as uneven as they are different
@@ -52,13 +53,15 @@ class Edges:
         x, y = np.ascontiguousarray(places[..., 0]), np.ascontiguousarray(places[..., 1])
         seen = cv2.remap(self.radiance, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
         known = cv2.remap(self.usable, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0).min(1)
-        inside, outside = seen[:, t < -WINDOW], seen[:, t > WINDOW]
-        middle = np.abs(t) <= WINDOW
-        first, step = inside.mean(1), outside.mean(1) - inside.mean(1)
-        contrast = np.linalg.norm(step, axis=1)
-        passage = ((seen[:, middle] - first[:, None]) * step[:, None]).sum(-1) / np.maximum(contrast, 1e-12)[
-            :, None
-        ] ** 2
+        inside, outside, middle = seen[:, t < -WINDOW], seen[:, t > WINDOW], np.abs(t) <= WINDOW
+        deep = t[t < -WINDOW] - t[t < -WINDOW].mean()
+        slope = np.einsum("mtc,t->mc", inside, deep) / (deep**2).sum()
+        onwards = np.minimum(t[middle], 0) - t[t < -WINDOW].mean()  # as far as the object goes
+        object_ = np.maximum(inside.mean(1)[:, None] + slope[:, None] * onwards[:, None], 0)
+        step = outside.mean(1)[:, None] - object_
+        contrast = np.linalg.norm(step[:, -1], axis=1)
+        size = np.maximum(np.linalg.norm(step, axis=-1), FAINT * contrast[:, None] + 1e-12)
+        passage = ((seen[:, middle] - object_) * step).sum(-1) / size**2
         outwards = WINDOW - np.trapz(passage, t[middle], axis=1)
         uneven = np.sqrt((inside.var(1) + outside.var(1)).sum(-1))
         wrong = passage - np.clip(t[middle] - outwards[:, None] + 0.5, 0, 1)  # from a straight passage in a pixel
