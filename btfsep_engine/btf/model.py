@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from btfsep_engine.btf.directions import cosine_weights, interpolator, ubo2014_directions
+from btfsep_engine.btf.surfaces import Surface
 
 
 class Material(ABC):
@@ -91,6 +92,7 @@ class Tabulated(Material):
     texel_mm : edge of a texel, millimetres
     laid_mean : (k,) float32, the mean texel over the surface on which the texels are laid once and in their own places
         (an image by a mesh's own UVs); None: they are a pattern that repeats, of which nobody knows where it starts
+    surface : the numbers that all of it was made from, which say more than the table does; None: nobody knows such
     """
 
     name: str
@@ -102,6 +104,7 @@ class Tabulated(Material):
     texel_mm: float
     laid_mean: np.ndarray | None = None
     dye: tuple | None = None
+    surface: Surface | None = None
 
     @property
     def table(self) -> "Tabulated":
@@ -160,6 +163,7 @@ class Tabulated(Material):
             self.views,
             self.lights,
             self.texel_mm * max(self.texels.shape[:2]),
+            surface=self.surface,
         )
 
     def truncated(self, components: int | None) -> "Tabulated":

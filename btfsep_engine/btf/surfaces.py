@@ -46,6 +46,11 @@ class Surface:
         """Reflectance of the dielectric straight on, as Principled makes it: 0.08 times ``specular``."""
         return 0.08 * self.specular
 
+    @property
+    def plain(self) -> bool:
+        """Whether it is one dielectric all over, without a layer above."""
+        return self.image is None and self.finish is None and not (self.metallic or self.coat or any(self.sheen))
+
     def kinds(self) -> list:
         """Pairs (share, surface): of each kind of finish where it is, (n, n) float32, and a surface without images.
 

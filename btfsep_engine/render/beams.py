@@ -5,6 +5,7 @@ each with its own shadows."""
 import numpy as np
 
 from btfsep_engine.btf.model import Material
+from btfsep_engine.render.homogeneous import under_beams
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import OFFSET, Tracer
 from btfsep_engine.render.transport import LANES
@@ -33,9 +34,17 @@ def beam_radiance(
     out = np.zeros((3, len(points), count), np.float32)
     if material.mirror_reflectance is not None or count == 0:
         return out.transpose(1, 2, 0)
+    step = max(1, LANES // count)
+    if (surface := plain_surface(material)) is not None:
+        out = np.empty((len(points), count, 3), np.float32)
+        for start in range(0, len(points), step):
+            part = points.take(slice(start, start + step))
+            seen = tracer.visible(part.position, part.flat_normal, directions)
+            values = under_beams(surface, part.normal, part.to_eye, directions)
+            np.multiply(values, seen[..., None], out=out[start : start + len(part)])
+        return out
     weights = Weights(material, directions, millimetres_per_unit=millimetres_per_unit)
     scale = weights.colour * np.float32(count / (4 * np.pi))  # Weights are of light from all over the sky
-    step = max(1, LANES // count)
     for start in range(0, len(points), step):
         part = points.take(slice(start, start + step))
         seen = tracer.visible_lanes(part.position, part.flat_normal, directions)
@@ -43,6 +52,12 @@ def beam_radiance(
         for c in range(3):
             np.multiply(channels[min(c, len(channels) - 1)], scale[c], out=out[c, start : start + len(part)])
     return out.transpose(1, 2, 0)
+
+
+def plain_surface(material: Material):
+    """The numbers of a material that is made from such, where these say all (`Surface.plain`); else None."""
+    surface = getattr(material, "surface", None)
+    return surface if surface is not None and surface.plain else None
 
 
 def lamp_radiance(

@@ -49,7 +49,7 @@ def homogeneous(surface: Surface, name: str) -> Tabulated:
     """The material of a surface of one colour: one texel."""
     texels, angular = _factors(surface, np.asarray(surface.base_color)[None, None])
     directions = ubo2014_directions()
-    return Tabulated(name, CLASS, texels, angular, directions, directions, 1.0).mean_material()
+    return Tabulated(name, CLASS, texels, angular, directions, directions, 1.0, surface=surface).mean_material()
 
 
 def pictured(surface: Surface, name: str, mesh: TriangleMesh, *, millimetres_per_unit: float) -> Tabulated:
@@ -82,6 +82,29 @@ def reflected_share(surface: Surface) -> np.ndarray:
         reflected = black + surface.image * (white - black)
         total = total + resized((reflected * np.reshape(share, (*np.shape(share), 1))).astype(np.float32), side)
     return total
+
+
+def under_beams(surface: Surface, normals, to_eye, directions) -> np.ndarray:
+    """f cos of a `Surface.plain` one at points under beams, without shadows: (p, n, 3) float32, 1/sr.
+
+    The micro-BRDF itself. A table's lobes are as wide as its directions lie apart, some 15 degrees, and at grazing
+    angles it errs by half: what light from behind makes of a rim, and a lamp of gloss.
+
+    Parameters
+    ----------
+    normals, to_eye : (p, 3) float, unit; directions : (n, 3) float, unit, to the light
+    """
+    lane, count = dr.arange(mi.UInt32, len(normals) * len(directions)), len(directions)
+    point = lane // count
+    normal, eye = (dr.gather(mi.Vector3f, vector(each), point) for each in (normals, to_eye))
+    light = dr.gather(mi.Vector3f, vector(directions), lane - point * count)
+    material = Microfacets(surface.f0, as_principled=True)
+    roughness = dr.opaque(mi.Float, max(float(surface.roughness), LEAST_ROUGHNESS))
+    base = mi.Color3f(*(dr.opaque(mi.Float, float(c)) for c in surface.base_color))
+    value, _ = material.value_and_density(material.facet(base, roughness, normal, eye), light)
+    value = value * dr.maximum(dr.dot(normal, light), 0)
+    dr.eval(value)
+    return np.stack([value[c].numpy() for c in range(3)], -1).reshape(len(normals), count, 3)
 
 
 def _factors(surface: Surface, colours) -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +197,7 @@ def flat_table(roughness: float, f0: float, *, metal: bool) -> np.ndarray:
     -------
     (151, 151, 2) float32, not writable; [view, light]
     """
-    key = cache.digest("flat table 1", roughness, f0, metal, LOBE)
+    key = cache.digest("flat table 2", roughness, f0, metal, LOBE)
     stored, count = cache.cache_folder() / "surfaces" / f"{key[:32]}.entry", len(ubo2014_directions())
     kept = cache.read(stored, {"table": (count, count, 2)})
     table = kept["table"] if kept else _quadrature(roughness, f0, metal=metal)
@@ -211,7 +234,7 @@ class _Flat:
 
     def __init__(self, roughness: float, f0: float, *, metal: bool):
         self.roughness = roughness
-        self.material = Microfacets(f0, metal=metal)
+        self.material = Microfacets(f0, metal=metal, as_principled=True)
 
     def _facet(self, views, number):
         """The surface seen from the views of these numbers: red has the base colour 0, green 1."""

@@ -94,10 +94,12 @@ class Microfacets:
     ----------
     f0 : specular reflectance of the dielectric at normal incidence; 0 leaves its layer out (a pure Lambertian)
     metal : whether anything is metal
+    as_principled : whether the base is weighted by 1 - E(n.v) alone, as in Blender: brighter than a reciprocal one
+        under light that only grazes it
     """
 
-    def __init__(self, f0: float, *, metal: bool = False):
-        self.layered, self.metal = f0 > 0, metal
+    def __init__(self, f0: float, *, metal: bool = False, as_principled: bool = False):
+        self.layered, self.metal, self.reciprocal = f0 > 0, metal, not as_principled
         self.glossy = self.layered or metal
         if self.layered:
             self.index = dr.opaque(mi.Float, _index(f0))  # opaque: one compiled kernel serves all materials
@@ -116,9 +118,11 @@ class Microfacets:
         masked = dr.sqrt(alpha2 + (1 - alpha2) * nv * nv)
         row = dr.clip(roughness, 0, 1) * (TABLE - 1)
         if self.layered:
-            r0, fr = self._floor(row)
-            mean = dr.lerp(dr.gather(type(fr), self.mean, r0), dr.gather(type(fr), self.mean, r0 + 1), fr)
-            diffuse = diffuse * (1 - self._albedo(row, nv)) / (1 - mean)
+            diffuse = diffuse * (1 - self._albedo(row, nv))
+            if self.reciprocal:
+                r0, fr = self._floor(row)
+                mean = dr.lerp(dr.gather(type(fr), self.mean, r0), dr.gather(type(fr), self.mean, r0 + 1), fr)
+                diffuse = diffuse / (1 - mean)
         if not self.metal:
             return Facet(normal, view, nv, diffuse, alpha2, masked, row)
         return Facet(normal, view, nv, diffuse * (1 - metallic), alpha2, masked, row, metallic, base)
@@ -151,7 +155,9 @@ class Microfacets:
         total = facet.diffuse
         if self.layered:
             layer = dv * _fresnel(vh, self.index, dr.sqrt)
-            total = total * (1 - self._albedo(facet.row, nl)) + layer * (1 - facet.metallic if self.metal else 1)
+            if self.reciprocal:
+                total = total * (1 - self._albedo(facet.row, nl))
+            total = total + layer * (1 - facet.metallic if self.metal else 1)
         if self.metal:
             grazing = dr.square(dr.square(1 - vh)) * (1 - vh)
             total = total + facet.metallic * dv * (facet.metal_colour + (1 - facet.metal_colour) * grazing)

@@ -4,14 +4,17 @@
 So every convention is compared: charts, mirrored charts, tangents, sides, texels, shadows.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.render.arrays import mi
 from btfsep_engine.render.beams import beam_radiance, lamp_radiance
+from btfsep_engine.render.homogeneous import homogeneous
 from btfsep_engine.render.reference import Reference
 from tests.render.btf_materials import glossy, matte, textured
 from tests.render.prepared import MILLIMETRES, Prepared, sheet
@@ -45,6 +48,23 @@ def same_to_rounding(scene, directions):
     # a ray beside a pixel's centre by a thousandth, and starts off the surface: some points change into the shade
     assert (error > 2e-3).mean() < 0.01, (error > 2e-3).mean()
     return expected
+
+
+def test_a_surface_by_numbers_shows_beams_its_own_brdf_and_their_shadows():
+    """As bright as its table makes it where light comes steeply, but for the table's width; dark where that is."""
+    surface = homogeneous(Surface((0.6, 0.3, 0.2), roughness=0.8), "surface/x")
+    table = replace(surface, surface=None)
+
+    def shown(material):
+        scene = Prepared([ball(), plate()], material, count=400, use_texture=False, others=[material])
+        return by_kernel(scene, LAMPS)
+
+    exact, by_table = shown(surface), shown(table)
+    assert (exact == 0).any() and not np.array_equal(exact, by_table)
+    np.testing.assert_array_equal(exact > 0, by_table > 0)
+    np.testing.assert_allclose(exact[:, 0], by_table[:, 0], rtol=0.05, atol=0.01)
+    layered = homogeneous(Surface((0.6, 0.3, 0.2), roughness=0.8, coat=0.5), "surface/x")
+    np.testing.assert_array_equal(shown(layered), shown(replace(layered, surface=None)))
 
 
 class NearReference(Reference):
