@@ -7,6 +7,7 @@ import bpy
 
 from . import command
 from .engine import preferences
+from .light import group_ahead
 from .panels import light_panel
 from .panels import photo_panels as panels
 from .run import between_steps, runs
@@ -41,6 +42,7 @@ MODULES = (
     first_checkup,
     library,
     library_assets,
+    group_ahead,
     between_steps,
     operators,
     alignment,

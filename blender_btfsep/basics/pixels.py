@@ -31,6 +31,13 @@ def move(image, into) -> bool:
     return True
 
 
+def repack(image, data: bytes) -> None:
+    """Gives a packed image of a file the bytes of another such file, whatever its size."""
+    image.pack(data=data, data_len=len(data))
+    image.buffers_free()  # what was read of the file before
+    image.gl_free()
+
+
 def new(name: str, values, *, floats: bool = True):
     """An image of ``values`` (h, w, 3) or (h, w), the lowest row first; ``floats``: numbers, kept as they are.
 

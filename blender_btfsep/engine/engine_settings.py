@@ -73,6 +73,7 @@ CLASSES_OF_MATERIAL = (
     *("carpet", "fabric", "felt", "leather", "stone", "wallpaper", "wood"),  # of UBO2014
     *("ceramic", "metal", "paint", "paper", "plaster", "plastic"),
 )
+USUAL_CLASS = "plastic"  # what things are mostly made of, where neither the user nor the material's name says it
 CLASSES = tuple((name, name.capitalize(), "") for name in CLASSES_OF_MATERIAL)
 
 Row = EngineSetting
@@ -98,7 +99,7 @@ SQUARE = "What is measured, in millimetres: a square, UV 0 to 1, around the obje
 TEXELS = "Along an edge; the time grows with their square. 0: by the size"
 PATHS = "Paths a texel and view; the time grows with them"
 MEASURE = (
-    Row("material_class", "Class", "Of the material", CLASSES_OF_MATERIAL[0], CLASSES, option="--class", required=True),
+    Row("material_class", "Class", "Of the material", USUAL_CLASS, CLASSES, option="--class", required=True),
     Row("size_mm", "Size (mm)", SQUARE, 30.0, kind=float, low=0.1, high=10_000, required=True),
     Row("texels", "Texels", TEXELS, 0, low=0, high=1024, unsaid=0),
     Row("samples", "Samples", PATHS, 1, low=1, high=256),

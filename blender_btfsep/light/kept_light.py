@@ -44,7 +44,7 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
     picture = pixels.new(PICTURE, light_picture.picture_of(scene, lighting, to_world, map_file=sky)[::-1], floats=False)
     picture.pack()
     _put(scene, "picture", picture)
-    _put(scene, "report", report and _packed(report))
+    _put_report(scene, report)
     mirrored = sky is not None and "mirrors" in ((result or {}).get("choice") or {})
     _put(scene, "sky", _sky(sky, lighting) if mirrored else None)
 
@@ -106,19 +106,33 @@ def _put(scene, name: str, image) -> None:
 
     What comes as a new one is to be known to a step of undo (`run/between_steps`).
     """
+    old = None if image is None else _own(scene, name, image.name.partition(".")[0], but=image)
+    if old is not None and pixels.move(image, old):
+        image = old
+    _replace(scene.btfsep.light, name, image)
+
+
+def _put_report(scene, file: Path | None) -> None:
+    """As :func:`_put`, of a file: its pixels, of which there are many, are neither read nor coded anew."""
+    image = None if file is None else _own(scene, "report", REPORT)
+    if image is not None and image.source == "FILE" and image.packed_file:
+        pixels.repack(image, file.read_bytes())
+    else:
+        image = file and _packed(file)
+    _replace(scene.btfsep.light, "report", image)
+
+
+def _own(scene, name: str, kind: str, *, but=None):
+    """The data-block of a picture that the scene's light has, or had, where nothing else uses it; else None."""
     light, world = scene.btfsep.light, scene.world
     old = getattr(light, name)
-    if image is not None and old is None:
-        kind = image.name.partition(".")[0]
-        spare = (each for each in bpy.data.images if each != image and not each.users and not each.library)
+    if old is None:
+        spare = (each for each in bpy.data.images if each != but and not each.users and not each.library)
         old = next((each for each in spare if each.name.partition(".")[0] == kind), None)
     beside = world is not None and old is not None and getattr(world.btfsep_kept, name) == old
-    own = old is not None and old.users == (getattr(light, name) == old) + beside
-    if beside and scene.btfsep.world_mode == "NONE":
-        own = False  # the World's light stays what it is
-    if image is not None and own and pixels.move(image, old):
-        image = old
-    _replace(light, name, image)
+    if old is None or (beside and scene.btfsep.world_mode == "NONE"):
+        return None  # the World's light stays what it is
+    return old if old.users == (getattr(light, name) == old) + beside else None
 
 
 def _replace(light, name: str, image) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..basics import colour, harmonics, pixels
 from ..basics.errors import InputError
-from . import sh_nodes, sun_lamp
+from . import group_ahead, sh_nodes, sun_lamp
 
 WORLD_NAME = "BTFsep Lighting"
 IMAGE_NAME = "BTFsep Lighting Map"
@@ -61,11 +61,11 @@ def apply_lighting(
             f"its order is {order}, nodes go up to order {sh_nodes.MAX_NODE_ORDER}",
             "apply it as a texture",
         )
-    world, node = _own_node(scene)
+    world, node = _own_node(scene, order if mode == "NODES" else 0)
     _forget_keys(world.node_tree, node)
     if mode == "NODES":
         if node.node_tree[sh_nodes.GROUP_TAG] != order:  # else it is there already: most of the time is its building
-            _put_group(node, sh_nodes.build_group(order))
+            _put_group(node, group_ahead.take(order))
         _write_coefficients(node, colour.to_working(coefficients), order, clamp)
     else:
         radiance = lighting.get("map") if lamp or not lighting.get("suns") else None
@@ -108,8 +108,14 @@ def restore_previous(scene):
     return previous
 
 
-def _own_node(scene):
-    """The World of ours that ``scene`` has, or a new one, and its node of ours.
+def needs_group(scene, order: int) -> bool:
+    """Whether a light of ``order`` as nodes would need a node group that the scene's World has not."""
+    node = sh_nodes.node_of(scene.world.node_tree) if is_ours(scene.world) and scene.world.node_tree else None
+    return node is None or node.node_tree[sh_nodes.GROUP_TAG] != order
+
+
+def _own_node(scene, order: int):
+    """The World of ours that ``scene`` has, or a new one with the group of ``order``, and its node of ours.
 
     A World from which the user has taken our node is the user's from then on. One that another scene has, too, stays
     that one's: this scene gets a copy.
@@ -137,7 +143,7 @@ def _own_node(scene):
     tree.nodes.clear()
     node, background, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("Group", "Background", "OutputWorld"))
     node.width, node.location, output.location = 240, (-320, 0), (240, 0)
-    _put_group(node, sh_nodes.build_group(0))  # for its output; the light comes in its place
+    _put_group(node, group_ahead.take(order))
     tree.links.new(node.outputs[0], background.inputs["Color"])
     tree.links.new(background.outputs["Background"], output.inputs["Surface"])
     return world, node
@@ -158,7 +164,8 @@ def _copy(world):
 def _put_group(node, group) -> None:
     """Makes ``group`` the node's. The user's inputs are the first of any, so Blender keeps values and links of them."""
     node.node_tree = group
-    node.name = node.label = group.name.partition(".")[0]
+    _remove_orphans()  # the one before, whose name this may have
+    group.name = node.name = node.label = group.name.partition(".")[0]
 
 
 def bags(animation) -> list:
@@ -186,6 +193,7 @@ def _forget_keys(tree, node) -> None:
 
 def _remove_orphans() -> None:
     """Removes Worlds, groups, maps and keyframes of ours that nothing uses any more."""
+    group_ahead.give_up()
     for world in [w for w in bpy.data.worlds if is_ours(w) and w.users == 0]:
         bpy.data.worlds.remove(world)
     for group in [g for g in bpy.data.node_groups if sh_nodes.GROUP_TAG in g and g.users == 0 and not g.library]:

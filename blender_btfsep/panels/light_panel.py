@@ -16,6 +16,9 @@ PREFIX = "BTFsep "  # of our lamps: their numbers at the end are what tells them
 
 
 class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
+    """The first of the tab: what it answers is seen without scrolling, and its buttons stay where they are, whatever
+    comes below them."""
+
     bl_label = "Light"
 
     def draw(self, context):
@@ -24,10 +27,6 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         column = sidebar.fields(layout)
         column.enabled = not runs.is_running()
         sidebar.engine_rows(column, settings, "light")
-        column.prop(settings, "world_mode")
-        if settings.world_mode != "NONE":
-            column.prop(settings, "sun_lamp")
-        self._suns(context, layout)
 
         row = layout.row(align=True)
         row.scale_y = 1.4
@@ -56,12 +55,15 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             self._beside(context, layout, run, lacking)
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
+        ours = world.is_ours(context.scene.world)
         if light is not None:
             self._card(context, layout, run, light)
-        elif world.is_ours(context.scene.world):
+        elif ours:
             layout.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
-        layout.operator("btfsep.apply", icon="WORLD")
-        if world.is_ours(context.scene.world):
+        self._suns(context, layout)
+        if light is not None:
+            layout.operator("btfsep.apply", icon="WORLD")
+        if ours:
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")
 
     def _suns(self, context, layout):
@@ -128,6 +130,11 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
     def _card(self, context, layout, run, light):
         card = kept_light.card(light)
         box = layout.box()
+        lines = card.get("lines") or ()
+        for words in (words for label, words in lines if label == "Trust"):  # above all else, however low the window is
+            checked = (runs.is_running() or run.following) and card["trust"] == "NONE"
+            words = "Being checked …" if checked else words
+            sidebar.wrapped(context, box, words, icon_value=icons.light(card["trust"]))
         if light.picture is not None:
             units = context.region.width / context.preferences.system.ui_scale / 20
             box.template_icon(icons.of_image(light.picture), scale=max(4, min(units - 3.5, 9)))
@@ -135,12 +142,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         row.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
         row.operator("btfsep.show_report", text="Report", icon="IMAGE_DATA")
         column = box.column(align=True)
-        for label, words in card.get("lines") or ():
-            if label == "Trust":
-                checked = (runs.is_running() or run.following) and card["trust"] == "NONE"
-                words = "Being checked …" if checked else words
-                sidebar.wrapped(context, column, words, icon_value=icons.light(card["trust"]))
-                continue
+        for label, words in (line for line in lines if line[0] != "Trust"):
             row = column.split(factor=0.3)
             name = row.column()
             name.active, name.scale_y = False, 0.8
@@ -169,6 +171,9 @@ class BTFSEP_PT_advanced(sidebar.Sidebar, bpy.types.Panel):
         settings = context.scene.btfsep
         column = sidebar.fields(self.layout)
         column.enabled = not runs.is_running()
+        column.prop(settings, "world_mode")
+        if settings.world_mode != "NONE":
+            column.prop(settings, "sun_lamp")
         column.prop(settings, "exposure_ev", text="Photo Exposure")
         row = column.row(align=True)
         row.prop(settings, "depth")

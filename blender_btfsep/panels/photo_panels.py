@@ -36,6 +36,7 @@ class BTFSEP_UL_objects(bpy.types.UIList):
 
 class BTFSEP_PT_photo(sidebar.Sidebar, bpy.types.Panel):
     bl_label = "Photo"
+    bl_order = 1  # below the light's
 
     def draw(self, context):
         layout = self.layout
@@ -88,6 +89,7 @@ class BTFSEP_PT_photo(sidebar.Sidebar, bpy.types.Panel):
 
 class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
     bl_label = "Objects and Materials"
+    bl_order = 2
 
     def draw(self, context):
         layout = self.layout

@@ -21,9 +21,12 @@ def _there() -> dict:
 
 
 @contextlib.contextmanager
-def writing():
-    """What is made in here is in no step of undo, until :func:`known`."""
-    before = _there().keys()
+def writing(earlier=()):
+    """What is made in here is in no step of undo, until :func:`known`.
+
+    ``earlier`` : session ids of what was made before, is in no step either, and may be used here
+    """
+    before = _there().keys() - set(earlier)
     try:
         yield
     finally:

@@ -17,6 +17,11 @@ import bpy
 
 LARGE = 50_000  # faces, about a tenth of a second of work
 MANY_PIXELS = 4_000_000  # of a picture that Blender has to write itself
+SUBDIVIDING = {"SUBSURF", "MULTIRES"}
+BENDING = {  # modifiers that have as many faces as they are given
+    *("ARMATURE", "CAST", "CURVE", "DISPLACE", "HOOK", "LATTICE", "MESH_DEFORM", "SHRINKWRAP", "SIMPLE_DEFORM"),
+    *("SMOOTH", "CORRECTIVE_SMOOTH", "LAPLACIANSMOOTH", "SURFACE_DEFORM", "WARP", "WAVE", "WEIGHTED_NORMAL"),
+}
 SIMULATED = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "COLLISION", "EXPLODE"}  # what they are is no file's
 
 
@@ -68,17 +73,28 @@ def _more_faces_than(context, most: int) -> bool:
     """Whether a render has more faces, told by what the viewport has and how much finer a render subdivides."""
     count = 0
     for instance in context.evaluated_depsgraph_get().object_instances:
-        evaluated = instance.object
-        if evaluated.type != "MESH":
-            continue
-        finer = 0
-        for modifier in evaluated.original.modifiers:
-            if modifier.type in {"SUBSURF", "MULTIRES"} and modifier.show_render:
-                finer += modifier.render_levels - (modifier.levels if modifier.show_viewport else 0)
-        count += len(evaluated.data.polygons) * 4 ** max(finer, 0)
+        if instance.object.type == "MESH":
+            count += _faces(instance.object)
         if count > most:
             return True
     return False
+
+
+def _faces(evaluated) -> int:
+    """Faces of an evaluated mesh object in a render.
+
+    Where it is subdivided, and bent at most, they are reckoned from the mesh as it was modelled: Blender leaves the
+    viewport's subdivision to the graphics card, and would do all of it again for the number.
+    """
+    thing, finer, simple = evaluated.original, 0, True
+    for modifier in thing.modifiers:
+        if modifier.type in SUBDIVIDING and modifier.show_render:
+            finer += modifier.render_levels
+        simple = simple and modifier.type in SUBDIVIDING | BENDING
+    if simple and thing.type == "MESH" and thing.mode != "EDIT":
+        return len(thing.data.loops) * 4 ** (finer - 1) if finer else len(thing.data.polygons)
+    shown = (m for m in thing.modifiers if m.type in SUBDIVIDING and m.show_render and m.show_viewport)
+    return len(evaluated.data.polygons) * 4 ** max(finer - sum(m.levels for m in shown), 0)
 
 
 def command(file, scene, view_layer, folder) -> tuple:

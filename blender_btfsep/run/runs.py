@@ -132,6 +132,9 @@ class EngineOperator:
 
     outlives = False
 
+    def meanwhile(self) -> None:
+        """What can be done for the answer while the engine works, a little at a time."""
+
     @classmethod
     def description(cls, context, properties):
         """The tooltip, with the seconds that the last run took."""
@@ -202,6 +205,8 @@ class EngineOperator:
                     last = message
                 else:
                     self._heard(message)
+            if last is None:
+                self.meanwhile()
         if last is not None:
             self._no_timer(context)
             return self._end(context, last)

@@ -7,6 +7,7 @@ import bpy
 
 from ..basics.errors import InputError
 from ..engine import checkup, engine_process
+from ..light import group_ahead, world
 from ..photo import photo
 from ..run import between_steps, request, runs
 from ..run.answer import FOUND, take_estimate, take_light, take_materials
@@ -60,10 +61,19 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         folder = yield from request.job_slices(context)
         return request.engine_arguments("estimate", folder, self.scene(), "--out", folder / "result")
 
+    def meanwhile(self):
+        """The node group of the light."""
+        with contextlib.suppress(InputError):  # the scene is gone: the end says it
+            scene = self.scene()
+            settings = scene.btfsep
+            if settings.world_mode == "NODES" and not settings.auto_order and world.needs_group(scene, settings.order):
+                group_ahead.go_on(settings.order)
+
     def _heard(self, message):
         super()._heard(message)
         if isinstance(message, engine_process.Light):
-            with contextlib.suppress(InputError), between_steps.writing():  # what is wrong is said at the end
+            # what is wrong is said at the end
+            with contextlib.suppress(InputError), between_steps.writing(group_ahead.waiting()):
                 take_light(self.scene(), message.lighting)
                 self._lit = True
 
@@ -71,6 +81,7 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         done = super()._end(context, last)
         if done == {"CANCELLED"} and getattr(self, "_lit", False):
             bpy.ops.ed.undo_push(message=self.bl_label)  # the light that came before the end is a step of its own
+        group_ahead.give_up()
         between_steps.known()
         return done
 

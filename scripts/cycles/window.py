@@ -115,7 +115,7 @@ def steps(out: Path):
     settings.objects[0].material = "leather/brown-grain"
     area.tag_redraw()
     yield 2.0
-    picture(out / "library.png", side, below=side.height // 2)
+    picture(out / "library.png", side, below=side.height // 3)
     with in_view():
         bpy.ops.btfsep.open_example()
     yield 1.0
@@ -127,7 +127,7 @@ def steps(out: Path):
         raise RuntimeError(state.error)
     area.tag_redraw()
     yield 2.0
-    picture(out / "panel.png", side)
+    picture(out / "panel.png", side, below=side.height // 20)
     with in_view():
         bpy.ops.btfsep.show_report()
     yield 3.0

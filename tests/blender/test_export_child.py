@@ -4,6 +4,7 @@
 import json
 import shutil
 import time
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -160,3 +161,22 @@ def test_when_it_is_wanted(large):
     assert asked()
     driver.expression = "my_function(frame)"  # of this Blender's name space
     assert not asked()
+
+
+@pytest.mark.parametrize("levels", [(), (1,), (3,), (1, 2)])
+def test_faces_of_what_is_subdivided_are_known_without_its_being_subdivided(addon, scene, levels):
+    from blender_btfsep.run import export_child
+
+    bpy.ops.mesh.primitive_cone_add(vertices=7)  # triangles, and one face of seven corners
+    cone = bpy.context.object
+    cone.modifiers.new("Bent", "SIMPLE_DEFORM")
+    for level in levels:
+        modifier = cone.modifiers.new("Smooth", "SUBSURF")
+        modifier.levels, modifier.render_levels = level, level
+    bpy.context.view_layer.update()
+    evaluated = cone.evaluated_get(bpy.context.view_layer.depsgraph)
+    in_render = len(evaluated.data.polygons)
+    assert export_child._faces(SimpleNamespace(original=cone)) == in_render  # nothing evaluated is looked at
+    cone.modifiers.new("Twice", "ARRAY")
+    bpy.context.view_layer.update()
+    assert export_child._faces(cone.evaluated_get(bpy.context.view_layer.depsgraph)) == 2 * in_render

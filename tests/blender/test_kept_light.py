@@ -135,3 +135,23 @@ def test_what_a_mirror_shows_is_the_worlds_map_and_stays(photographed, tmp_path)
     np.testing.assert_allclose(shown()[::-1], sky, rtol=1e-3, atol=1e-2)
     answer.take_estimate(bpy.context.scene, SAID | told | {"choice": {}})  # without a mirror it is nodes
     assert bpy.context.scene.world[world.WORLD_TAG]["mode"] == "NODES" and bpy.context.scene.btfsep.light.sky is None
+
+
+def test_a_second_report_comes_in_the_image_of_the_first(photographed, tmp_path):
+    light, reports = photographed.btfsep.light, []
+    for side in (8, 16):  # it may be of another size
+        made = bpy.data.images.new("made", 2 * side, side)
+        made.generated_color = (side / 16, 0, 0, 1)
+        made.filepath_raw, made.file_format = str(tmp_path / "report.png"), "PNG"
+        made.save()
+        bpy.data.images.remove(made)
+        kept_light.keep(photographed, LIGHTING | {"suns": None, "determined": None}, {"out": tmp_path})
+        data = (tmp_path / "report.png").read_bytes()
+        assert tuple(light.report.size) == (2 * side, side) and light.report.packed_file.data == data
+        assert np.allclose(pixels.colours(light.report)[..., 0], side / 16, atol=1 / 255)
+        reports.append(light.report)
+    assert reports[0] == reports[1] and light.report.users == 1
+    (tmp_path / "report.png").unlink()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert tuple(bpy.context.scene.btfsep.light.report.size) == (32, 16)

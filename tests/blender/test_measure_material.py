@@ -365,6 +365,11 @@ def test_the_class_is_told_by_the_name():
     ]
 
 
+def test_a_material_whose_name_tells_no_class_begins_as_plastic(addon):
+    asked = bpy.ops.btfsep.measure_material.get_rna_type().properties["material_class"]
+    assert asked.default == "plastic" in asked.enum_items.keys()
+
+
 def test_a_dialog_that_lacks_its_library_says_so(addon, thing):
     """In the words of the run that it begins, no traceback."""
     operator, said = measure.BTFSEP_OT_measure_material, []

@@ -2,12 +2,14 @@
 """What the sidebar shows: sentences over as many lines as they need, and buttons."""
 
 import json
+from functools import partial
+from types import SimpleNamespace
 
 import bpy
 import pytest
 
 from blender_btfsep.light import lighting_file
-from blender_btfsep.panels import light_panel, sidebar
+from blender_btfsep.panels import light_panel, photo_panels, sidebar
 from blender_btfsep.run import answer, runs
 from tests.blender.lit import LIGHTING
 
@@ -56,3 +58,50 @@ def test_live_can_be_switched_off_where_no_estimate_can_be_begun(photographed, t
     photographed.btfsep.live, layout = True, Drawn()
     light_panel.BTFSEP_PT_light._beside(None, bpy.context, layout, runs.run_state(), lacking)
     assert layout.shown == ["live"] and layout.icons["live"] == ("PAUSE" if lacking else "PLAY")
+
+
+class Everything:
+    """A layout that keeps all that it is to show, in the order of the sidebar."""
+
+    def __init__(self):
+        self.shown = []
+
+    def __getattr__(self, kind):
+        def show(*what, text="", **_):
+            self.shown.append((kind, text or next((each for each in what if isinstance(each, str)), "")))
+            return self
+
+        return show
+
+    def place(self, kind, begins=""):
+        """Where the first of a kind stands; None where there is none."""
+        return next((n for n, (k, w) in enumerate(self.shown) if k == kind and w.startswith(begins)), None)
+
+
+def drawn(scene):
+    """What the light's panel shows of ``scene``."""
+    kind = light_panel.BTFSEP_PT_light
+    panel = SimpleNamespace(layout=Everything())
+    for name in ("_suns", "_beside", "_outcome", "_card", "_doubt"):
+        setattr(panel, name, partial(getattr(kind, name), panel))
+    found = {name: getattr(bpy.context, name) for name in ("window_manager", "view_layer", "object")}
+    found["preferences"] = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))  # without a window it is 0
+    kind.draw(panel, SimpleNamespace(scene=scene, region=SimpleNamespace(width=260), **found))
+    return panel.layout
+
+
+def test_the_light_is_the_first_of_the_tab(addon):
+    kinds = (light_panel.BTFSEP_PT_light, photo_panels.BTFSEP_PT_photo, photo_panels.BTFSEP_PT_objects)
+    places = [getattr(kind, "bl_order", 0) for kind in (*kinds, light_panel.BTFSEP_PT_adjust)]
+    assert places == sorted(set(places)) and places[0] >= 0  # below 0 Blender takes none for an order
+
+
+def test_what_is_found_stands_below_the_buttons_and_trust_above_all_of_it(photographed, sunny):
+    before = drawn(photographed)
+    assert before.place("template_icon") is before.place("operator", "btfsep.apply") is None
+    answer.apply_light(photographed, lighting_file.read(sunny[0]))
+    after = drawn(photographed)
+    button = before.place("operator", "btfsep.estimate")
+    assert after.shown[: button + 1] == before.shown[: button + 1]  # it stays below the mouse
+    trust, picture = after.place("label", "Not stated"), after.place("template_icon")
+    assert button < trust < picture < after.place("label", "Key light") < after.place("operator", "Freeze Sun")
