@@ -318,7 +318,9 @@ def first_look(scene: PreparedScene) -> Look:
 
     def look() -> Look:
         aligner = Aligner(scene)
-        if not aligner.shows_light or _too_few(aligner.misfit(start, FIRST_LEVEL)):
+        if not aligner.shows_light or _too_few(aligner.first_marks(FIRST_LEVEL)):
+            return Look(False, False)
+        if _too_few(aligner.misfit(start, FIRST_LEVEL)):
             return Look(False, False)
         return Look(aligner.asks(start), aligner.beside)
 
