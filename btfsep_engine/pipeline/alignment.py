@@ -337,7 +337,8 @@ def align(scene: PreparedScene) -> Alignment:
     """Looks for the camera that took a scene's photo, near the job's own; of a depth, for the shift of its photo."""
     camera = scene.job.camera
     aligner = Aligner(scene)
-    before = aligner.left(np.zeros(PARAMETERS))
+    few = _too_few(aligner.first_marks(len(LEVELS) - 1))  # as of a picture of one row, which has no edges to look at
+    before = None if few else aligner.left(np.zeros(PARAMETERS))
     if before is None:
         return Alignment(
             camera, False, "left as it is: the picture shows too little of the objects' outline or surface"

@@ -77,6 +77,8 @@ def test_a_photo_of_one_row_or_column(sphere_job_folder, shape):
     photographed(folder, np.full((h, w, 3), 0.4, np.float32))
     edited(folder, camera=dict(width=w, height=h, cx=w / 2, cy=h / 2))
     estimated(folder)
+    assert main(["align", str(folder)]) == 0
+    assert "too little" in json.loads((folder / "aligned" / "alignment.json").read_text())["why"]
 
 
 def test_a_grey_photo_gives_grey_light(sphere_job_folder):
