@@ -99,6 +99,14 @@ def blurred(image, sigma: float) -> np.ndarray:
     return cv2.GaussianBlur(image, (2 * reach + 1,) * 2, sigma, borderType=cv2.BORDER_REFLECT)
 
 
+def usual_colour(radiance) -> np.ndarray:
+    """(3,), all positive, of pixels (n, 3) of which some are not black: their median, of the others' where most are."""
+    level = np.median(radiance, 0)
+    if not level.max() > 0:
+        level = np.median(radiance[radiance.max(1) > 0], 0)
+    return np.maximum(level, 1e-3 * level.max())
+
+
 class Picture:
     """A photograph, ready to be looked up at one scale.
 
@@ -116,8 +124,7 @@ class Picture:
         self.cubic = cubic
         radiance = np.maximum(np.asarray(radiance, np.float64), 0)
         weight = blurred(usable.astype(np.float64), blur)
-        level = np.median(radiance[about & usable], 0)
-        level = np.maximum(level, 1e-3 * level.max())
+        level = usual_colour(radiance[about & usable])
         known = blurred(np.where(usable[..., None], np.minimum(radiance / level, GLARE), 0), blur)
         self.radiance = known / np.maximum(weight, 1e-6)[..., None]
         self.usable = weight > 0.5

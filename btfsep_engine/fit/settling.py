@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from btfsep_engine.fit.pose import PARAMETERS, STEP, Frame, Misfit
+from btfsep_engine.fit.pose import PARAMETERS, STEP, Frame, Misfit, usual_colour
 
 WINDOW, SIDES = 2.0, 2.0  # pixels to either side of an outline in which its edge is looked for, and of what lies beyond
 FAINT = 0.3  # of an edge's step at the rim: a smaller one farther in is no measure
@@ -40,8 +40,7 @@ class Edges:
     """
 
     def __init__(self, radiance, usable, about):
-        level = np.median(radiance[about & usable], 0)
-        self.radiance = (radiance / np.maximum(level, 1e-3 * level.max())).astype(np.float32)
+        self.radiance = (radiance / usual_colour(radiance[about & usable])).astype(np.float32)
         self.usable = usable.astype(np.float32)
 
     def beside(self, at, across) -> tuple[np.ndarray, np.ndarray]:

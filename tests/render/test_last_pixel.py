@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A camera that is a pixel off comes back by the photo's own edges; one that is in place stays."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -137,6 +138,20 @@ def test_a_search_ends_on_the_edges(potatoes):
     assert aligner.settle(q, hold=0.1).excess < 0.15
     assert away(potatoes, aligner.frame.at(q)) < 0.5
     assert left.outline < aligner.left(np.zeros(7)).outline
+
+
+def test_a_picture_that_is_mostly_black_is_looked_at_as_any_other(potatoes):
+    """An object of which a lamp lights a third, before nothing: as floats, all else is 0."""
+    start, photo = off_by(potatoes, (0, 0, 0, 1.5, -1.0, 0, 0)), potatoes.job.photo.radiance.copy()
+    photo[potatoes.view.mesh < 0] = 0
+    photo[:, :60] = 0
+    start.job = replace(start.job, photo=replace(start.job.photo, radiance=photo))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        first_look(start)
+        found = align(start)
+    assert np.isfinite(found.camera.to_world).all()
+    assert found.before is not None and np.isfinite([found.before.outline, found.before.shading]).all()
 
 
 def test_a_draft_does_not_look_for_a_pixel(potatoes):
