@@ -161,19 +161,28 @@ REFINEMENTS = (
 )
 
 
-def estimate(scene: PreparedScene, library, settings: Settings, *, material: str | None = None, others=()) -> Estimate:
+def estimate(scene: PreparedScene, library, settings: Settings, **how) -> Estimate:
     """Recognises what is not given, solves for the light that all objects share, and says what speaks against it.
 
-    ``others`` are PreparedScenes of further photographs under the same light, each with an exposure of its own.
+    ``how`` : as of `found_light`
     """
-    answer = found_light(scene, library, settings, material=material, others=others)
+    answer = found_light(scene, library, settings, **how)
     say_doubts(answer)
     return answer
 
 
 @one_thread()
-def found_light(scene: PreparedScene, library, settings: Settings, *, material=None, others=()) -> Estimate:
-    """`estimate` without what speaks against it, which changes nothing of the light."""
+def found_light(
+    scene: PreparedScene, library, settings: Settings, *, material=None, others=(), refinements=REFINEMENTS
+) -> Estimate:
+    """`estimate` without what speaks against it, which changes nothing of the light.
+
+    Parameters
+    ----------
+    material : name, of all objects, whatever the job says of theirs; None: as it says
+    others : PreparedScenes of further photographs under the same light, each with an exposure of its own
+    refinements : what the model may need beside its simplest form, in turn
+    """
     scenes, reporter = [scene, *others], scene.reporter
     refuse_unknown(scenes, settings)
 
@@ -193,13 +202,13 @@ def found_light(scene: PreparedScene, library, settings: Settings, *, material=N
             reporter.warn(change)
         if changes:
             model = modelled(scenes, anew)
-    return light_of(model, library)
+    return light_of(model, library, refinements)
 
 
 @one_thread()
-def light_of(model: Model, library) -> Estimate:
+def light_of(model: Model, library, refinements=REFINEMENTS) -> Estimate:
     """The light of a model in its simplest form, and what refines both; nothing is recognised."""
-    model, light, choice = refined(*solve_model(model), REFINEMENTS)
+    model, light, choice = refined(*solve_model(model), refinements)
     choice |= {"light": light_words(light.fit), "colour": colour_words(light.fit)}
     with model.reporter.stage("alternatives"):
         others = tuple(alternatives(model, light, library))

@@ -205,15 +205,22 @@ def lamps_of(plate) -> list:
     return [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", [])
 
 
-def judged(plate, job) -> dict:
-    """What the estimate of a plate's job is worth."""
-    scene, true = scene_of(job), truth(plate)
-    found = estimated(scene)
-    row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth(found, true, free_scale=True)
+def worth_of(plate, found) -> dict:
+    """What an Estimate of a plate is worth: `estimates.worth`, of one on a table that of the light from above."""
+    true = truth(plate)
+    row = worth(found, true, free_scale=True)
     row["of all light"] = row["order2"]
     if plate["table"]:
         light, samples = above(found.fit.all_coefficients), np.array([above(sample) for sample in found.fit.samples])
         row |= errors(light, above(true)) | {"stated2": expected_error(light, samples)["order_2"]["median"]}
+    return row
+
+
+def judged(plate, job) -> dict:
+    """What the estimate of a plate's job is worth."""
+    scene = scene_of(job)
+    found = estimated(scene)
+    row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth_of(plate, found)
     row["over"] = row["order2"] / row["stated2"]
     row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)
     return row

@@ -28,14 +28,12 @@ def photographed(shift: int) -> PreparedScene:
 
 
 @pytest.mark.parametrize("shift", [0, 4])
-def test_ranges_are_twice_as_wide_where_the_outlines_lie_elsewhere(monkeypatch, shift):
+def test_ranges_are_twice_as_wide_where_the_outlines_lie_elsewhere(shift):
     found = []
     for refinements in (estimation.REFINEMENTS[:-1], estimation.REFINEMENTS):
-        monkeypatch.setattr(estimation, "REFINEMENTS", refinements)
+        how = {"material": "reference/white-diffuse", "refinements": refinements}
         settings = choose("draft", key_light="never")
-        found.append(
-            estimation.estimate(photographed(shift), open_library(None), settings, material="reference/white-diffuse")
-        )
+        found.append(estimation.estimate(photographed(shift), open_library(None), settings, **how))
     without, wider = (f.lighting for f in found)
     np.testing.assert_array_equal(wider.coefficients, without.coefficients)
     factor = 2 if shift else 1

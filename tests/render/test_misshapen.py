@@ -33,18 +33,16 @@ def jobs():
     return with_photo(scene.job, image), with_photo(scene.job, image * squares[..., None])
 
 
-def found(job):
-    return estimation.estimate(scene_of(job), open_library(None), SETTINGS, material=WHITE)
+def found(job, **how):
+    return estimation.estimate(scene_of(job), open_library(None), SETTINGS, material=WHITE, **how)
 
 
-def test_what_is_stated_grows_with_what_patches_leave_over(jobs, monkeypatch):
+def test_what_is_stated_grows_with_what_patches_leave_over(jobs):
     good, bad = map(found, jobs)
     assert UNEXPLAINED not in good.choice and UNEXPLAINED in bad.choice
     assert not any("whole parts" in said for said in good.scene.reporter.warnings)
     assert any("whole parts" in said for said in bad.scene.reporter.warnings)
-    others = tuple(r for r in estimation.REFINEMENTS if r is not misshapen)
-    monkeypatch.setattr(estimation, "REFINEMENTS", others)
-    plain = found(jobs[1])
+    plain = found(jobs[1], refinements=[r for r in estimation.REFINEMENTS if r is not misshapen])
     np.testing.assert_array_equal(bad.lighting.coefficients, plain.lighting.coefficients)
     assert (bad.lighting.stddev > 1.2 * plain.lighting.stddev).all()
 
