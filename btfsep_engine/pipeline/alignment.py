@@ -57,7 +57,9 @@ FIRST_LEVEL, FIRST_STEPS, OFF = 1, 3, 1.5  # pixels of what is looked at
 # ball whose edges lie 0.7 pixels beside its mesh under every lamp, which made its light worse.
 BESIDE, AGREED = 0.6, 0.5
 FIRM, LOOSE, FREER = 0.05, 0.1, 0.2  # holds (`fit.settling`): of a first look; of a move; where that is not enough
-SETTLINGS, AT_REST = 3, 0.25  # sets of marks; pixels of the last step
+# Of how far a pose settles that is gone, one set of marks after the other, since each lets it waver by some tenths of a
+# pixel; and pixels of the last step.
+SETTLINGS, AT_REST = (1.0, 1.0, 0.5, 0.5), 0.25
 
 
 @dataclass(frozen=True)
@@ -266,9 +268,10 @@ class Aligner:
 
     def at_rest(self, q, *, about, hold: float) -> tuple[np.ndarray, bool]:
         """Where seven numbers settle, with marks made anew as long as they move, and whether they come to rest."""
-        for _ in range(SETTLINGS):
-            before, q = q, self.settle(q, about=about, hold=hold).q
-            if np.linalg.norm(q - before) < AT_REST:
+        for share in SETTLINGS:
+            step = share * (self.settle(q, about=about, hold=hold).q - q)
+            q = q + step
+            if np.linalg.norm(step) < AT_REST:
                 return q, True
         return q, False
 
