@@ -11,6 +11,7 @@ from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Tabulated, blended
 from btfsep_engine.render.arrays import DirectionTaps, aligned, dr, mi
 from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.threads import one_thread
 
 PROBE_TEXELS = 1.5  # between look-ups within a pixel: with one for all of it, single pixels are 5 to 15 % wrong
 PROBES = 12  # in a pixel, about
@@ -116,6 +117,7 @@ class LightTables:
         padded[..., :3] = np.moveaxis(material.angular, 3, 1)
         self._angular = padded.reshape(views, -1, lights * 4)
 
+    @one_thread()  # they are kept, for others that may share their products out among more threads
     def tables_at(self, points: SurfacePoints, *, millimetres_per_unit: float):
         """The tables of points.
 

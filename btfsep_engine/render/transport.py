@@ -21,6 +21,7 @@ from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.weights import Weights
 from btfsep_engine.storage import kept
+from btfsep_engine.threads import one_thread
 
 LANES = 1 << 21  # weights computed at once: 25 MB a channel triple
 KEPT = 1 << 28  # rays whose answers are kept for the next material; more are traced anew
@@ -113,6 +114,7 @@ class Transport:
         """Of rays and points, whatever the material (`kept.content`)."""
         return kept.content([self.tracer.key, self.points, len(self.directions), float(self.millimetres_per_unit)])
 
+    @one_thread()  # as `LightTables.tables_at`
     def _radiances(self, material: Material, lightings: tuple) -> list[np.ndarray]:
         if material.mirror_reflectance is not None:
             return [self._mirror(material, each) for each in lightings]
