@@ -56,7 +56,8 @@ FIRST_LEVEL, FIRST_STEPS, OFF = 1, 3, 1.5  # pixels of what is looked at
 # deviations; of 53 that are a pixel off 38 do, of 56 that are two off 54. 0.45 would find 50 and 56, and move a real
 # ball whose edges lie 0.7 pixels beside its mesh under every lamp, which made its light worse.
 BESIDE, AGREED = 0.6, 0.5
-FIRM, LOOSE, FREER = 0.05, 0.1, 0.2  # holds (`fit.settling`): of a first look; of a move; where that is not enough
+FIRM, FREER = 0.05, 0.2  # holds (`fit.settling`): of a first look; of what a search has found
+HOLDS = (0.1, 0.2)  # of a move nearby, one after the other where that is not enough
 # Of how far a pose settles that is gone, one set of marks after the other, since each lets it waver by some tenths of a
 # pixel; and pixels of the last step.
 SETTLINGS, AT_REST = (1.0, 1.0, 0.5, 0.5), 0.25
@@ -260,7 +261,7 @@ class Aligner:
         """Seven numbers within a few pixels whose outlines lie on the photo's edges, that go better with outlines and
         shading, and ask for no other camera; None where there are none."""
         start = q = np.zeros(PARAMETERS)
-        for hold in (LOOSE, FREER):
+        for hold in HOLDS:
             q, rests = self.at_rest(q, about=start, hold=hold)
             if rests and self.gain(q).significance > AGREED and not self.asks(q):
                 return q
