@@ -43,6 +43,7 @@ UNSEEN = (
     "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
     "reflections by what the camera does not see, the stated uncertainty knows nothing"
 )
+QUICK = "quick: lamps sharper than the harmonics, lamps nearby, things in front and haze were not looked for"
 
 
 @dataclass(frozen=True)
@@ -130,8 +131,10 @@ class Estimate:
 
 
 def left_as_it_is(model: Model, light: SolvedLight):
-    """Says what was not refined: textures that are not worth it, geometry that nobody sees."""
+    """Says what was not refined: textures that are not worth it, what takes long, geometry that nobody sees."""
     words = {} if model.untried is None else {"appearance": model.untried}
+    if model.settings.refine == "quick":
+        words["refine"] = QUICK
     if any(unseen_meshes(problem.scene.job) for problem in model.problems):
         words["geometry"] = UNSEEN
     return model, light, words
@@ -159,6 +162,14 @@ REFINEMENTS = (
     unlike_surroundings,
     misplaced,
 )
+# On 32 plates these took half of the time; left out of a draft, whose camera stays, they cost its light nothing in the
+# mean (0.97 times the error). What they are worth to an estimate: `scripts/study refinements`.
+SLOW = (without_things_in_front, near_lamps, sharp_lamps, veiled)
+
+
+def refinements_of(settings: Settings, of=REFINEMENTS) -> tuple:
+    """Those of some refinements that the settings ask for."""
+    return tuple(r for r in of if settings.refine == "all" or r not in SLOW)
 
 
 def estimate(scene: PreparedScene, library, settings: Settings, **how) -> Estimate:
@@ -173,7 +184,7 @@ def estimate(scene: PreparedScene, library, settings: Settings, **how) -> Estima
 
 @one_thread()
 def found_light(
-    scene: PreparedScene, library, settings: Settings, *, material=None, others=(), refinements=REFINEMENTS
+    scene: PreparedScene, library, settings: Settings, *, material=None, others=(), refinements=None
 ) -> Estimate:
     """`estimate` without what speaks against it, which changes nothing of the light.
 
@@ -181,7 +192,7 @@ def found_light(
     ----------
     material : name, of all objects, whatever the job says of theirs; None: as it says
     others : PreparedScenes of further photographs under the same light, each with an exposure of its own
-    refinements : what the model may need beside its simplest form, in turn
+    refinements : what the model may need beside its simplest form, in turn; None: what the settings ask for
     """
     scenes, reporter = [scene, *others], scene.reporter
     refuse_unknown(scenes, settings)
@@ -206,8 +217,9 @@ def found_light(
 
 
 @one_thread()
-def light_of(model: Model, library, refinements=REFINEMENTS) -> Estimate:
+def light_of(model: Model, library, refinements=None) -> Estimate:
     """The light of a model in its simplest form, and what refines both; nothing is recognised."""
+    refinements = refinements_of(model.settings) if refinements is None else refinements
     model, light, choice = refined(*solve_model(model), refinements)
     choice |= {"light": light_words(light.fit), "colour": colour_words(light.fit)}
     with model.reporter.stage("alternatives"):

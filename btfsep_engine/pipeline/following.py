@@ -18,7 +18,7 @@ import numpy as np
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.model import Photo
 from btfsep_engine.pipeline.alternatives import alternatives
-from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of
+from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of, refinements_of
 from btfsep_engine.pipeline.mirrors import with_picture
 from btfsep_engine.pipeline.model import Model, first_model
 from btfsep_engine.pipeline.refine import refined
@@ -143,7 +143,7 @@ class Follower:
 
     def _completed(self, model: Model, light: SolvedLight) -> Estimate:
         """The Estimate of a model that is as it was chosen, and of its light."""
-        model, light, choice = refined(model, light, {}, OF_LIGHT)
+        model, light, choice = refined(model, light, {}, refinements_of(model.settings, OF_LIGHT))
         with model.reporter.stage("alternatives"):
             others = tuple(alternatives(model, light, self.library))
         return Estimate(model, light, choice, others)

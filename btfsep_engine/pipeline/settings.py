@@ -25,6 +25,10 @@ MORE_BOUNCES = "more where that changes an estimate by more than its stated unce
 BASIS_IMAGES = "What makes the basis images; reference: the paper's path-traced image for each basis light"
 BEST_ORDER = "the highest of which the photo determines something; with least-squares by cross-validation"
 DEPARTURES = "Rougher and glossier materials than an object's are tried where the photo asks for them"
+REFINE = (
+    "What the photo may ask for beside the simplest model is looked at: all of it, or (quick) not what takes long and "
+    "seldom moves the light: lamps sharper than the harmonics, lamps nearby, things in front, haze"
+)
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
 ALIGN = (
     "Whether a camera that is off is moved into line for this estimate: where outlines and shading ask for it (auto), "
@@ -188,6 +192,7 @@ class FitSettings(Seeded):
     sun: tuple | None = setting(None, SUN, kind=Angles, many=True, unit="elevation,azimuth[,accuracy]")
     key_light: str = setting("auto", LAMPS, choices=("auto", "never"))
     departures: str = setting("auto", DEPARTURES, choices=("auto", "never"))
+    refine: str = setting("all", REFINE, choices=("all", "quick"))
 
     @property
     def fit_order(self) -> int:
@@ -203,7 +208,9 @@ class Settings(FitSettings, TransportSettings, PhotoSettings, RecognitionSetting
 
 
 PRESETS = {
-    "draft": Settings(preset="draft", pixels=2000, align="outline", training_pixels=8000, training_directions=128),
+    "draft": Settings(
+        preset="draft", pixels=2000, align="outline", refine="quick", training_pixels=8000, training_directions=128
+    ),
     "balanced": Settings(),
     "accurate": Settings(
         preset="accurate",

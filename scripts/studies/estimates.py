@@ -9,7 +9,7 @@ from pathlib import Path
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.job.load import load_job
 from btfsep_engine.job.model import Job
-from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, estimate
+from btfsep_engine.pipeline.estimation import Estimate, estimate
 from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
@@ -32,9 +32,7 @@ def scene_of(job, *, uv: str | None = None) -> PreparedScene:
     return PreparedScene(job, Reporter())
 
 
-def estimated(
-    job, material: str | None = None, *, preset: str = "balanced", refinements=REFINEMENTS, **changes
-) -> Estimate:
+def estimated(job, material: str | None = None, *, preset: str = "balanced", refinements=None, **changes) -> Estimate:
     """The estimate of a job, of a folder's, or of a scene; ``material`` is that of all objects, None: as the job says.
 
     As a user has it: with the camera moved where the outlines ask for it (`mending`). ``refinements`` : as of

@@ -55,7 +55,7 @@ def off(found, truth) -> float:
 
 
 def estimated(scene, others=()):
-    settings = choose("draft", bounces=1, directions=1024)
+    settings = choose("draft", refine="all", bounces=1, directions=1024)
     return estimate(scene, open_library(None), settings, material="reference/white-diffuse", others=others)
 
 

@@ -22,7 +22,7 @@ from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, job_of, looking_down, off_as_seen, positive_light, scene_of, with_photo
 
 GREY = Lambertian("test/grey", np.full(3, 0.5))
-SETTINGS = choose("draft", bounces=1, directions=128, appearance="mean", order=2)
+SETTINGS = choose("draft", refine="all", bounces=1, directions=128, appearance="mean", order=2)
 DYE = np.array([1.5, 1.0, 0.7])
 
 

@@ -25,7 +25,7 @@ from scripts.studies.measures import order2
 from tests.render.scenes import egg_and_pebble, job_of, looking_down, picture, scene_of, with_photo
 
 GLOSS = "wood/walnut-lacquered"
-SETTINGS = choose("draft", bounces=1, directions=512)
+SETTINGS = choose("draft", refine="all", bounces=1, directions=512)
 TOWARDS = np.array([-0.45, 0.3, 0.84]) / np.linalg.norm([-0.45, 0.3, 0.84])
 SECOND = np.array([0.7, 0.2, 0.69]) / np.linalg.norm([0.7, 0.2, 0.69])
 

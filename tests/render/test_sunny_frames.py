@@ -19,7 +19,7 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.progress import Reporter
 
 GLOSS = "wood/walnut-lacquered"
-QUICK = ("--material", GLOSS, "--preset", "draft", "--align", "never")
+QUICK = ("--material", GLOSS, "--preset", "draft", "--refine", "all", "--align", "never")
 TOWARDS, ELSEWHERE = (np.array(d) / np.linalg.norm(d) for d in ([-0.45, 0.3, 0.84], [0.3, 0.3, 0.84]))
 
 

@@ -13,7 +13,7 @@ from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, in_white, off_as_seen, scene_of, with_photo
 
 WHITE = "reference/white-diffuse"
-SETTINGS = choose("draft", bounces=1, directions=1024)
+SETTINGS = choose("draft", refine="all", bounces=1, directions=1024)
 VEIL = np.array([0.3, 0.35, 0.4])
 
 
