@@ -4,6 +4,8 @@
 import json
 import warnings
 from dataclasses import replace
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -257,6 +259,21 @@ def test_of_a_photo_that_shows_nothing_nothing_is_moved(potatoes, spoilt):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert not looks_off(scene) and not align(scene).aligned
+
+
+def test_a_place_about_which_outlines_waver_is_one_and_one_that_goes_on_is_none(potatoes, monkeypatch):
+    """Each set of marks says another tenth of a pixel; what they agree on is the middle."""
+    aligner, start = Aligner(potatoes), np.zeros(7)
+    place, aside = np.array([0, 0, 0, 1, -1, 0, 0]), np.array([0, 0, 0, 0.2, 0, 0, 0])
+
+    def settling(to):
+        calls = count()
+        monkeypatch.setattr(aligner, "settle", lambda q, **_: SimpleNamespace(q=to(q, next(calls))))
+        return aligner.at_rest(start, about=start, hold=0.1)
+
+    found, rests = settling(lambda q, i: place + (-1) ** i * aside)
+    assert rests and np.abs(found - place).max() < 0.15
+    assert not settling(lambda q, i: q + place)[1]
 
 
 def test_a_draft_looks_at_the_outline_alone(potatoes):

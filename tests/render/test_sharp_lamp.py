@@ -52,8 +52,8 @@ def photographed(prepared, irradiance: float, *, limit=np.inf, towards=(TOWARDS,
     return scene_of(job), sky + sum(sh.evaluate(2, d)[:, None] * irradiance for d in towards)
 
 
-def found_in(scene, truth):
-    found = estimate(scene, open_library(None), SETTINGS, material=GLOSS)
+def found_in(scene, truth, settings=SETTINGS):
+    found = estimate(scene, open_library(None), settings, material=GLOSS)
     return found, order2(found.fit.coefficients, truth)
 
 
@@ -66,6 +66,14 @@ def test_a_sun_whose_highlight_is_clipped_is_found_as_sharp_as_it_is(prepared, m
     monkeypatch.setattr(sharp, "CLEARLY", np.inf)
     as_harmonics, without = found_in(photographed(prepared, 4.0, limit=0.5)[0], truth)
     assert "sharp" not in as_harmonics.choice and without > 1.3 * error
+
+
+def test_a_draft_does_not_look_for_lamps_that_are_sharper_and_says_so(prepared):
+    scene, truth = photographed(prepared, 4.0, limit=0.5)
+    quick, _ = found_in(scene, truth, replace(SETTINGS, refine="quick"))
+    assert "sharp" not in quick.choice and "lamps sharper" in quick.choice["refine"]
+    assert "refine" not in found_in(scene, truth)[0].choice
+    assert choose("draft").refine == "quick" and choose("balanced").refine == "all"
 
 
 def test_two_bare_lamps_are_found_as_sharp_as_they_are(prepared, monkeypatch):
