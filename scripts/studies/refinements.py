@@ -28,6 +28,7 @@ from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.real import true_light
 
 CAMERA, NONE, ALL = "camera in line", "none", "all"
+WAYS = (CAMERA, *(r.__name__ for r in REFINEMENTS), NONE)
 SETS = ("seventh", "ninth")
 A_TENTH = 1.1
 
@@ -53,13 +54,14 @@ class Watched:
         return watched
 
 
-def study(name: str, opened, judge) -> list[dict]:
+def study(name: str, opened, judge, only) -> list[dict]:
     """Rows of a photograph: {"name", "way", "ms" of each refinement (of way `ALL`), "order2", "stated2"}.
 
     Parameters
     ----------
     opened : () -> PreparedScene, one whose camera nothing was done to
     judge : Estimate -> what it is worth
+    only : ways to look at
     """
     watched, scene = Watched(REFINEMENTS), opened()
     begun = time.process_time()
@@ -67,13 +69,14 @@ def study(name: str, opened, judge) -> list[dict]:
     spent = {CAMERA: 1e3 * (time.process_time() - begun)}
     found = estimated(mended, refinements=watched.each, align="never")
     rows = [{"name": name, "way": ALL, "ms": spent | watched.milliseconds} | judge(found)]
-    for left_out in [r for r in REFINEMENTS if r.__name__ in watched.changed]:
+    for left_out in [r for r in REFINEMENTS if r.__name__ in watched.changed & only]:
         others = [r for r in REFINEMENTS if r is not left_out]
         answer = estimated(mended_anew(opened, mended), refinements=others, align="never")
         rows.append({"name": name, "way": left_out.__name__} | judge(answer))
-    if mended is not scene:
+    if mended is not scene and CAMERA in only:
         rows.append({"name": name, "way": CAMERA} | judge(estimated(opened(), align="never")))
-    rows.append({"name": name, "way": NONE} | judge(estimated(opened(), refinements=(), align="never")))
+    if NONE in only:
+        rows.append({"name": name, "way": NONE} | judge(estimated(opened(), refinements=(), align="never")))
     return rows
 
 
@@ -89,19 +92,20 @@ def mended_anew(opened, mended):
     return out
 
 
-def of_plate(plate, folder: Path) -> list[dict]:
+def of_plate(plate, folder: Path, only) -> list[dict]:
     """Rows of a plate."""
     return study(
         f"{folder.name} {plate['name']}",
         lambda: scene_of(folder / plate["name"] / "job"),
         lambda found: plates.worth_of(plate, found),
+        only,
     )
 
 
-def of_real(folder: Path) -> list[dict]:
+def of_real(folder: Path, only) -> list[dict]:
     """Rows of a job with a truth."""
     truth = true_light(folder)
-    return study(folder.name, lambda: scene_of(folder), lambda found: worth(found, truth, free_scale=True))
+    return study(folder.name, lambda: scene_of(folder), lambda found: worth(found, truth, free_scale=True), only)
 
 
 HEAD = (
@@ -142,6 +146,7 @@ def main(arguments) -> int:
     options.add_argument("folder", type=Path, nargs="?", help="of plates")
     options.add_argument("--sets", nargs="+", choices=list(plates.SETS), default=SETS)
     options.add_argument("--real", type=Path, metavar="FOLDER", help="jobs with a truth.json")
+    options.add_argument("--only", nargs="+", choices=WAYS, default=WAYS, metavar="WAY", help="; ".join(WAYS))
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
     given = options.parse_args(arguments)
     todo = []
@@ -152,8 +157,9 @@ def main(arguments) -> int:
         todo += [(of_real, truth.parent) for truth in sorted(given.real.glob("*/truth.json"))]
     if not todo:
         options.error("give a folder of plates, or --real FOLDER")
-    todo[0][0](*todo[0][1:])  # its kernels are not counted
-    rows = [row for rows_of, *what in tqdm(todo) for row in rows_of(*what)]
+    only = set(given.only)
+    todo[0][0](*todo[0][1:], set())  # its kernels are not counted
+    rows = [row for rows_of, *what in tqdm(todo) for row in rows_of(*what, only)]
     if given.numbers:
         write_json(given.numbers, rows)
     print(summary(rows))
