@@ -5,12 +5,12 @@ import bpy
 from bpy.props import EnumProperty
 
 from ..light import kept_light, world
-from ..run import runs
+from ..run import buttons
 from ..run.answer import apply_light
 from .properties import WORLD_MODES
 
 
-class BTFSEP_OT_apply(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_apply(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Make the light that the card describes the World again, as the settings above say"""
 
     bl_idname = "btfsep.apply"
@@ -29,7 +29,7 @@ class BTFSEP_OT_apply(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         return apply_light(context.scene, kept_light.lighting_of(kept_light.kept(context.scene)), mode=mode)
 
 
-class BTFSEP_OT_restore_world(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_restore_world(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Put the World back that the scene had before BTFsep, without the Sun lamps of BTFsep"""
 
     bl_idname = "btfsep.restore_world"

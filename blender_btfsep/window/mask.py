@@ -11,7 +11,7 @@ from ..basics.errors import InputError
 from ..light import light_picture
 from ..photo import camera as pinhole
 from ..photo import photo
-from ..run import reasons, request, runs
+from ..run import buttons, reasons, request, runs
 from ..scene import meshes
 from . import looking
 
@@ -112,7 +112,7 @@ def paint(image, where, file=None) -> np.ndarray:
     return np.where(where[..., None], DARKEST + (1 - DARKEST) * np.clip(np.nan_to_num(shown), 0, 1), 0)
 
 
-class BTFSEP_OT_new_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_new_mask(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Make a mask that shows the photo where the camera sees the object, and open it: paint what hides it black"""
 
     bl_idname = "btfsep.new_mask"
@@ -142,7 +142,7 @@ class BTFSEP_OT_new_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         return open_for_painting(context, image)
 
 
-class BTFSEP_OT_paint_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_paint_mask(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Open the mask in an Image Editor, to be painted on: what is not black is used"""
 
     bl_idname = "btfsep.paint_mask"
