@@ -10,7 +10,7 @@ import pytest
 from blender_btfsep.light import lighting_file, sun_lamp, world
 from blender_btfsep.run import answer, runs
 from blender_btfsep.scene import meshes
-from blender_btfsep.window import live
+from blender_btfsep.window import live, live_changes
 from tests.blender.lit import LIGHTING
 from tests.blender.test_addon_operators import coefficients
 
@@ -112,7 +112,7 @@ def beside(scene):
 def settle(scene):
     """What was changed so far is how the scene was before."""
     scene.view_layers[0].update()
-    live._known[scene.session_uid] = live._told(scene)
+    live_changes.remember(scene)
     live._follower.give_way()
 
 
