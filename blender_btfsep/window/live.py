@@ -20,6 +20,7 @@ from ..engine import engine_process
 from ..light import kept_light, lighting_file, sun_lamp
 from ..run import answer, between_steps, buttons, reasons, request, runs
 from ..scene import meshes
+from ..scene.export import JOB_FILE
 from . import live_changes, live_steps
 
 INTERVAL = 0.02  # seconds between looks
@@ -37,15 +38,16 @@ class Follower:
     run : Preparation or process of what is asked now (`asked`), or None
     text : of the light that was given last
     held : what puts the light that waits into the scene, or None
+    job : what was written of the scene as it is (folder, its job.json, warnings), or None where it has changed since
     """
 
     def __init__(self):
         self.place, self.due, self.run, self.asked, self._at, self._cancelled = None, "", None, "", 0.0, False
-        self.text, self.held = "", None
+        self.text, self.held, self.job = "", None, None
 
     def changed(self, scene) -> None:
         """Something is not as it was: what is asked now is asked in vain."""
-        self.place, self._at, self.held = live_changes.Place(scene), time.monotonic(), None
+        self.place, self._at, self.held, self.job = live_changes.Place(scene), time.monotonic(), None, None
         self.due = WHOLE if scene.btfsep.preset == DRAFT else DRAFT
         if self.run is not None and not self._cancelled:
             self.run.cancel()
@@ -55,7 +57,7 @@ class Follower:
 
     def give_way(self) -> None:
         """Nothing is due any more, and nothing is asked: another run begins, or the file is left."""
-        self.due, self.held = "", None
+        self.due, self.held, self.job = "", None, None
         self.kill()
         self._over()
 
@@ -102,7 +104,7 @@ class Follower:
 
     def _slices(self, asked: str):
         """The engine's arguments, as a generator."""
-        folder = yield from request.job_slices(self.place)
+        folder = yield from self._written()
         scene = self.place.scene
         if asked == WHOLE:
             return request.engine_arguments("estimate", folder, scene, "--out", folder / "result")
@@ -110,6 +112,21 @@ class Follower:
         # what takes longest, and comes with the preset a moment later
         given = ("--out", folder / "draft", "--no-report", "--align", "never", "--departures", "never")
         return request.engine_arguments("estimate", folder, scene, *given, options=argparse.Namespace(preset=DRAFT))
+
+    def _written(self):
+        """The folder with the job of the scene as it is, as a generator: the preset's is the draft's.
+
+        A large scene takes longer to be written than the light to be found. Raises InputError.
+        """
+        if self.job is None or not (self.job[0] / JOB_FILE).is_file():
+            folder = yield from request.job_slices(self.place)
+            self.job = folder, (folder / JOB_FILE).read_bytes(), [w.name for w in runs.run_state().warnings]
+            return folder
+        folder, job, said = self.job
+        for sentence in said:
+            runs.run_state().warnings.add().name = sentence
+        atomic.write_bytes(folder / JOB_FILE, job)  # the draft has its own
+        return folder
 
     def _go_on(self, scene) -> None:
         if isinstance(self.run, runs.Preparation):
@@ -179,13 +196,13 @@ atexit.register(_follower.kill)
 
 def _recognised(scene, folder) -> None:
     """Has the draft of the job in ``folder`` take what was recognised before for known."""
-    job = json.loads((folder / "job.json").read_text())
+    job = json.loads((folder / JOB_FILE).read_text())
     entries = request.fitted(scene.btfsep)
     for thing in job["objects"]:
         entry = entries.get(thing["name"])
         if entry and entry.source == "RECOGNISE" and not entry.recognised.startswith("surface/"):
             thing["material"] = entry.recognised or None
-    atomic.write_bytes(folder / "job.json", json.dumps(job, indent=1).encode())
+    atomic.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
 
 
 def _step():

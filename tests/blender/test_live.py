@@ -8,7 +8,7 @@ import bpy
 import pytest
 
 from blender_btfsep.light import lighting_file, sun_lamp, world
-from blender_btfsep.run import answer, runs
+from blender_btfsep.run import answer, request, runs
 from blender_btfsep.scene import meshes
 from blender_btfsep.window import live, live_changes
 from tests.blender.lit import LIGHTING
@@ -254,6 +254,24 @@ def test_a_draft_takes_what_was_recognised_for_known(photographed, asked, monkey
     photographed.camera.location.x += 0.1
     follow()
     assert jobs == ["wood/oak-boards", None]
+
+
+def test_the_scene_is_written_once_for_the_draft_and_the_preset(photographed, asked, monkeypatch):
+    written, write = [], request.write_job
+
+    def counted(*given, **more):
+        written.append(1)
+        runs.warn("a lamp is left out")
+        return write(*given, **more)
+
+    monkeypatch.setattr(request, "write_job", counted)
+    for changes in (1, 2):
+        photographed.camera.location.x += 0.1
+        follow()
+        assert len(written) == changes and len(asked) == 2 * changes
+        assert "a lamp is left out" in [warning.name for warning in runs.run_state().warnings]
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+    assert len(written) == 3 and live._follower.job is None
 
 
 def test_what_goes_wrong_is_said_once(photographed, asked, fake_engine):
