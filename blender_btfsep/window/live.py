@@ -120,6 +120,8 @@ class Follower:
         """
         if self.job is None or not (self.job[0] / JOB_FILE).is_file():
             folder = yield from request.job_slices(self.place)
+            with meshes.unheard():  # pictures that were read for the job: Blender would tell of them in a moment
+                self.place.view_layer.update()
             self.job = folder, (folder / JOB_FILE).read_bytes(), [w.name for w in runs.run_state().warnings]
             return folder
         folder, job, said = self.job
