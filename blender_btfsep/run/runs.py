@@ -328,7 +328,7 @@ class EngineOperator:
 
 
 def forget() -> None:
-    """What the last run said is of a file that is left: the next one's panel says nothing of it."""
+    """What the last run said is of a file that is left, or of another light than there is now: the panel drops it."""
     state = run_state()
     state.error = state.summary = ""
     state.warnings.clear()

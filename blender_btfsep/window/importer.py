@@ -10,7 +10,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..basics.errors import InputError
 from ..light import light_files, sh_nodes, world
-from ..run import buttons
+from ..run import buttons, runs
 from ..run.answer import apply_light
 from .properties import WORLD_MODES
 
@@ -69,7 +69,9 @@ class BTFSEP_OT_import_lighting(buttons.AtOnce, bpy.types.Operator, ImportHelper
 
     def do(self, context):
         lighting = light_files.read(bpy.path.abspath(self.filepath), self.order)
-        return apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
+        said = apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
+        runs.forget()  # what went wrong before is of another light
+        return said
 
 
 class BTFSEP_OT_export_lighting(buttons.Greyed, buttons.AtOnce, bpy.types.Operator, ExportHelper):
