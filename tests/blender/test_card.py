@@ -255,6 +255,17 @@ def test_where_a_render_may_have_been_saved_with_another_view_it_is_asked(found,
     assert not card.card_of({"choice": {"curve": "the photo's tone curve is sRGB"}}, lighting(), FRONT)["warnings"]
 
 
+def test_how_the_photo_is_read_is_asked_before_what_may_come_of_it():
+    said = [
+        "occluder 'Table' is 23 % brighter in the photo than its 'surface' is under this light",
+        "the material does not go with the photo",
+        "the photo looks like a render that was saved with that view",
+        "it says that it is to be turned",
+    ]
+    shown = card.card_of({}, lighting(), warnings=said)["warnings"]
+    assert [doubt["mend"] for doubt in shown] == ["AGX", "UPRIGHT", "SELECT", "MATERIAL"]
+
+
 def test_a_light_that_may_be_quite_another_is_not_green():
     result = {"expected_error": {"order_2": {"median": 0.1, "low": 0.06, "high": 0.7}}}
     assert card.card_of(result, lighting(), FRONT)["trust"] == "AMBER"
