@@ -38,16 +38,21 @@ class Follower:
     run : Preparation or process of what is asked now (`asked`), or None
     text : of the light that was given last
     held : what puts the light that waits into the scene, or None
-    job : what was written of the scene as it is (folder, its job.json, warnings), or None where it has changed since
+    job : what was written of the scene (folder, its job.json, warnings), or None where it has changed since
+    view : the job.json with photo and camera as they are, or None where they have changed since
     """
 
     def __init__(self):
         self.place, self.due, self.run, self.asked, self._at, self._cancelled = None, "", None, "", 0.0, False
-        self.text, self.held, self.job = "", None, None
+        self.text, self.held, self.job, self.view = "", None, None, None
 
-    def changed(self, scene) -> None:
-        """Something is not as it was: what is asked now is asked in vain."""
-        self.place, self._at, self.held, self.job = live_changes.Place(scene), time.monotonic(), None, None
+    def changed(self, scene, what=(live_changes.ALL,)) -> None:
+        """Something is not as it was (``what``, of `live_changes`): what is asked now is asked in vain."""
+        if self.place is None or self.place.scene != scene or live_changes.ALL in what:
+            self.job = None
+        if live_changes.OPTIONS not in what or len(what) > 1:
+            self.view = None
+        self.place, self._at, self.held = live_changes.Place(scene), time.monotonic(), None
         self.due = WHOLE if scene.btfsep.preset == DRAFT else DRAFT
         if self.run is not None and not self._cancelled:
             self.run.cancel()
@@ -57,7 +62,7 @@ class Follower:
 
     def give_way(self) -> None:
         """Nothing is due any more, and nothing is asked: another run begins, or the file is left."""
-        self.due, self.held, self.job = "", None, None
+        self.due, self.held, self.job, self.view = "", None, None, None
         self.kill()
         self._over()
 
@@ -114,20 +119,23 @@ class Follower:
         return request.engine_arguments("estimate", folder, scene, *given, options=argparse.Namespace(preset=DRAFT))
 
     def _written(self):
-        """The folder with the job of the scene as it is, as a generator: the preset's is the draft's.
+        """The folder with the job of the scene as it is, as a generator; what has not changed is not written anew.
 
         A large scene takes longer to be written than the light to be found. Raises InputError.
         """
-        if self.job is None or not (self.job[0] / JOB_FILE).is_file():
-            folder = yield from request.job_slices(self.place)
-            with meshes.unheard():  # pictures that were read for the job: Blender would tell of them in a moment
-                self.place.view_layer.update()
-            self.job = folder, (folder / JOB_FILE).read_bytes(), [w.name for w in runs.run_state().warnings]
-            return folder
-        folder, job, said = self.job
-        for sentence in said:
-            runs.run_state().warnings.add().name = sentence
-        atomic.write_bytes(folder / JOB_FILE, job)  # the draft has its own
+        if self.job is not None and (self.job[0] / JOB_FILE).is_file():
+            folder, job, said = self.job
+            self.view = self.view or request.renewed(self.place, json.loads(job), folder)
+            if self.view is not None:
+                for sentence in said:
+                    runs.run_state().warnings.add().name = sentence
+                atomic.write_bytes(folder / JOB_FILE, json.dumps(self.view, indent=1).encode())  # the draft has its own
+                return folder
+        folder = yield from request.job_slices(self.place)
+        with meshes.unheard():  # pictures that were read for the job: Blender would tell of them in a moment
+            self.place.view_layer.update()
+        job = (folder / JOB_FILE).read_bytes()
+        self.job, self.view = (folder, job, [w.name for w in runs.run_state().warnings]), json.loads(job)
         return folder
 
     def _go_on(self, scene) -> None:
@@ -218,10 +226,11 @@ def _heard(scene, depsgraph):
         return
     if depsgraph.view_layer.name != live_changes.Place(scene).view_layer.name:
         return  # of another window: it is told of the same later, also of what the export did
-    if any(live_changes.matters(update, scene) for update in depsgraph.updates):
+    what = set().union(*(live_changes.matters(update, scene) for update in depsgraph.updates))
+    if what:
         live_changes.remember(scene)  # what is told a second time is no second change
         if kept_light.kept(scene):
-            _follower.changed(scene)
+            _follower.changed(scene, what)
 
 
 @persistent

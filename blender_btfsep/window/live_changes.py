@@ -9,6 +9,9 @@ from ..photo import photo
 from ..run import request
 from ..scene import meshes
 
+VIEW, OPTIONS, ALL = "view", "options", "all"
+"""What has changed: photo or camera; what the engine is told beside the job; more than that."""
+
 known: dict = {}
 """Session id of a scene -> what of its settings was seen last (:func:`told`)."""
 
@@ -40,10 +43,10 @@ def _facing(scene, sun) -> list:
     return [round(float(part), 4) for part in sun_lamp.known_direction(scene, sun)]
 
 
-def told(scene) -> tuple:
-    """What of a scene's own settings an estimate depends on."""
+def told(scene) -> dict:
+    """What of a scene's own settings an estimate depends on: known suns, the view, the engine's options, the rest."""
     s, r = scene.btfsep, scene.render
-    pictures = [
+    photographed, *others = [
         image and (image.session_uid, image.filepath_raw, image.colorspace_settings.name)
         for image in (s.image, s.depth, *(entry.mask for entry in request.fitted(s).values()))
     ]
@@ -53,21 +56,25 @@ def told(scene) -> tuple:
         for thing in [e.object]
     ]
     camera = s.camera or scene.camera
-    pictures.append(s.image and str(photo.file_at(s.image, camera, scene.frame_current)))
-    shape = [getattr(r, name) for name in SHAPE]
-    suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known_suns(scene)]
-    shift = tuple(s.depth_shift)
-    own = (suns, s.occluders, _beside(scene), s.mapping, s.exposure_ev, s.curve, shift)
-    own += (camera and camera.session_uid,)
-    return (*own, pictures, made, shape, engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s))
+    file = s.image and str(photo.file_at(s.image, camera, scene.frame_current))
+    units = scene.unit_settings
+    return {
+        "suns": [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known_suns(scene)],
+        VIEW: (photographed, file, s.curve, camera and camera.session_uid),
+        OPTIONS: engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s),
+        "rest": (
+            *(s.occluders, _beside(scene), s.mapping, s.exposure_ev, tuple(s.depth_shift), others, made),
+            *([getattr(r, name) for name in SHAPE], units.system, units.scale_length),
+        ),
+    }
 
 
 def placed(scene) -> tuple:
     """What is quickly told of what an estimate depends on, also right after an undo, when nothing is evaluated yet."""
     things = [scene.btfsep.camera or scene.camera, *(entry.object for entry in request.listed(scene.btfsep))]
     chains = [chain for thing in filter(None, things) for chain in _with_parents(thing)]
-    _suns, *others = told(scene)
-    return others, [[round(part, 6) for row in thing.matrix_basis for part in row] for thing in chains]
+    settings = {name: each for name, each in told(scene).items() if name != "suns"}  # of which not even the direction
+    return settings, [[round(part, 6) for row in thing.matrix_basis for part in row] for thing in chains]
 
 
 def _with_parents(thing) -> list:
@@ -95,32 +102,37 @@ def remember(scene) -> None:
     known[scene.session_uid] = told(scene)
 
 
-def matters(update, scene) -> bool:
-    """Whether a change that Blender tells of may change the light."""
+def matters(update, scene) -> set:
+    """What a change that Blender tells of may change the light by: VIEW, OPTIONS, ALL; nothing where it may not."""
     thing, settings = update.id.original, scene.btfsep
     others = settings.occluders == "OTHERS"
     entries = request.fitted(settings).values()
+    found = ""
     match thing:
         case bpy.types.Object():
             if not (update.is_updated_transform or update.is_updated_geometry):
-                return False
+                return set()
             if thing in sun_lamp.known_suns(scene):
                 return differs(scene)
-            if thing in ((settings.camera or scene.camera), *(entry.object for entry in entries)):
-                return True
+            if thing == (settings.camera or scene.camera):
+                return {VIEW}
             # what another object instances is in no scene
-            return meshes.has_surface(thing) and (others or thing.name not in scene.objects)
+            beside = meshes.has_surface(thing) and (others or thing.name not in scene.objects)
+            found = beside or thing in [entry.object for entry in entries]
         case bpy.types.Image():
-            return thing in (settings.image, settings.depth, *(entry.mask for entry in entries))
+            if thing == settings.image:
+                return {VIEW}
+            found = thing in (settings.depth, *(entry.mask for entry in entries))
         case bpy.types.Material():
-            return others or any(entry.source == "BLENDER" for entry in entries)
+            found = others or any(entry.source == "BLENDER" for entry in entries)
         case bpy.types.Scene():
             return differs(thing)
-    return False
+    return {ALL} if found else set()
 
 
-def differs(scene) -> bool:
-    """Whether what of a scene's settings matters is not what was seen last, which it becomes."""
+def differs(scene) -> set:
+    """As :func:`matters`, of the scene's settings beside those that were seen last, which they become."""
     before, now = known.get(scene.session_uid), told(scene)
     known[scene.session_uid] = now
-    return before is not None and before != now
+    names = {name for name in now if before is not None and before[name] != now[name]}
+    return names if names <= {VIEW, OPTIONS} else {ALL}
