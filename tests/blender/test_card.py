@@ -298,6 +298,17 @@ def test_warnings_that_are_not_known_are_said_by_their_beginning():
     assert not advice.advice("a mesh of 62976 faces is mapped by projecting patches onto planes").short
 
 
+def test_the_icons_of_lights_that_are_gone_are_not_kept(addon):
+    from blender_btfsep.basics import pixels
+    from blender_btfsep.window import icons
+
+    pictures = [pixels.new("Light", np.full((4, 8, 3), number / 50), floats=False) for number in range(3 * icons.KEPT)]
+    for picture in pictures:
+        picture.pack()
+        assert icons.of_image(picture) == icons.of_image(picture)
+    assert sum(key.startswith(icons.OF_IMAGE) for key in icons._previews) == icons.KEPT
+
+
 def test_the_picture_shows_from_where_the_light_comes(photographed):
     pixels = light_picture.picture_of(photographed, sunny(), FRONT)
     assert pixels.shape == (256, 256, 3) and pixels.min() >= 0 and pixels.max() <= 1
