@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A new mask of an object: the photo where the camera sees the object, black elsewhere, to be painted on."""
 
+import contextlib
+import functools
+from pathlib import Path
+
 import bpy
 import numpy as np
 from mathutils import Vector
@@ -17,6 +21,8 @@ from . import looking
 
 COARSE = 256  # cells along the picture that are looked at first; only where neighbours differ is looked more closely
 MARGIN = 0.004  # of the picture's longer side: so far from its outline, and two pixels at least, the object is left out
+BRUSH = "BTFsep Mask"
+DRAWN = 0.3  # seconds in which an editor that was opened is drawn
 DARKEST = 0.15  # of the photo in the mask, so that nothing in it is black
 
 
@@ -165,7 +171,23 @@ def open_for_painting(context, image) -> str:
         paint = context.tool_settings.image_paint
         colours = getattr(paint, "unified_paint_settings", None) or context.tool_settings.unified_paint_settings
         colours.color, colours.secondary_color = (0, 0, 0), (1, 1, 1)
+        later = functools.partial(_have_brush, context.scene.session_uid)
+        bpy.app.timers.register(later, first_interval=DRAWN)  # the editor, once it is drawn, takes what was chosen away
     return f"'{image.name}': paint black over what is not the object, white where it is (X swaps)"
+
+
+def _have_brush(number: int) -> None:
+    """A brush where Blender has none of its own: they are assets since 4.3, which some distributions leave out.
+
+    ``number`` : session id of the scene
+    """
+    scene = next((each for each in bpy.data.scenes if each.session_uid == number), None)
+    assets = Path(bpy.utils.system_resource("DATAFILES"), "assets", "brushes")
+    if scene is not None and scene.tool_settings.image_paint.brush is None and not assets.is_dir():
+        brush = bpy.data.brushes.get(BRUSH) or bpy.data.brushes.new(BRUSH, mode="TEXTURE_PAINT")
+        with contextlib.suppress(AttributeError):  # of later Blenders, which take assets alone
+            brush.curve_preset = "CONSTANT"  # what is painted is black, not dark
+            scene.tool_settings.image_paint.brush = brush
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_new_mask, BTFSEP_OT_paint_mask))
