@@ -144,13 +144,15 @@ def renewed(job: dict, context, folder, *, image_path, camera=None, objects, cur
     """A job that :func:`export_job` has written, with the photo and the camera as they are now.
 
     Gives None where that is not all that the scene would be written with: where the photo has another size, something
-    else places the camera, or it went so far that other things may stand around it. Parameters are as of `export_job`.
-    Raises InputError.
+    else places the camera, it is hidden, or it went so far that other things may stand around it.
+    Parameters are as of `export_job`. Raises InputError.
     """
     scene, depsgraph = context.scene, context.view_layer.depsgraph
     camera, before = camera or scene.camera, job["camera"]
     _check(camera, objects, job["depth"])
-    if camera.parent or camera.constraints or camera.animation_data or camera.data.animation_data:
+    held = camera.parent or camera.constraints or camera.animation_data or camera.data.animation_data
+    known = camera.visible_get(view_layer=context.view_layer)  # of what is hidden Blender need not know the place
+    if held or not known:
         return None
     view = _view(scene, depsgraph, Path(folder), image_path=image_path, camera=camera, curve=curve)
     after = view["camera"]

@@ -306,6 +306,7 @@ ANEW = {
     ),
     "a camera far away": lambda scene: scene.camera.location.__setitem__(1, -9),
     "a camera that hangs on something": hang,
+    "a hidden camera": lambda scene: (scene.camera.location.__setitem__(0, 0.2), scene.camera.hide_set(True)),
     "a photo of another size": lambda scene: other_photo(scene, size=(96, 64)),
     "units": lambda scene: (setattr(scene.unit_settings, "scale_length", 0.1), scene.update_tag()),
 }
