@@ -18,6 +18,8 @@ TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not state
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
+READING = {"UPRIGHT", "AGX", "STANDARD", "CAMERA", "CURVE"}
+"""What mends how the photo is read: most other doubts may come of that."""
 COMMANDS = re.compile(r" \([^()]*--[^()]*\)|; see stddev in lighting\.json")  # what the command line is told
 OF_JOBS = {  # what jobs call things, and what the panel does
     "surface/given": "The material as given",
@@ -75,11 +77,13 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     materials = _materials(result)
     if materials:
         lines.append(("Material", materials))
-    doubts = sorted(shown.values(), key=lambda doubt: doubt["mend"] != "SELECT")  # causes before what comes of them
+    read = [doubt for doubt in shown.values() if doubt["mend"] in READING]
+    others = [doubt for doubt in shown.values() if doubt not in read]
+    others.sort(key=lambda doubt: doubt["mend"] != "SELECT")  # causes before what comes of them
     return {
         "trust": trust,
         "lines": [list(line) for line in lines],
-        "warnings": [*unsure, *_unsure_view(result), *doubts],
+        "warnings": [*read, *unsure, *_unsure_view(result), *others],
         "details": _details(result, lighting, [s for s, a in told if a.phrase != MATERIAL or not unsure]),
     }
 

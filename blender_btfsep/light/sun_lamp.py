@@ -61,12 +61,22 @@ def _edits(lamp) -> int:
 
 def are_moved(scene) -> bool:
     """Whether the user has some of them in hand (G, R, S): Blender dies of the removal of what it moves."""
-    windows = bpy.context.window_manager.windows
-    if not any(o.bl_idname.startswith("TRANSFORM_OT") for w in windows for o in getattr(w, "modal_operators", ())):
+    if not in_hand():
         return False
     near = scene.tool_settings.use_proportional_edit_objects  # then also what is not selected
     held = {thing for layer in scene.view_layers for thing in (layer.objects if near else layer.objects.selected)}
     return any(lamp in held for lamp in lamps(scene))
+
+
+def in_hand() -> bool:
+    """Whether the user is moving anything."""
+    windows = bpy.context.window_manager.windows
+    return any(o.bl_idname.startswith("TRANSFORM_OT") for w in windows for o in getattr(w, "modal_operators", ()))
+
+
+def are_as_many(scene, suns) -> bool:
+    """Whether ``suns``, as of :func:`set_lamps`, need no other lamps than there are, and all of these."""
+    return len(lamps(scene)) == sum(max(sun["irradiance"]) > 0 for sun in suns)
 
 
 def beside(scene) -> str:

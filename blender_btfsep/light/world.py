@@ -114,6 +114,17 @@ def needs_group(scene, order: int) -> bool:
     return node is None or node.node_tree[sh_nodes.GROUP_TAG] != order
 
 
+def fits(scene, lighting: dict, *, mode: str = "NODES", lamp: bool = True) -> bool:
+    """Whether a light, as of :func:`apply_lighting`, can be put in what is there: with no other nodes nor lamps."""
+    suns = lighting.get("suns") if lamp else None
+    if not sun_lamp.are_as_many(scene, suns["lamps"] if suns else []):
+        return False
+    if mode == "NODES":
+        return not needs_group(scene, harmonics.order_of(len(suns["sky"] if suns else lighting["coefficients"])))
+    node = sh_nodes.node_of(scene.world.node_tree) if is_ours(scene.world) and scene.world.node_tree else None
+    return node is not None and sh_nodes.map_of(node.node_tree) is not None
+
+
 def _own_node(scene, order: int):
     """The World of ours that ``scene`` has, or a new one with the group of ``order``, and its node of ours.
 

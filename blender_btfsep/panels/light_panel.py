@@ -8,7 +8,7 @@ from ..light import kept_light, sun_lamp, world
 from ..light.advice import advice
 from ..light.card import doubt_of
 from ..run import answer, reasons, request, runs
-from ..window import icons, mending, operators, sequence_run
+from ..window import icons, live, mending, operators, sequence_run
 from . import sidebar
 
 SHOWN = 3  # lamps in the panel
@@ -53,6 +53,10 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
                 if unseen:
                     sidebar.wrapped(context, layout, unseen, icon="ERROR")
             self._beside(context, layout, run, lacking)
+        if live.waits(context.scene):
+            words = "A light with other lamps or nodes is there. It waits: with it, what you undid could not be redone"
+            sidebar.wrapped(context, layout, words, icon="INFO")
+            layout.operator("btfsep.take_light", icon="LIGHT_SUN")
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
         ours = world.is_ours(context.scene.world)

@@ -69,11 +69,10 @@ def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool |
     What a mirror shows (``lighting`` has a "map") is no node group: that would be as smooth as harmonics are.
     """
     settings = scene.btfsep
-    chosen = "TEXTURE" if "map" in lighting and settings.world_mode == "NODES" else settings.world_mode
     world.apply_lighting(
         scene,
         lighting,
-        mode=mode or chosen,
+        mode=mode or _mode(settings, lighting),
         clamp=settings.clamp if clamp is None else clamp,
         lamp=settings.sun_lamp if lamp is None else lamp,
     )
@@ -81,3 +80,15 @@ def apply_light(scene, lighting: dict, *, mode: str | None = None, clamp: bool |
         kept_light.keep(scene, lighting)
     kept_light.put_with_world(scene)
     return f"{APPLIED} of order {lighting['order']}{sun_lamp.beside(scene)}"
+
+
+def fits(scene, lighting: dict) -> bool:
+    """Whether a lighting can become the World, as the panel says, in what is there: no lamps or nodes come or go."""
+    settings = scene.btfsep
+    if settings.world_mode == "NONE":
+        return True
+    return world.fits(scene, lighting, mode=_mode(settings, lighting), lamp=settings.sun_lamp)
+
+
+def _mode(settings, lighting: dict) -> str:
+    return "TEXTURE" if "map" in lighting and settings.world_mode == "NODES" else settings.world_mode

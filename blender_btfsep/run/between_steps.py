@@ -14,6 +14,7 @@ KINDS = ("worlds", "node_groups", "images", "objects", "lights", "collections", 
 OF_ONE_THING = ("EDIT", "PARTICLE")  # modes whose steps of undo have nothing but what is edited
 
 _made: set = set()  # session ids of what no step of undo has
+_gone = False  # whether the last step has objects or nodes that are gone since
 
 
 def _there() -> dict:
@@ -26,21 +27,27 @@ def writing(earlier=()):
 
     ``earlier`` : session ids of what was made before, is in no step either, and may be used here
     """
-    before = _there().keys() - set(earlier)
+    global _gone
+    before = _there()
+    told = {number for number, each in before.items() if isinstance(each, bpy.types.Object | bpy.types.NodeTree)}
     try:
         yield
     finally:
-        _made.update(_there().keys() - before)
+        after = _there().keys()
+        _made.update(after - (before.keys() - set(earlier)))
+        _gone = _gone or bool(told - set(earlier) - after)
 
 
 def known() -> None:
     """A step of undo has all of it, or has it in a moment."""
+    global _gone
+    _gone = False
     _made.clear()
 
 
 def is_open() -> bool:
-    """Whether there is anything that no step of undo has."""
-    return bool(_made & _there().keys())
+    """Whether there is anything that no step of undo has, or is anything gone that one has."""
+    return _gone or bool(_made & _there().keys())
 
 
 def close(message: str) -> bool:

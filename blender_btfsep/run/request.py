@@ -174,6 +174,17 @@ def job_slices(context, **given):
     return folder
 
 
+def renewed(context, job: dict, folder) -> dict | None:
+    """The ``job`` in ``folder`` that :func:`write_job` has written of the panel, with photo and camera as they are now.
+
+    None where that is not all, and it has to be written anew. Raises InputError.
+    """
+    settings = context.scene.btfsep
+    objects = [] if settings.depth else [entry.object for entry in listed(settings)]
+    given = {"image_path": settings.image, "camera": settings.camera, "objects": objects, "curve": settings.curve}
+    return export.renewed(job, context, folder, **given)
+
+
 def _export_failed(failed) -> InputError:
     sys.stderr.write(failed.details + "\n")
     return InputError("the export", "the Blender that was to write the job failed", "see the console; please report it")

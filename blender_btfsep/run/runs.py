@@ -89,36 +89,6 @@ def start_engine(arguments, engine: str = "", *, stays: bool = True) -> engine_p
     return resident.start(found, arguments) if stays else engine_process.EngineProcess(found, arguments)
 
 
-class Greyed:
-    """An operator that is greyed out while ``reason(context)`` says why; the sentence is its tooltip's."""
-
-    @staticmethod
-    def reason(context) -> str:
-        """As a rule, that the engine runs."""
-        return RUNNING if is_running() else ""
-
-    @classmethod
-    def poll(cls, context):
-        reason = "" if adopted is not None else cls.reason(context)
-        if reason:
-            cls.poll_message_set(reason)
-        return not reason
-
-
-class AtOnce:
-    """An operator that is over at once: ``do(context)`` gives a sentence for the user, or none; raises InputError."""
-
-    def execute(self, context):
-        try:
-            said = self.do(context)
-        except InputError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        if said:
-            self.report({"INFO"}, said)
-        return {"FINISHED"}
-
-
 class EngineOperator:
     """What the operators that start the engine share. Subclasses give what they do:
 
@@ -358,7 +328,7 @@ class EngineOperator:
 
 
 def forget() -> None:
-    """What the last run said is of a file that is left: the next one's panel says nothing of it."""
+    """What the last run said is of a file that is left, or of another light than there is now: the panel drops it."""
     state = run_state()
     state.error = state.summary = ""
     state.warnings.clear()

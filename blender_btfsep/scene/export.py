@@ -17,6 +17,7 @@ from . import meshes, own_surface, ply, surroundings, unwrap
 
 JOB_FILE = "job.json"
 SURFACE = "Surface"  # the name of what a depth shows
+NEAR = 0.1  # of its distance from the objects: a camera that moves less has the same things around it
 
 
 def export_job(
@@ -79,14 +80,9 @@ def export_job(
     with meshes.as_rendered(view_layer, touched, chosen={*objects, *(occluders or ())}):
         view_layer.update()
         depsgraph = view_layer.depsgraph
-        shown = isinstance(image_path, bpy.types.Image) and photo.file_at(image_path, camera, scene.frame_current)
-        file_name, colorspace, size, primaries = photo.put_into_job(image_path, folder, file=shown or None)
-        if curve != "auto" and not photo.is_linear(Path(folder) / file_name):
-            colorspace = curve
-        evaluated = camera.evaluated_get(depsgraph)
-        lens = pinhole.for_photo(scene, evaluated, size)
-        lens |= pinhole.distortion(scene, evaluated, lens, warn=warn)
-        lens["to_world"] = pinhole.to_world(evaluated).tolist()
+        view = _view(scene, depsgraph, folder, image_path=image_path, camera=camera, curve=curve, warn=warn)
+        lens = view["camera"]
+        size = lens["width"], lens["height"]
         suns = sun_lamp.known_suns(scene) if known_suns is None else known_suns
         suns = [{"direction": sun_lamp.known_direction(scene, sun, depsgraph).tolist()} for sun in suns]
         shadowing = meshes.render_occluders(view_layer, depsgraph, objects) if occluders is None else list(occluders)
@@ -131,11 +127,8 @@ def export_job(
     job = {
         "format": "btfsep-job",
         "version": 1,
-        "image": file_name,
-        "image_colorspace": colorspace,
-        **({} if primaries == "auto" else {"image_primaries": primaries}),
+        **view,
         "exposure_ev": float(exposure_ev),
-        "camera": lens,
         "objects": fitted,
         "occluders": [*_occluders(shadowing, folder, names, around=around, warn=warn), *aside],
         "depth": None if depth is None else photo.put_depth(depth, folder),
@@ -145,6 +138,49 @@ def export_job(
     }
     atomic.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
     return folder / JOB_FILE
+
+
+def renewed(job: dict, context, folder, *, image_path, camera=None, objects, curve="auto") -> dict | None:
+    """A job that :func:`export_job` has written, with the photo and the camera as they are now.
+
+    Gives None where that is not all that the scene would be written with: where the photo has another size, something
+    else places the camera, it is hidden, or it went so far that other things may stand around it.
+    Parameters are as of `export_job`. Raises InputError.
+    """
+    scene, depsgraph = context.scene, context.view_layer.depsgraph
+    camera, before = camera or scene.camera, job["camera"]
+    _check(camera, objects, job["depth"])
+    held = camera.parent or camera.constraints or camera.animation_data or camera.data.animation_data
+    known = camera.visible_get(view_layer=context.view_layer)  # of what is hidden Blender need not know the place
+    if held or not known:
+        return None
+    view = _view(scene, depsgraph, Path(folder), image_path=image_path, camera=camera, curve=curve)
+    after = view["camera"]
+    if (after["width"], after["height"]) != (before["width"], before["height"]):
+        return None
+    old, new = (np.array(each["to_world"])[:3, 3] for each in (before, after))
+    away = [np.linalg.norm(old - np.array(thing.matrix_world.translation)) for thing in objects]
+    if job["occluders"] and np.linalg.norm(new - old) > NEAR * min(away, default=0.0):
+        return None
+    return {name: each for name, each in job.items() if name != "image_primaries"} | view
+
+
+def _view(scene, depsgraph, folder, *, image_path, camera, curve, warn=lambda sentence: None) -> dict:
+    """Puts the photo into the job's folder; gives what the job says of photo and camera."""
+    shown = isinstance(image_path, bpy.types.Image) and photo.file_at(image_path, camera, scene.frame_current)
+    file_name, colorspace, size, primaries = photo.put_into_job(image_path, folder, file=shown or None)
+    if curve != "auto" and not photo.is_linear(Path(folder) / file_name):
+        colorspace = curve
+    evaluated = camera.evaluated_get(depsgraph)
+    lens = pinhole.for_photo(scene, evaluated, size)
+    lens |= pinhole.distortion(scene, evaluated, lens, warn=warn)
+    lens["to_world"] = pinhole.to_world(evaluated).tolist()
+    return {
+        "image": file_name,
+        "image_colorspace": colorspace,
+        **({} if primaries == "auto" else {"image_primaries": primaries}),
+        "camera": lens,
+    }
 
 
 def _check(camera, objects, depth) -> None:

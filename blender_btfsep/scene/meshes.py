@@ -229,8 +229,19 @@ _changing = 0
 
 
 def is_as_rendered() -> bool:
-    """Whether `as_rendered` lasts: what Blender then says has changed is not the user's doing."""
+    """Whether `as_rendered` or `unheard` lasts: what Blender then says has changed is not the user's doing."""
     return _changing > 0
+
+
+@contextmanager
+def unheard():
+    """While it lasts, nobody takes what Blender says has changed for the user's doing."""
+    global _changing
+    _changing += 1
+    try:
+        yield
+    finally:
+        _changing -= 1
 
 
 @contextmanager

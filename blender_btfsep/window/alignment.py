@@ -10,6 +10,7 @@ from bpy.props import EnumProperty
 from mathutils import Matrix
 
 from ..basics.errors import InputError
+from ..light import kept_light
 from ..run import request, runs
 from ..scene import export
 from . import operators
@@ -19,6 +20,7 @@ MOVES = (
     ("OBJECTS", "Move the Objects", "The objects go to where they were, seen from the camera", "OBJECT_DATA", 1),
 )
 HELD = 1e-3  # of the camera's distance: what is left of a move where something else places the object
+OLDER = "The light below is of how things stood before: estimate it again"
 
 
 def camera_of(folder) -> dict:
@@ -114,7 +116,9 @@ class BTFSEP_OT_refine_alignment(operators.NeedsScene, runs.EngineOperator, bpy.
         elif result["aligned"]:
             objects = [things[number] for number in self._ids] if self.moves == "OBJECTS" else None
             apply_pose(scene, self._before, camera_of(result["out"]), camera=camera, objects=objects)
-        return in_words(result, "The objects were" if self.moves == "OBJECTS" else "The camera was")
+        said = in_words(result, "The objects were" if self.moves == "OBJECTS" else "The camera was")
+        older = result["aligned"] and not scene.btfsep.live and kept_light.kept(scene) is not None
+        return f"{said}\n{OLDER}" if older else said
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_refine_alignment,))

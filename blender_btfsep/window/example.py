@@ -7,14 +7,14 @@ import bpy
 
 from ..basics.errors import InputError
 from ..light import light_picture
-from ..run import runs
+from ..run import buttons, runs
 from . import use_photo
 
 FILE = Path(__file__).parents[1] / "example.blend"  # made by scripts/cycles/example.py
 SCENE = "BTFsep Example"
 
 
-class BTFSEP_OT_open_example(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_open_example(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Open a photo with its camera, object and material, ready to be estimated, as a new scene of this file"""
 
     bl_idname = "btfsep.open_example"

@@ -10,6 +10,8 @@ from ..basics import pixels
 
 LIGHTS = {"GREEN": (0.25, 0.75, 0.3), "AMBER": (1.0, 0.65, 0.1), "RED": (0.9, 0.22, 0.2), "NONE": (0.45, 0.45, 0.45)}
 SIDE = 32  # pixels of a traffic light
+KEPT = 8  # pictures of lights: of more scenes than that at once, all are made anew each time
+OF_IMAGE = "image "
 
 _previews = None
 
@@ -29,8 +31,11 @@ def light(trust: str) -> int:
 
 def of_image(image) -> int:
     """The icon of a packed image, made anew where the image is another one."""
-    key = "image " + hashlib.sha256(image.packed_file.data if image.packed_file else image.name.encode()).hexdigest()
+    key = OF_IMAGE + hashlib.sha256(image.packed_file.data if image.packed_file else image.name.encode()).hexdigest()
     if key not in _previews:
+        old = [each for each in _previews if each.startswith(OF_IMAGE)]
+        for each in old[: max(len(old) + 1 - KEPT, 0)]:  # Live brings a picture with each light
+            del _previews[each]
         _put(_previews.new(key), pixels.read(image))
     return _previews[key].icon_id
 

@@ -10,7 +10,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..basics.errors import InputError
 from ..light import light_files, sh_nodes, world
-from ..run import runs
+from ..run import buttons, runs
 from ..run.answer import apply_light
 from .properties import WORLD_MODES
 
@@ -37,7 +37,7 @@ def _suffixed(path: str, suffix: str) -> str:
     return (path.removesuffix(own) if own.lower() in FORMATS else path) + suffix
 
 
-class BTFSEP_OT_import_lighting(runs.AtOnce, bpy.types.Operator, ImportHelper):
+class BTFSEP_OT_import_lighting(buttons.AtOnce, bpy.types.Operator, ImportHelper):
     """Make a light in a file the World of the scene: BTFsep's own, an environment map, or cmgen's harmonics"""
 
     bl_idname = "btfsep.import_lighting"
@@ -69,10 +69,12 @@ class BTFSEP_OT_import_lighting(runs.AtOnce, bpy.types.Operator, ImportHelper):
 
     def do(self, context):
         lighting = light_files.read(bpy.path.abspath(self.filepath), self.order)
-        return apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
+        said = apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
+        runs.forget()  # what went wrong before is of another light
+        return said
 
 
-class BTFSEP_OT_export_lighting(runs.Greyed, runs.AtOnce, bpy.types.Operator, ExportHelper):
+class BTFSEP_OT_export_lighting(buttons.Greyed, buttons.AtOnce, bpy.types.Operator, ExportHelper):
     """Write the light as World and Sun lamps have it now, with all that was changed of it"""
 
     bl_idname = "btfsep.export_lighting"

@@ -6,12 +6,12 @@ from bpy.props import StringProperty
 
 from ..basics.errors import InputError
 from ..light.sun_lamp import known_suns
-from ..run import runs
+from ..run import buttons
 
 MOST = 8  # that a job may name
 
 
-class _OfSun(runs.Greyed, runs.AtOnce):
+class _OfSun(buttons.Greyed, buttons.AtOnce):
     """What the buttons of a sun share."""
 
     bl_options = {"REGISTER", "UNDO"}

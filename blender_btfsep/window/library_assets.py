@@ -3,7 +3,7 @@
 
 import bpy
 
-from ..run import runs
+from ..run import buttons, runs
 from ..scene.own_surface import NAME
 from . import icons
 
@@ -34,7 +34,7 @@ def make(item):
     return asset
 
 
-class BTFSEP_OT_library_assets(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_library_assets(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Add the library's materials to this file as assets; an object that has one and is as in Blender is made of it"""
 
     bl_idname = "btfsep.library_assets"

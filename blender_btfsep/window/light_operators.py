@@ -5,12 +5,12 @@ import bpy
 from bpy.props import EnumProperty
 
 from ..light import kept_light, world
-from ..run import runs
+from ..run import buttons, runs
 from ..run.answer import apply_light
 from .properties import WORLD_MODES
 
 
-class BTFSEP_OT_apply(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_apply(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Make the light that the card describes the World again, as the settings above say"""
 
     bl_idname = "btfsep.apply"
@@ -26,10 +26,12 @@ class BTFSEP_OT_apply(runs.Greyed, runs.AtOnce, bpy.types.Operator):
     def do(self, context):
         told = self.properties.is_property_set("mode") or context.scene.btfsep.world_mode == "NONE"
         mode = self.mode if told else None
-        return apply_light(context.scene, kept_light.lighting_of(kept_light.kept(context.scene)), mode=mode)
+        said = apply_light(context.scene, kept_light.lighting_of(kept_light.kept(context.scene)), mode=mode)
+        runs.forget()  # what went wrong before is of another light
+        return said
 
 
-class BTFSEP_OT_restore_world(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_restore_world(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Put the World back that the scene had before BTFsep, without the Sun lamps of BTFsep"""
 
     bl_idname = "btfsep.restore_world"
@@ -42,6 +44,7 @@ class BTFSEP_OT_restore_world(runs.Greyed, runs.AtOnce, bpy.types.Operator):
 
     def do(self, context):
         world.restore_previous(context.scene)
+        runs.forget()
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_apply, BTFSEP_OT_restore_world))

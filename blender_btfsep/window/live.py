@@ -3,7 +3,7 @@
 
 Photo, mask, camera, what has a surface, and what it is made of: Blender tells of changes (`_heard`), a timer asks the
 engine (`_step`). The World is changed in place, without a step of undo: what it follows has one. Where data-blocks come
-with a light, as a lamp does, that is a step (`between_steps`).
+with a light, as a lamp does, that is a step (`live_steps`).
 """
 
 import argparse
@@ -16,39 +16,17 @@ from bpy.app.handlers import persistent
 
 from ..basics import atomic
 from ..basics.errors import InputError
-from ..engine import engine_process, engine_settings
-from ..light import kept_light, sun_lamp
-from ..photo import photo
-from ..run import answer, between_steps, reasons, request, runs
+from ..engine import engine_process
+from ..light import kept_light, lighting_file, sun_lamp
+from ..run import answer, between_steps, buttons, reasons, request, runs
 from ..scene import meshes
+from ..scene.export import JOB_FILE
+from . import live_changes, live_steps
 
 INTERVAL = 0.02  # seconds between looks
 QUIET = 0.05  # seconds without a change, before a draft
 SETTLED = 1.0  # and before the preset
-TOLD = 1.0  # within which Blender tells of what an undo has changed
 DRAFT, WHOLE = "draft", "whole"
-
-
-class Place:
-    """A scene as a context has it; it is looked up each time, since undo moves all data."""
-
-    def __init__(self, scene):
-        self._uid = scene.session_uid
-
-    @property
-    def scene(self):
-        """None where it is gone."""
-        return next((scene for scene in bpy.data.scenes if scene.session_uid == self._uid), None)
-
-    @property
-    def view_layer(self):
-        """That of the first window which shows the scene."""
-        shown = (w.view_layer for w in bpy.context.window_manager.windows if w.scene == self.scene)
-        return next(shown, None) or self.scene.view_layers[0]
-
-    def evaluated_depsgraph_get(self):
-        """As of a context."""
-        return self.view_layer.depsgraph
 
 
 class Follower:
@@ -59,16 +37,22 @@ class Follower:
     due : what is to be asked next: DRAFT, WHOLE, or "" for nothing
     run : Preparation or process of what is asked now (`asked`), or None
     text : of the light that was given last
-    marked : number of the last step of undo that was a light's, and what stood where then (`_placed`)
+    held : what puts the light that waits into the scene, or None
+    job : what was written of the scene (folder, its job.json, warnings), or None where it has changed since
+    view : the job.json with photo and camera as they are, or None where they have changed since
     """
 
     def __init__(self):
         self.place, self.due, self.run, self.asked, self._at, self._cancelled = None, "", None, "", 0.0, False
-        self.text, self.marked, self._unheard = "", (0, ()), 0.0
+        self.text, self.held, self.job, self.view = "", None, None, None
 
-    def changed(self, scene) -> None:
-        """Something is not as it was: what is asked now is asked in vain."""
-        self.place, self._at = Place(scene), time.monotonic()
+    def changed(self, scene, what=(live_changes.ALL,)) -> None:
+        """Something is not as it was (``what``, of `live_changes`): what is asked now is asked in vain."""
+        if self.place is None or self.place.scene != scene or live_changes.ALL in what:
+            self.job = None
+        if live_changes.OPTIONS not in what or len(what) > 1:
+            self.view = None
+        self.place, self._at, self.held = live_changes.Place(scene), time.monotonic(), None
         self.due = WHOLE if scene.btfsep.preset == DRAFT else DRAFT
         if self.run is not None and not self._cancelled:
             self.run.cancel()
@@ -78,7 +62,7 @@ class Follower:
 
     def give_way(self) -> None:
         """Nothing is due any more, and nothing is asked: another run begins, or the file is left."""
-        self.due = ""
+        self.due, self.held, self.job, self.view = "", None, None, None
         self.kill()
         self._over()
 
@@ -107,7 +91,9 @@ class Follower:
             self.give_way()
             runs.run_state().error = str(error)
             runs.redraw(at_once=True)
-        return bool(self.due) or self.run is not None
+        if self.held is not None and not self._has_to_wait():
+            self.put()
+        return bool(self.due) or self.run is not None or (self.held is not None and not live_steps.may_redo())
 
     def _begin(self, scene) -> None:
         settings, state = scene.btfsep, runs.run_state()
@@ -123,7 +109,7 @@ class Follower:
 
     def _slices(self, asked: str):
         """The engine's arguments, as a generator."""
-        folder = yield from request.job_slices(self.place)
+        folder = yield from self._written()
         scene = self.place.scene
         if asked == WHOLE:
             return request.engine_arguments("estimate", folder, scene, "--out", folder / "result")
@@ -131,6 +117,26 @@ class Follower:
         # what takes longest, and comes with the preset a moment later
         given = ("--out", folder / "draft", "--no-report", "--align", "never", "--departures", "never")
         return request.engine_arguments("estimate", folder, scene, *given, options=argparse.Namespace(preset=DRAFT))
+
+    def _written(self):
+        """The folder with the job of the scene as it is, as a generator; what has not changed is not written anew.
+
+        A large scene takes longer to be written than the light to be found. Raises InputError.
+        """
+        if self.job is not None and (self.job[0] / JOB_FILE).is_file():
+            folder, job, said = self.job
+            self.view = self.view or request.renewed(self.place, json.loads(job), folder)
+            if self.view is not None:
+                for sentence in said:
+                    runs.run_state().warnings.add().name = sentence
+                atomic.write_bytes(folder / JOB_FILE, json.dumps(self.view, indent=1).encode())  # the draft has its own
+                return folder
+        folder = yield from request.job_slices(self.place)
+        with meshes.unheard():  # pictures that were read for the job: Blender would tell of them in a moment
+            self.place.view_layer.update()
+        job = (folder / JOB_FILE).read_bytes()
+        self.job, self.view = (folder, job, [w.name for w in runs.run_state().warnings]), json.loads(job)
+        return folder
 
     def _go_on(self, scene) -> None:
         if isinstance(self.run, runs.Preparation):
@@ -147,7 +153,7 @@ class Follower:
             return  # what the engine says waits
         for message in self.run.poll():
             if isinstance(message, engine_process.Light) and not self._cancelled:
-                self._give(scene, answer.take_light, message.lighting)
+                self._give(scene, lighting_file.read(message.lighting), answer.take_light, message.lighting)
                 if self.asked == DRAFT:
                     self._cancelled, self._at = True, time.monotonic()
                     self.run.cancel()  # what else it would say is not asked
@@ -156,36 +162,37 @@ class Follower:
                 raise InputError(message.message, "", "")
             elif isinstance(message, engine_process.Done) and not self._cancelled:
                 own = [warning.name for warning in runs.run_state().warnings]
-                self._give(scene, answer.take_estimate, message.result, self._ids, own=own)
+                found = lighting_file.read(message.result["lighting"])
+                self._give(scene, found, answer.take_estimate, message.result, self._ids, own=own)
         if self.run.over:
             self._over()
 
-    def _give(self, scene, take, *found, **more) -> None:
-        """Has ``take`` put what was found into the scene."""
+    def _give(self, scene, lighting: dict, take, *found, **more) -> None:
+        """Has ``take`` put what was found into the scene, or keeps it until that can be (:meth:`_has_to_wait`)."""
+        self.held = lambda scene: take(scene, *found, **more)
+        if answer.fits(scene, lighting) or not self._has_to_wait():
+            self.put()
+
+    def _has_to_wait(self) -> bool:
+        """Whether lamps and nodes of a new light would be in the way of what the user is at, or may redo."""
+        return live_steps.may_redo() or sun_lamp.in_hand()
+
+    def put(self, *, asked: bool = False) -> None:
+        """Puts the light that is held into the scene; ``asked``: the user has, so that it is a step like any other."""
+        scene, take, self.held = self.place.scene, self.held, None
         with between_steps.writing():
-            take(scene, *found, **more)
+            take(scene)
         self.text = scene.btfsep.light.text
-        if between_steps.is_open():
-            number = scene.btfsep.live_step = scene.btfsep.live_step + 1
-            self.marked = number, _placed(scene)
-            between_steps.close("Live")
+        live_steps.close(scene, follows=not asked)
 
     def undone(self) -> None:
-        """Whether the light is older now than what it followed, and is to come anew; not where it alone was undone."""
+        """Whether the light is older now than what it followed, and is to come anew."""
         scene = self.place and self.place.scene
         if scene is None or not scene.btfsep.live or not kept_light.kept(scene):
             return
-        number, stood = self.marked
-        self.marked = scene.btfsep.live_step, stood
-        if scene.btfsep.live_step == number - 1:  # where things stand is not known yet
-            self._unheard = time.monotonic() + TOLD
-        elif self.text and scene.btfsep.light.text != self.text:
+        self.held = None
+        if self.text and scene.btfsep.light.text != self.text:
             self.changed(scene)
-
-    def is_to_hear(self, scene) -> bool:
-        """Whether what Blender tells is more than that a light alone was undone, which it tells once."""
-        until, self._unheard = self._unheard, 0.0
-        return time.monotonic() > until or _placed(scene) != self.marked[1]
 
     def _over(self) -> None:
         self.run, self.asked = None, ""
@@ -195,102 +202,21 @@ class Follower:
 
 _follower = Follower()
 atexit.register(_follower.kill)
-_known: dict = {}  # session id of a scene -> what of its settings was seen last
 
 
 def _recognised(scene, folder) -> None:
     """Has the draft of the job in ``folder`` take what was recognised before for known."""
-    job = json.loads((folder / "job.json").read_text())
+    job = json.loads((folder / JOB_FILE).read_text())
     entries = request.fitted(scene.btfsep)
     for thing in job["objects"]:
         entry = entries.get(thing["name"])
         if entry and entry.source == "RECOGNISE" and not entry.recognised.startswith("surface/"):
             thing["material"] = entry.recognised or None
-    atomic.write_bytes(folder / "job.json", json.dumps(job, indent=1).encode())
+    atomic.write_bytes(folder / JOB_FILE, json.dumps(job, indent=1).encode())
 
 
 def _step():
     return INTERVAL if _follower.step() else None
-
-
-def _facing(scene, sun) -> list:
-    """To a known sun, so that its being written again is no change."""
-    return [round(float(part), 4) for part in sun_lamp.known_direction(scene, sun)]
-
-
-def _told(scene) -> tuple:
-    """What of a scene's own settings an estimate depends on."""
-    s, r = scene.btfsep, scene.render
-    pictures = [
-        image and (image.session_uid, image.filepath_raw, image.colorspace_settings.name)
-        for image in (s.image, s.depth, *(entry.mask for entry in request.fitted(s).values()))
-    ]
-    made = [
-        (thing and thing.session_uid, e.source, e.material, tuple(e.colour), e.roughness, e.metallic)
-        for e in request.fitted(s).values()
-        for thing in [e.object]
-    ]
-    camera = s.camera or scene.camera
-    pictures.append(s.image and str(photo.file_at(s.image, camera, scene.frame_current)))
-    shape = [getattr(r, name) for name in SHAPE]
-    suns = [(sun.session_uid, *_facing(scene, sun)) for sun in sun_lamp.known_suns(scene)]
-    shift = tuple(s.depth_shift)
-    own = (suns, s.occluders, _beside(scene), s.mapping, s.exposure_ev, s.curve, shift)
-    own += (camera and camera.session_uid,)
-    return (*own, pictures, made, shape, engine_settings.engine_options(engine_settings.COMMANDS["estimate"], s))
-
-
-def _placed(scene) -> tuple:
-    """What an undo of a light alone leaves as it is."""
-    things = [scene.btfsep.camera or scene.camera, *(entry.object for entry in request.listed(scene.btfsep))]
-    return _told(scene), [thing and [round(part, 6) for row in thing.matrix_world for part in row] for thing in things]
-
-
-def _beside(scene) -> list:
-    """What casts shadows beside the objects, and whether it is evidence: no update tells of an object that is gone."""
-    if scene.btfsep.occluders == "NONE":
-        return []
-    fitted = [entry.object for entry in request.listed(scene.btfsep)]
-    shown = meshes.rendered_objects(Place(scene).view_layer).difference(fitted)
-    found = (thing for thing in shown if thing.visible_shadow and meshes.has_surface(thing))
-    return sorted((thing.session_uid, thing.btfsep_evidence) for thing in found)
-
-
-SHAPE = (
-    *("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "use_border"),
-    *("use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y"),
-)
-
-
-def _matters(update, scene) -> bool:
-    """Whether a change that Blender tells of may change the light."""
-    thing, settings = update.id.original, scene.btfsep
-    others = settings.occluders == "OTHERS"
-    entries = request.fitted(settings).values()
-    match thing:
-        case bpy.types.Object():
-            if not (update.is_updated_transform or update.is_updated_geometry):
-                return False
-            if thing in sun_lamp.known_suns(scene):
-                return _differs(scene)
-            if thing in ((settings.camera or scene.camera), *(entry.object for entry in entries)):
-                return True
-            # what another object instances is in no scene
-            return meshes.has_surface(thing) and (others or thing.name not in scene.objects)
-        case bpy.types.Image():
-            return thing in (settings.image, settings.depth, *(entry.mask for entry in entries))
-        case bpy.types.Material():
-            return others or any(entry.source == "BLENDER" for entry in entries)
-        case bpy.types.Scene():
-            return _differs(thing)
-    return False
-
-
-def _differs(scene) -> bool:
-    """Whether what of a scene's settings matters is not what was seen last, which it becomes."""
-    before, now = _known.get(scene.session_uid), _told(scene)
-    _known[scene.session_uid] = now
-    return before is not None and before != now
 
 
 @persistent
@@ -298,12 +224,13 @@ def _heard(scene, depsgraph):
     """Blender has changed something."""
     if not scene.btfsep.live or meshes.is_as_rendered() or depsgraph.mode != "VIEWPORT":
         return
-    if depsgraph.view_layer.name != Place(scene).view_layer.name:
+    if depsgraph.view_layer.name != live_changes.Place(scene).view_layer.name:
         return  # of another window: it is told of the same later, also of what the export did
-    if any(_matters(update, scene) for update in depsgraph.updates):
-        _known[scene.session_uid] = _told(scene)  # what is told a second time is no second change
-        if _follower.is_to_hear(scene) and kept_light.kept(scene):
-            _follower.changed(scene)
+    what = set().union(*(live_changes.matters(update, scene) for update in depsgraph.updates))
+    if what:
+        live_changes.remember(scene)  # what is told a second time is no second change
+        if kept_light.kept(scene):
+            _follower.changed(scene, what)
 
 
 @persistent
@@ -321,16 +248,39 @@ def _left(*_):
 @persistent
 def _come(*_):
     """Another file is there."""
-    _known.clear()
-    _known.update({scene.session_uid: _told(scene) for scene in bpy.data.scenes if scene.btfsep.live})
+    live_changes.known.clear()
+    for scene in bpy.data.scenes:
+        if scene.btfsep.live:
+            live_changes.remember(scene)
 
 
 def switched(settings) -> None:
     """Live is switched on or off."""
     scene = settings.id_data
-    _known[scene.session_uid] = _told(scene)
+    live_changes.remember(scene)
     if not settings.live:
         _follower.give_way()
+
+
+def waits(scene) -> bool:
+    """Whether a light waits for the user, since it would end what may be redone: the last that comes, no draft."""
+    at_rest = _follower.held is not None and not _follower.due and _follower.run is None
+    return at_rest and live_steps.may_redo() and _follower.place.scene == scene
+
+
+class BTFSEP_OT_take_light(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
+    """Put the light that waits into the scene. It brings other lamps or nodes: what was undone cannot be redone then"""
+
+    bl_idname = "btfsep.take_light"
+    bl_label = "Take the New Light"
+
+    @staticmethod
+    def reason(context) -> str:
+        return "" if waits(context.scene) else "No light waits"
+
+    def do(self, context):
+        _follower.put(asked=True)
+        runs.redraw(at_once=True)
 
 
 HANDLERS = (
@@ -340,6 +290,7 @@ HANDLERS = (
 
 
 def register():
+    bpy.utils.register_class(BTFSEP_OT_take_light)
     runs.give_way = _follower.give_way
     for when, handler in HANDLERS:
         getattr(bpy.app.handlers, when).append(handler)
@@ -352,3 +303,4 @@ def unregister():
         bpy.app.timers.unregister(_step)
     for when, handler in HANDLERS:
         getattr(bpy.app.handlers, when).remove(handler)
+    bpy.utils.unregister_class(BTFSEP_OT_take_light)

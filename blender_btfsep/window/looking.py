@@ -5,13 +5,13 @@ import bpy
 
 from ..basics.errors import InputError
 from ..light import kept_light, world
-from ..run import runs
+from ..run import buttons
 from . import blender_views, camera_look, use_photo
 
 STANDARD = {"view_transform": "Standard", "look": "None", "exposure": 0.0, "gamma": 1.0}
 
 
-class BTFSEP_OT_show_report(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_show_report(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Show photo, material, light, re-rendering and difference in an Image Editor"""
 
     bl_idname = "btfsep.show_report"
@@ -81,7 +81,7 @@ def curves(scene) -> list[str]:
     return ["RGB curves: off, were on"]
 
 
-class BTFSEP_OT_rendered_view(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_rendered_view(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Look through the camera at the scene in the light that was found, in the colours of the photo"""
 
     bl_idname = "btfsep.rendered_view"

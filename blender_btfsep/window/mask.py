@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A new mask of an object: the photo where the camera sees the object, black elsewhere, to be painted on."""
 
+import contextlib
+import functools
+from pathlib import Path
+
 import bpy
 import numpy as np
 from mathutils import Vector
@@ -11,12 +15,14 @@ from ..basics.errors import InputError
 from ..light import light_picture
 from ..photo import camera as pinhole
 from ..photo import photo
-from ..run import reasons, request, runs
+from ..run import buttons, reasons, request, runs
 from ..scene import meshes
 from . import looking
 
 COARSE = 256  # cells along the picture that are looked at first; only where neighbours differ is looked more closely
 MARGIN = 0.004  # of the picture's longer side: so far from its outline, and two pixels at least, the object is left out
+BRUSH = "BTFsep Mask"
+DRAWN = 0.3  # seconds in which an editor that was opened is drawn
 DARKEST = 0.15  # of the photo in the mask, so that nothing in it is black
 
 
@@ -112,7 +118,7 @@ def paint(image, where, file=None) -> np.ndarray:
     return np.where(where[..., None], DARKEST + (1 - DARKEST) * np.clip(np.nan_to_num(shown), 0, 1), 0)
 
 
-class BTFSEP_OT_new_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_new_mask(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Make a mask that shows the photo where the camera sees the object, and open it: paint what hides it black"""
 
     bl_idname = "btfsep.new_mask"
@@ -142,7 +148,7 @@ class BTFSEP_OT_new_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         return open_for_painting(context, image)
 
 
-class BTFSEP_OT_paint_mask(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_paint_mask(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Open the mask in an Image Editor, to be painted on: what is not black is used"""
 
     bl_idname = "btfsep.paint_mask"
@@ -165,7 +171,23 @@ def open_for_painting(context, image) -> str:
         paint = context.tool_settings.image_paint
         colours = getattr(paint, "unified_paint_settings", None) or context.tool_settings.unified_paint_settings
         colours.color, colours.secondary_color = (0, 0, 0), (1, 1, 1)
+        later = functools.partial(_have_brush, context.scene.session_uid)
+        bpy.app.timers.register(later, first_interval=DRAWN)  # the editor, once it is drawn, takes what was chosen away
     return f"'{image.name}': paint black over what is not the object, white where it is (X swaps)"
+
+
+def _have_brush(number: int) -> None:
+    """A brush where Blender has none of its own: they are assets since 4.3, which some distributions leave out.
+
+    ``number`` : session id of the scene
+    """
+    scene = next((each for each in bpy.data.scenes if each.session_uid == number), None)
+    assets = Path(bpy.utils.system_resource("DATAFILES"), "assets", "brushes")
+    if scene is not None and scene.tool_settings.image_paint.brush is None and not assets.is_dir():
+        brush = bpy.data.brushes.get(BRUSH) or bpy.data.brushes.new(BRUSH, mode="TEXTURE_PAINT")
+        with contextlib.suppress(AttributeError):  # of later Blenders, which take assets alone
+            brush.curve_preset = "CONSTANT"  # what is painted is black, not dark
+            scene.tool_settings.image_paint.brush = brush
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_new_mask, BTFSEP_OT_paint_mask))

@@ -12,7 +12,7 @@ from bpy.props import BoolProperty, FloatProperty, StringProperty
 
 from ..basics.errors import InputError
 from ..engine import engine_settings, preferences
-from ..run import runs
+from ..run import buttons, runs
 from ..scene import bake
 from . import library, properties
 
@@ -81,7 +81,7 @@ def engine_arguments(maps, name: str, library: Path, baked, properties, options=
     return ["library", "measure", "--maps", maps, "--name", name, *baked, *told, "--library", library]
 
 
-class BTFSEP_OT_measure_material(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
+class BTFSEP_OT_measure_material(buttons.Greyed, runs.EngineOperator, bpy.types.Operator):
     """Measure the active object's material into the material library, as a BTF that photos can be matched with"""
 
     bl_idname = "btfsep.measure_material"

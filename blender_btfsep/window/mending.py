@@ -7,7 +7,7 @@ import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from ..basics.errors import InputError
-from ..run import request, runs
+from ..run import buttons, request
 
 MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
@@ -25,7 +25,7 @@ MENDS = (
 READ_AS = {"AGX": "agx", "STANDARD": "srgb", "CAMERA": "camera", "CURVE": "unknown"}
 
 
-class BTFSEP_OT_mend(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Set right what is in doubt; estimate again afterwards"""
 
     bl_idname = "btfsep.mend"

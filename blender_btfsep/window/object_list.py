@@ -5,8 +5,8 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..basics.errors import InputError
+from ..run.buttons import AtOnce, Greyed
 from ..run.request import active_entry
-from ..run.runs import AtOnce, Greyed
 from ..scene.meshes import has_surface
 
 

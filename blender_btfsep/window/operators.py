@@ -9,12 +9,12 @@ from ..basics.errors import InputError
 from ..engine import checkup, engine_process
 from ..light import group_ahead, world
 from ..photo import photo
-from ..run import between_steps, request, runs
+from ..run import between_steps, buttons, request, runs
 from ..run.answer import FOUND, take_estimate, take_light, take_materials
 from . import library
 
 
-class NeedsScene(runs.Greyed):
+class NeedsScene(buttons.Greyed):
     """Greyed out until there are a photo, a camera and objects."""
 
     reason = staticmethod(request.missing)
@@ -113,7 +113,7 @@ class BTFSEP_OT_doctor(runs.EngineOperator, bpy.types.Operator):
         super()._fail(message)
 
 
-class BTFSEP_OT_clear_cache(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
+class BTFSEP_OT_clear_cache(buttons.Greyed, runs.EngineOperator, bpy.types.Operator):
     """Take away what the engine keeps of earlier runs: charts of meshes, recognisers. It is made again where needed"""
 
     bl_idname = "btfsep.clear_cache"
@@ -128,7 +128,7 @@ class BTFSEP_OT_clear_cache(runs.Greyed, runs.EngineOperator, bpy.types.Operator
         return f"{result['freed'] / 1e6:.0f} MB are free now"
 
 
-class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operator):
+class BTFSEP_OT_read_library(buttons.Greyed, runs.EngineOperator, bpy.types.Operator):
     """Read the library's materials anew"""
 
     bl_idname = "btfsep.read_library"
@@ -142,7 +142,7 @@ class BTFSEP_OT_read_library(runs.Greyed, runs.EngineOperator, bpy.types.Operato
         return f"{library.take(result)} materials in the library"
 
 
-class BTFSEP_OT_cancel(runs.Greyed, bpy.types.Operator):
+class BTFSEP_OT_cancel(buttons.Greyed, bpy.types.Operator):
     """Stop the engine"""
 
     bl_idname = "btfsep.cancel"

@@ -213,7 +213,7 @@ class BTFSEP_PG_settings(bpy.types.PropertyGroup):
         "a draft at once, the preset when nothing changes for a second",
         update=lambda self, context: live.switched(self),
     )
-    live_step: IntProperty(options={"HIDDEN"})  # how many steps of undo were a light that `live` gave
+    live_step: IntProperty(options={"HIDDEN"})  # the number of the last step of undo that `live` made
     interpolation: EnumProperty(
         name="Between Photos", description="What a sequence's light does between two photos", items=INTERPOLATIONS
     )

@@ -7,7 +7,7 @@ from ..basics.errors import InputError
 from ..light import light_picture
 from ..photo import camera as pinhole
 from ..photo import frames, photo, photo_file, upright
-from ..run import reasons, runs
+from ..run import buttons, reasons, runs
 from . import blender_views
 
 TURNED = (
@@ -112,7 +112,7 @@ def put_behind(scene, camera, image, size) -> list:
     return [f"'{other.image.name}' behind it is hidden" for other in hidden]
 
 
-class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_use_photo(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Put the photo behind the camera and give the render its resolution; or take the photo that is the background"""
 
     bl_idname = "btfsep.use_photo"
@@ -130,7 +130,7 @@ class BTFSEP_OT_use_photo(runs.Greyed, runs.AtOnce, bpy.types.Operator):
         return use(context)
 
 
-class BTFSEP_OT_turn_upright(runs.Greyed, runs.AtOnce, bpy.types.Operator):
+class BTFSEP_OT_turn_upright(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     """Take an upright copy of the photo, as its file asks for, and use that; it is kept in the .blend"""
 
     bl_idname = "btfsep.turn_upright"

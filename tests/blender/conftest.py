@@ -127,3 +127,27 @@ def lamplit(tmp_path):
     """As `sunny`, with three key lights."""
     path = tmp_path / "lamplit.json"
     return path, write_sunny(path, others=LAMPS)
+
+
+@pytest.fixture
+def lit(photographed, tmp_path, fake_engine, sunny, monkeypatch):
+    """A live scene that has a light without lamps, and an engine that finds a sun; the camera was moved since."""
+    from blender_btfsep.light import lighting_file
+    from blender_btfsep.run import answer
+    from blender_btfsep.window import live
+    from tests.blender.lit import LIGHTING
+
+    monkeypatch.setattr(live, "SETTLED", 0.0)
+    light = tmp_path / "light.json"
+    light.write_text(json.dumps(LIGHTING))
+    answer.apply_light(photographed, lighting_file.read(light))
+    fake_engine(
+        lighting=json.loads(sunny[0].read_text()), lines=[{"type": "light", "lighting": str(sunny[0])}], result={}
+    )
+    bpy.context.view_layer.update()
+    photographed.btfsep.live = True
+    bpy.ops.ed.undo_push(message="live")
+    photographed.camera.location.x = 0.5
+    bpy.context.view_layer.update()
+    bpy.ops.ed.undo_push(message="moved")
+    return photographed

@@ -1,37 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Undo beside a light that comes by itself: what it makes is a step of its own, and its pictures are no new ones."""
 
-import json
-
 import bpy
 import numpy as np
-import pytest
 
 from blender_btfsep.basics import harmonics, pixels
 from blender_btfsep.engine import engine_process
-from blender_btfsep.light import kept_light, lighting_file, sh_nodes, sun_lamp, world
+from blender_btfsep.light import kept_light, sh_nodes, sun_lamp, world
 from blender_btfsep.run import answer, between_steps
 from blender_btfsep.window import live, operators
-from tests.blender.lit import LIGHTING
-
-
-@pytest.fixture
-def lit(photographed, tmp_path, fake_engine, sunny, monkeypatch):
-    """A live scene that has a light without lamps, and an engine that finds a sun; the camera was moved since."""
-    monkeypatch.setattr(live, "SETTLED", 0.0)
-    light = tmp_path / "light.json"
-    light.write_text(json.dumps(LIGHTING))
-    answer.apply_light(photographed, lighting_file.read(light))
-    fake_engine(
-        lighting=json.loads(sunny[0].read_text()), lines=[{"type": "light", "lighting": str(sunny[0])}], result={}
-    )
-    bpy.context.view_layer.update()
-    photographed.btfsep.live = True
-    bpy.ops.ed.undo_push(message="live")
-    photographed.camera.location.x = 0.5
-    bpy.context.view_layer.update()
-    bpy.ops.ed.undo_push(message="moved")
-    return photographed
 
 
 def now():
@@ -44,17 +21,6 @@ def follow():
     from tests.blender.test_live import until
 
     until(lambda: not live._follower.step())
-
-
-def test_lamps_that_come_live_are_a_step_before_the_users(lit):
-    follow()
-    assert now() == (1, 0.5)
-    bpy.ops.ed.undo()
-    bpy.context.scene.camera.update_tag()  # in a window Blender tells of all that is there
-    bpy.context.view_layer.update()
-    assert now() == (0, 0.5) and not live._follower.step()  # it was not wanted: it does not come again by itself
-    bpy.ops.ed.undo()
-    assert now() == (0, 0.0)
 
 
 def test_a_light_in_what_is_there_is_no_step(lit):

@@ -255,6 +255,17 @@ def test_where_a_render_may_have_been_saved_with_another_view_it_is_asked(found,
     assert not card.card_of({"choice": {"curve": "the photo's tone curve is sRGB"}}, lighting(), FRONT)["warnings"]
 
 
+def test_how_the_photo_is_read_is_asked_before_what_may_come_of_it():
+    said = [
+        "occluder 'Table' is 23 % brighter in the photo than its 'surface' is under this light",
+        "the material does not go with the photo",
+        "the photo looks like a render that was saved with that view",
+        "it says that it is to be turned",
+    ]
+    shown = card.card_of({}, lighting(), warnings=said)["warnings"]
+    assert [doubt["mend"] for doubt in shown] == ["AGX", "UPRIGHT", "SELECT", "MATERIAL"]
+
+
 def test_a_light_that_may_be_quite_another_is_not_green():
     result = {"expected_error": {"order_2": {"median": 0.1, "low": 0.06, "high": 0.7}}}
     assert card.card_of(result, lighting(), FRONT)["trust"] == "AMBER"
@@ -285,6 +296,17 @@ def test_warnings_that_are_not_known_are_said_by_their_beginning():
     assert advice.advice(told).short == "Occluder 'Table': material 'Lamp' shines, which is left out"
     assert advice.advice("a short one").short == "A short one"
     assert not advice.advice("a mesh of 62976 faces is mapped by projecting patches onto planes").short
+
+
+def test_the_icons_of_lights_that_are_gone_are_not_kept(addon):
+    from blender_btfsep.basics import pixels
+    from blender_btfsep.window import icons
+
+    pictures = [pixels.new("Light", np.full((4, 8, 3), number / 50), floats=False) for number in range(3 * icons.KEPT)]
+    for picture in pictures:
+        picture.pack()
+        assert icons.of_image(picture) == icons.of_image(picture)
+    assert sum(key.startswith(icons.OF_IMAGE) for key in icons._previews) == icons.KEPT
 
 
 def test_the_picture_shows_from_where_the_light_comes(photographed):

@@ -162,7 +162,7 @@ def test_without_a_window_suns_are_named(photographed, lamp, tmp_path, capsys):
 def test_turning_a_frozen_sun_is_a_change_and_an_estimate_of_it_is_none(photographed, lamp, tmp_path, monkeypatch):
     bpy.ops.btfsep.freeze_sun(name=lamp.name)
     seen = []
-    monkeypatch.setattr(live._follower, "changed", lambda scene: seen.append(scene.name))
+    monkeypatch.setattr(live._follower, "changed", lambda scene, what: seen.append(scene.name))
     light = light_of(tmp_path / "light.json", sun(told(photographed, tmp_path / "job")[0], given=True))
     answer.apply_light(photographed, light)
     bpy.context.view_layer.update()

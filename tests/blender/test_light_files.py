@@ -240,3 +240,19 @@ def test_the_photo_is_not_written_over(photographed):
     photo.filepath_raw = photo.filepath_raw.replace(".png", ".exr")
     with pytest.raises(RuntimeError, match="it is the photo"):
         bpy.ops.btfsep.export_lighting(filepath=photo.filepath_raw)
+
+
+def test_another_light_takes_what_the_last_run_said_from_the_panel(photographed, sunny):
+    state = bpy.context.window_manager.btfsep
+    steps = {
+        "import": lambda: bpy.ops.btfsep.import_lighting(filepath=str(sunny[0])),
+        "apply": bpy.ops.btfsep.apply,
+        "restore": bpy.ops.btfsep.restore_world,
+    }
+    for step in steps.values():
+        state.error, state.warnings.add().name = "the mask 'a'; it is black everywhere; paint it", "odd"
+        assert step() == {"FINISHED"} and not state.error and not state.warnings
+    state.error = "still true"
+    with pytest.raises(RuntimeError):
+        bpy.ops.btfsep.import_lighting(filepath="/nowhere.json")
+    assert state.error == "still true"

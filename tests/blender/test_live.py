@@ -8,9 +8,9 @@ import bpy
 import pytest
 
 from blender_btfsep.light import lighting_file, sun_lamp, world
-from blender_btfsep.run import answer, runs
+from blender_btfsep.run import answer, request, runs
 from blender_btfsep.scene import meshes
-from blender_btfsep.window import live
+from blender_btfsep.window import live, live_changes
 from tests.blender.lit import LIGHTING
 from tests.blender.test_addon_operators import coefficients
 
@@ -112,7 +112,7 @@ def beside(scene):
 def settle(scene):
     """What was changed so far is how the scene was before."""
     scene.view_layers[0].update()
-    live._known[scene.session_uid] = live._told(scene)
+    live_changes.remember(scene)
     live._follower.give_way()
 
 
@@ -254,6 +254,80 @@ def test_a_draft_takes_what_was_recognised_for_known(photographed, asked, monkey
     photographed.camera.location.x += 0.1
     follow()
     assert jobs == ["wood/oak-boards", None]
+
+
+@pytest.fixture
+def written(photographed, asked, monkeypatch):
+    """As `asked`, with things that stand around the cube; gives a list that grows with each job that is written."""
+    found, write = [], request.write_job
+
+    def counted(*given, **more):
+        found.append(1)
+        runs.warn("a lamp is left out")
+        return write(*given, **more)
+
+    bpy.ops.mesh.primitive_plane_add(size=3, location=(0, 0, -1))
+    monkeypatch.setattr(request, "write_job", counted)
+    settle(photographed)
+    photographed.camera.location.x += 0.1
+    follow()
+    assert len(found) == 1 and len(asked) == 2  # once for draft and preset
+    return found
+
+
+def other_photo(scene, *, size=(48, 32), name="other.png"):
+    image = bpy.data.images.new("other", *size)
+    image.generated_color = (0.2, 0.4, 0.1, 1)
+    image.filepath_raw, image.file_format = bpy.path.abspath(scene.btfsep.image.filepath_raw) + name, "PNG"
+    image.save()
+    scene.btfsep.image = bpy.data.images.load(image.filepath_raw)
+    scene.update_tag()
+
+
+def hang(scene):
+    scene.camera.parent = bpy.data.objects.new("Crane", None)
+    scene.collection.objects.link(scene.camera.parent)
+    scene.camera.parent.location.x = 0.1
+
+
+AS_WRITTEN = {
+    "camera": lambda scene: scene.camera.location.__setitem__(1, -6.2),
+    "lens": lambda scene: setattr(scene.camera.data, "lens", 60),
+    "photo": other_photo,
+    "curve": lambda scene: edit(scene, "curve", "linear"),
+    "order": lambda scene: edit(scene, "order", 2),
+    "both": lambda scene: (edit(scene, "order", 2), scene.camera.location.__setitem__(0, 0.2)),
+}
+ANEW = {
+    "object": lambda scene: scene.btfsep.objects[0].object.location.__setitem__(0, 0.1),
+    "all of it": lambda scene: (
+        scene.camera.location.__setitem__(0, 0.2),
+        edit(scene, "objects[0].source", "COLOUR"),
+    ),
+    "a camera far away": lambda scene: scene.camera.location.__setitem__(1, -9),
+    "a camera that hangs on something": hang,
+    "a hidden camera": lambda scene: (scene.camera.location.__setitem__(0, 0.2), scene.camera.hide_set(True)),
+    "a photo of another size": lambda scene: other_photo(scene, size=(96, 64)),
+    "units": lambda scene: (setattr(scene.unit_settings, "scale_length", 0.1), scene.update_tag()),
+}
+
+
+@pytest.mark.parametrize("name", [*AS_WRITTEN, *ANEW])
+def test_what_is_asked_is_the_scene_as_it_is_however_little_of_it_is_written(photographed, written, name, tmp_path):
+    (AS_WRITTEN | ANEW)[name](photographed)
+    follow()
+    assert len(written) == (1 if name in AS_WRITTEN else 2)
+    assert [w.name for w in runs.run_state().warnings].count("a lamp is left out") == 1
+    fresh, folder = request.write_job(photographed, folder=tmp_path / "fresh"), live._follower.job[0]
+    job = json.loads((folder / "job.json").read_text())
+    assert job == json.loads((fresh / "job.json").read_text())
+    for file in fresh.iterdir():
+        assert (folder / file.name).read_bytes() == file.read_bytes()
+
+
+def test_a_run_of_the_users_has_the_scene_written_anew(photographed, written):
+    assert bpy.ops.btfsep.estimate() == {"FINISHED"}
+    assert len(written) == 2 and live._follower.job is None
 
 
 def test_what_goes_wrong_is_said_once(photographed, asked, fake_engine):

@@ -97,3 +97,15 @@ def test_spreading_is_a_square():
     expected = np.zeros_like(flags)
     expected[2:7, 3:8] = expected[:3, 9:] = True
     assert (mask.spread(flags, 2) == expected).all()
+
+
+@pytest.mark.parametrize("assets", [True, False])
+def test_there_is_a_brush_also_where_blender_came_without(photographed, tmp_path, monkeypatch, assets):
+    """Some distributions leave the assets out, in which the brushes are since Blender 4.3."""
+    (tmp_path / "assets" / "brushes").mkdir(parents=True) if assets else None
+    monkeypatch.setattr(bpy.utils, "system_resource", lambda kind: str(tmp_path))
+    for brush in list(bpy.data.brushes):
+        bpy.data.brushes.remove(brush)
+    for _ in range(2):
+        mask._have_brush(photographed.session_uid)
+    assert [brush.name for brush in bpy.data.brushes] == ([] if assets else [mask.BRUSH])

@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+from blender_btfsep.light import lighting_file
 from blender_btfsep.photo.camera import for_photo, to_world
-from blender_btfsep.run import request
+from blender_btfsep.run import answer, request
+from blender_btfsep.window import alignment
 from scripts.cycles import studio
+from tests.blender.lit import LIGHTING
 
 MOVED = {
     "aligned": True,
@@ -50,6 +53,19 @@ def test_the_camera_moves_and_the_objects_stay(photographed, fake_engine):
     assert cube.matrix_world == stood
     said = bpy.context.window_manager.btfsep.summary
     assert said.startswith("The camera was moved: 3.1 pixels in the photo, a turn of 1.2°, focal length +2.0%\nMoved:")
+    assert alignment.OLDER not in said
+
+
+def test_a_light_that_is_older_than_the_camera_is_said_to_be(photographed, fake_engine):
+    answer.apply_light(photographed, lighting_file.validate(LIGHTING))
+    for live in (True, False):
+        photographed.btfsep.live = live
+        fake_engine(aligned=other(camera_of(photographed)), result=MOVED)
+        assert bpy.ops.btfsep.refine_alignment() == {"FINISHED"}
+        assert (alignment.OLDER in bpy.context.window_manager.btfsep.summary) == (not live)  # Live asks by itself
+    fake_engine(aligned={}, result=MOVED | {"aligned": False, "why": "it is in place"})
+    assert bpy.ops.btfsep.refine_alignment() == {"FINISHED"}
+    assert alignment.OLDER not in bpy.context.window_manager.btfsep.summary
 
 
 def test_the_objects_move_and_are_seen_as_if_the_camera_had(photographed, fake_engine):

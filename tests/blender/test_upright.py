@@ -13,7 +13,7 @@ from blender_btfsep import command
 from blender_btfsep.basics.errors import InputError
 from blender_btfsep.photo import camera, photo, photo_file, upright, upright_png
 from blender_btfsep.run import request
-from blender_btfsep.window import live, use_photo
+from blender_btfsep.window import live_changes, use_photo
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from tests.engine import profiles
@@ -130,7 +130,7 @@ def test_one_button_turns_the_photo_and_uses_it(photographed, tmp_path, capfd):
     assert turned != image and [b.image for b in behind] == [turned] and use_photo.is_behind(photographed)
     assert camera.render_size(photographed) == (20, 30) and request.missing(bpy.context) == ""
     assert turned.colorspace_settings.name == "Display P3" and "Turn Upright" not in capfd.readouterr().out
-    assert live._told(photographed) == live._told(photographed)
+    assert live_changes.told(photographed) == live_changes.told(photographed)
     with pytest.raises(RuntimeError, match="does not ask"):
         bpy.ops.btfsep.turn_upright()
     own = images.read_linear(path, primaries="display-p3", by_camera=True)
