@@ -56,6 +56,9 @@ FIRST_LEVEL, FIRST_STEPS, OFF = 1, 3, 1.5  # pixels of what is looked at
 # deviations; of 53 that are a pixel off 38 do, of 56 that are two off 54. 0.45 would find 50 and 56, and move a real
 # ball whose edges lie 0.7 pixels beside its mesh under every lamp, which made its light worse.
 BESIDE, AGREED = 0.6, 0.5
+# Pixels below which edges say that a camera is in place, and how many have to say so: of 45 plates in place all have
+# fewer than 0.34, of 36 that are a pixel off two; edges are 5 and more.
+IN_PLACE, ENOUGH = 0.34, 4.0
 FIRM, FREER = 0.05, 0.2  # holds (`fit.settling`): of a first look; of what a search has found
 HOLDS = (0.1, 0.2)  # of a move nearby, one after the other where that is not enough
 # Of how far a pose settles that is gone, one set of marks after the other, since each lets it waver by some tenths of a
@@ -252,10 +255,9 @@ class Aligner:
         return bool(moved >= OFF and gain.outline + gain.shading >= LEAST_GAIN)
 
     @property
-    def beside(self) -> bool:
-        """Whether the photo's edges lie beside the outlines of the job's camera, by more than they need."""
-        first = self.settle(np.zeros(PARAMETERS), hold=FIRM, level=FIRST_LEVEL)
-        return first.excess >= BESIDE
+    def first_settled(self) -> Settled:
+        """How the photo's edges lie beside the outlines of the job's camera, and where these would settle at once."""
+        return self.settle(np.zeros(PARAMETERS), hold=FIRM, level=FIRST_LEVEL)
 
     def nearby(self) -> np.ndarray | None:
         """Seven numbers within a few pixels whose outlines lie on the photo's edges, that go better with outlines and
@@ -306,27 +308,44 @@ class Aligner:
 
 @dataclass(frozen=True)
 class Look:
-    """What a first look at a scene says of its camera: whether outlines and shading ask for another at once (``off``),
-    and whether the photo's edges lie beside the outlines (``beside``)."""
+    """What a first look at a scene says of its camera.
 
-    off: bool
-    beside: bool
+    Attributes
+    ----------
+    off : whether outlines and shading ask for another at once
+    beside : pixels by which the photo's edges lie beside the outlines and need not; edges : how many say so
+    """
+
+    off: bool = False
+    beside: float = 0.0
+    edges: float = 0.0
+
+    @property
+    def settles(self) -> bool:
+        """Whether outlines have to settle on the photo's edges."""
+        return self.beside >= BESIDE
+
+    @property
+    def in_place(self) -> bool:
+        """Whether the photo's edges say that the camera is in place."""
+        return not self.off and self.beside < IN_PLACE and self.edges >= ENOUGH
 
 
 def first_look(scene: PreparedScene) -> Look:
     """What says, in a thirtieth of the time, that `align` may find another camera. Of a depth it is the outline alone
     that says so (`checks.shift_doubt`)."""
     if unseen_meshes(scene.job):
-        return Look(False, False)
+        return Look()
     photo, start = scene.job.photo, np.zeros(PARAMETERS)
 
     def look() -> Look:
         aligner = Aligner(scene)
         if not aligner.shows_light or _too_few(aligner.first_marks(FIRST_LEVEL)):
-            return Look(False, False)
+            return Look()
         if _too_few(aligner.misfit(start, FIRST_LEVEL)):
-            return Look(False, False)
-        return Look(aligner.asks(start), aligner.beside)
+            return Look()
+        first = aligner.first_settled
+        return Look(aligner.asks(start), first.excess, first.edges)
 
     return kept.recalled("first look", [photo.radiance, photo.usable, scene.seen, scene.tracer.key], look)
 
@@ -334,7 +353,7 @@ def first_look(scene: PreparedScene) -> Look:
 def looks_off(scene: PreparedScene) -> bool:
     """Whether a first look says that the camera may be another."""
     look = first_look(scene)
-    return look.off or look.beside
+    return look.off or look.settles
 
 
 def align(scene: PreparedScene) -> Alignment:
@@ -347,7 +366,7 @@ def align(scene: PreparedScene) -> Alignment:
         return Alignment(
             camera, False, "left as it is: the picture shows too little of the objects' outline or surface"
         )
-    near = aligner.nearby() if first_look(scene).beside else None
+    near = aligner.nearby() if first_look(scene).settles else None
     q, after = aligner.search(before) if near is None else (near, aligner.left(near))
     end, first = aligner.frame.at(q), aligner.frame.camera
     seen = aligner.marks(first, len(LEVELS) - 1).surface

@@ -47,16 +47,17 @@ def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
     """
     if settings.align == "never":
         return scene
-    from btfsep_engine.pipeline.alignment import align, with_camera
+    from btfsep_engine.pipeline.alignment import align, first_look, with_camera
 
     with scene.reporter.stage("alignment"):
         alignment = align(scene) if doubted(scene, settings.align) else None
     if alignment is None:
+        scene.in_place = settings.align == "auto" and first_look(scene).in_place
         return scene
     if not mends(scene, alignment):
         return scene
     out = with_camera(scene, alignment.camera)
-    out.mended_by = alignment
+    out.mended_by, out.in_place = alignment, alignment.settled
     turned = f" and {alignment.degrees:.1f}°" if alignment.shift is None else ""
     moved = "camera is moved" if alignment.shift is None else "photo is shifted against the depth"
     scene.reporter.warn(

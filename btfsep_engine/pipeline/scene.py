@@ -62,6 +62,7 @@ class PreparedScene:
         self.mirrors = ()  # mirrors.Mirror, of objects whose pictures in the photo are a rougher metal's
         self.mirror_lights = ()  # mirrors.MirrorLight, by these pictures
         self.mended_by = None  # alignment.Alignment, where the camera is not the job's
+        self.in_place = False  # whether the photo's own edges say that the camera is
         self.colours = {}  # number of an occluder -> (3,), as the photo shows it and the job does not, or not so
         self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):

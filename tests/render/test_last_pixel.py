@@ -43,12 +43,13 @@ def potatoes(tmp_path_factory):
 )
 def test_a_pixel_is_found_and_taken_by_an_estimate(potatoes, moved):
     start = off_by(potatoes, moved)
-    assert first_look(start).beside
+    assert first_look(start).settles
     found = align(start)
     assert found.settled and found.aligned and mends(start, found)
     assert "edges lay beside the outlines" in found.why
     assert away(potatoes, found.camera) < 0.3 * away(potatoes, start.job.camera)
     moved_scene = mended(start, choose())
+    assert moved_scene.in_place and not start.in_place
     assert away(potatoes, moved_scene.job.camera) < 0.3 * away(potatoes, start.job.camera)
     assert any("for this estimate the camera is moved" in said for said in start.reporter.warnings)
 
@@ -57,8 +58,10 @@ def test_a_pixel_is_found_and_taken_by_an_estimate(potatoes, moved):
 def test_what_is_in_place_stays(potatoes, moved):
     start = off_by(potatoes, moved)
     look = first_look(start)
-    assert not look.beside and not look.off and not doubted(start)
-    assert mended(start, choose()) is start
+    assert not look.settles and not look.off and not doubted(start)
+    assert mended(start, choose()) is start and start.in_place
+    for asked in ("never", "outline"):  # nobody has looked
+        assert not mended(off_by(potatoes, moved), choose(align=asked)).in_place
 
 
 def test_an_object_that_is_a_little_larger_moves_nothing(tmp_path):
@@ -67,7 +70,7 @@ def test_an_object_that_is_a_little_larger_moves_nothing(tmp_path):
     found = Aligner(larger).settle(np.zeros(7), hold=0.1)
     assert found.excess < 0.35  # the edges lie 0.6 pixels farther out
     assert np.abs(found.q[3:5]).max() < 0.1
-    assert not first_look(larger).beside
+    assert not first_look(larger).settles
 
 
 def test_the_turn_of_a_ball_stays(tmp_path):

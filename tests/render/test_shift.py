@@ -24,9 +24,10 @@ def photographed():
     return in_white(egg_and_pebble())
 
 
-def found_of(scene, image, right=0, down=0):
+def found_of(scene, image, right=0, down=0, *, in_place=False):
     photo = replace(scene.job.photo, radiance=np.roll(image, (down, right), (0, 1)))
     there = scene_of(replace(scene.job, photo=photo))
+    there.in_place = in_place
     return estimate(there, open_library(None), SETTINGS, material=WHITE)
 
 
@@ -75,6 +76,11 @@ def test_a_photo_beside_its_place_is_seen_to_be_and_loses_little(photographed, r
     fixed = found_of(scene, image, right, down)
     assert "shift" not in fixed.choice and fixed.fit.evidence < found.fit.evidence
     assert off_as_seen(found.lighting.coefficients, truth) < 0.75 * off_as_seen(fixed.lighting.coefficients, truth)
+
+
+def test_where_edges_say_that_the_camera_is_in_place_the_shading_is_not_asked(photographed):
+    scene, image, _ = photographed
+    assert "shift" not in found_of(scene, image, 2, in_place=True).choice
 
 
 def chi2_of(scene, images, exposures=(1, 1)):

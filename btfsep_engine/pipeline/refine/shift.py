@@ -7,6 +7,11 @@ same light is fitted anew with these differences free (`fit.products`, ``slopes`
 kept where that explains the photo clearly better. Near outlines a misfit says nothing of the camera: where lamps
 stand behind an object its rim is bright, and what materials reflect at grazing angles is not known so well. Nothing
 is moved: steps of a pixel or two are what a slope can say. (Lucas and Kanade 1981.)
+
+Where the photo's own edges say where the camera is (`pipeline.alignment`), the shading is not asked: what it says then
+is mostly of other things. Of 32 photographs with four cameras each that were off and stayed, 32 of 128 looked so, and
+erred 1.5 times as much without these differences; of 128 plates whose cameras edges had been asked about, 13, and 0.9
+times.
 """
 
 from dataclasses import replace
@@ -27,7 +32,8 @@ REACH, BLUR = 2, 1.0  # cells about a pixel of which its slope is; pixels of a G
 
 def shifted(model, light):
     """The refinement: differences that a camera makes which is a little off."""
-    if light.solver is None or any(problem.slopes is not None for problem in model.problems):
+    known = any(problem.slopes is not None or problem.scene.in_place for problem in model.problems)
+    if light.solver is None or known:
         return model, light, {}
     with model.reporter.stage("fit"):
         slopes = [p.as_measured(differences(p)) / e for p, e in zip(model.problems, light.exposures, strict=True)]
