@@ -32,6 +32,7 @@ from scripts.studies import ROOT, parser, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.measures import ERROR_ORDER, TERMS, errors
 
+CHART = ROOT / "docs" / "images" / "accuracy-real.png"
 FACING = 0.15  # cosine to the camera: beyond, a pixel holds too many normals
 LIT = 0.15  # of the 99th percentile of the object's brightness
 PLAIN = {"lamp": "one lamp", "order1": "order 1", "order2": "order 2"}
@@ -159,7 +160,7 @@ def main(arguments) -> int:
     options = parser("real", __doc__)
     options.add_argument("folder", type=Path, help="of jobs, each with a truth.json")
     options.add_argument("--only", default="*", metavar="GLOB", help="of the jobs' names")
-    options.add_argument("--chart", type=Path, default=ROOT / "docs" / "images" / "accuracy-real.png")
+    options.add_argument("--chart", type=Path, help="where to draw, else that of docs/accuracy.md, unless --only")
     given = options.parse_args(arguments)
     truths = given.folder.glob(f"{given.only}/truth.json")
     folders = sorted(p.parent for p in truths if (p.parent / "job.json").exists())
@@ -171,5 +172,7 @@ def main(arguments) -> int:
     print("\nWarned of, numbers left out:\n")
     for words, count in said.most_common():
         print(f"- {count} of {len(rows)}: {words}")
-    draw(given.chart, rows)
+    chart = given.chart or (CHART if given.only == "*" else None)
+    if chart:
+        draw(chart, rows)
     return 0
