@@ -10,7 +10,7 @@ import trimesh
 
 from btfsep_engine.fit.pose import Gain
 from btfsep_engine.imaging import images
-from btfsep_engine.pipeline.alignment import Aligner, align, first_look
+from btfsep_engine.pipeline.alignment import Aligner, Look, align, first_look
 from btfsep_engine.pipeline.marks import grown
 from btfsep_engine.pipeline.mending import doubted, mended, mends
 from btfsep_engine.pipeline.settings import choose
@@ -62,6 +62,13 @@ def test_what_is_in_place_stays(potatoes, moved):
     assert mended(start, choose()) is start and start.in_place
     for asked in ("never", "outline"):  # nobody has looked
         assert not mended(off_by(potatoes, moved), choose(align=asked)).in_place
+
+
+def test_many_edges_are_believed_of_less():
+    assert Look(beside=0.65, edges=5).settles and Look(beside=0.5, edges=17).settles
+    assert not any(look.settles for look in (Look(beside=0.55, edges=12), Look(beside=0.4, edges=40), Look()))
+    assert Look(beside=0.2, edges=8).in_place
+    assert not any(look.in_place for look in (Look(), Look(True, 0.2, 8), Look(beside=0.4, edges=8)))
 
 
 def test_an_object_that_is_a_little_larger_moves_nothing(tmp_path):
