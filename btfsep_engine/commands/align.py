@@ -11,7 +11,8 @@ from btfsep_engine.commands import report
 from btfsep_engine.commands.record import peak_memory_mb, versions
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging.images import write_png
-from btfsep_engine.pipeline.alignment import Alignment, Left, align, camera_keys, with_camera
+from btfsep_engine.pipeline.aligner import Left
+from btfsep_engine.pipeline.alignment import Alignment, align, camera_keys, with_camera
 from btfsep_engine.pipeline.scene import PreparedScene, read_scene
 from btfsep_engine.storage import atomic
 from btfsep_engine.storage.atomic import write_json

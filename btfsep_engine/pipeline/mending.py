@@ -8,7 +8,7 @@ from btfsep_engine.pipeline.checks import shift_doubt
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import PhotoSettings
 
-MOST_PIXELS, MOST_DEGREES = 20.0, 20.0  # of a move, in pixels of a picture of `alignment.SIDE`
+MOST_PIXELS, MOST_DEGREES = 20.0, 20.0  # of a move, in pixels of a picture of `aligner.SIDE`
 OUTLINES = 0.05  # of the objective, that outlines gain by a move of which they had not spoken before: shading alone has
 # led away from the true camera on two of 96 plates (0.001 and 0.011), and to it where outlines gain 0.06 and more
 MOST_OF_A_DEPTH = 5.0  # of a shift: 4 pixels, and what is found beside them
@@ -28,7 +28,7 @@ def doubted(scene: PreparedScene, align: str = "auto") -> bool:
 
 def mends(scene: PreparedScene, alignment) -> bool:
     """Whether an estimate takes an `alignment.Alignment` of its scene."""
-    from btfsep_engine.pipeline.alignment import OFF, SIDE
+    from btfsep_engine.pipeline.aligner import OFF, SIDE
 
     if not alignment.aligned or not doubted(scene):
         return False

@@ -21,7 +21,8 @@ from btfsep_engine.fit.pose import Frame
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
-from btfsep_engine.pipeline.alignment import Aligner, align, camera_keys, looks_off, with_camera
+from btfsep_engine.pipeline.aligner import Aligner
+from btfsep_engine.pipeline.alignment import align, camera_keys, looks_off, with_camera
 from btfsep_engine.pipeline.checks import shift_doubt
 from btfsep_engine.pipeline.mending import doubted, mends
 from btfsep_engine.pipeline.settings import choose

@@ -10,7 +10,8 @@ import trimesh
 
 from btfsep_engine.fit.pose import Gain
 from btfsep_engine.imaging import images
-from btfsep_engine.pipeline.alignment import Aligner, Look, align, first_look
+from btfsep_engine.pipeline.aligner import Aligner
+from btfsep_engine.pipeline.alignment import Look, align, first_look
 from btfsep_engine.pipeline.marks import grown
 from btfsep_engine.pipeline.mending import doubted, mended, mends
 from btfsep_engine.pipeline.settings import choose
