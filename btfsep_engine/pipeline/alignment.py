@@ -23,12 +23,12 @@ from btfsep_engine.storage import kept
 SIGNIFICANT = 3.0  # deviations, of what outlines and shading gain together
 WORSE = 2.0  # deviations by which the shading may become worse; the outlines may not
 LEAST_MOVE = 0.3  # pixels of the photo
-# Pixels by which the photo's edges lie beside the outlines and need not (outlines and shading have to go better, too, by
-# `aligner.AGREED`). Of 288 photographs by Cycles whose camera is in place one has so many, at 0.2 of these deviations;
-# of 53 that are a pixel off 38 do, of 56 that are two off 54. 0.45 would find 50 and 56, and move a real ball whose
-# edges lie 0.7 pixels beside its mesh under every lamp, which made its light worse. Many edges are believed of less:
-# times the root of their number, 173 in place have at most 1.6 such pixels, that ball 1.95; 33 of 36 plates that are a
-# pixel off have 2 and more, or 0.6 of them.
+# Pixels by which the photo's edges lie beside the outlines and need not (outlines and shading have to go better, too,
+# by `aligner.AGREED`). Of 288 photographs by Cycles whose camera is in place one has so many, at 0.2 of these
+# deviations; of 53 that are a pixel off 38 do, of 56 that are two off 54. 0.45 would find 50 and 56, and move a real
+# ball whose edges lie 0.7 pixels beside its mesh under every lamp, which made its light worse. Many edges are believed
+# of less: times the root of their number, 173 in place have at most 1.6 such pixels, that ball 1.95; 33 of 36 plates
+# that are a pixel off have 2 and more, or 0.6 of them.
 BESIDE = 0.6
 SURELY, BY_MANY = 0.45, 2.0
 # Pixels below which edges say that a camera is in place, and how many have to say so: of 45 plates in place all have
