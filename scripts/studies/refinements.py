@@ -13,6 +13,7 @@ above. *Over*: the errors without it over those with it, geometric means; *worse
 a tenth more or less without it.
 """
 
+import copy
 import time
 from pathlib import Path
 
@@ -67,29 +68,23 @@ def study(name: str, opened, judge, only) -> list[dict]:
     begun = time.process_time()
     mended = mending.mended(scene, choose())
     spent = {CAMERA: 1e3 * (time.process_time() - begun)}
-    found = estimated(mended, refinements=watched.each, align="never")
-    rows = [{"name": name, "way": ALL, "ms": spent | watched.milliseconds} | judge(found)]
+
+    def in_line(refinements) -> dict:
+        return judge(estimated(copy.copy(mended), refinements=refinements, align="never"))
+
+    def as_it_was(**how) -> dict:
+        return judge(estimated(opened(), align="never", **how))
+
+    rows = [{"name": name, "way": ALL} | in_line(watched.each)]
+    rows[0]["ms"] = spent | watched.milliseconds
     for left_out in [r for r in REFINEMENTS if r.__name__ in watched.changed & only]:
         others = [r for r in REFINEMENTS if r is not left_out]
-        answer = estimated(mended_anew(opened, mended), refinements=others, align="never")
-        rows.append({"name": name, "way": left_out.__name__} | judge(answer))
+        rows.append({"name": name, "way": left_out.__name__} | in_line(others))
     if mended is not scene and CAMERA in only:
-        rows.append({"name": name, "way": CAMERA} | judge(estimated(opened(), align="never")))
+        rows.append({"name": name, "way": CAMERA} | as_it_was())
     if NONE in only:
-        rows.append({"name": name, "way": NONE} | judge(estimated(opened(), refinements=(), align="never")))
+        rows.append({"name": name, "way": NONE} | as_it_was(refinements=()))
     return rows
-
-
-def mended_anew(opened, mended):
-    """The scene that was mended, with nothing said of it yet."""
-    from btfsep_engine.pipeline.alignment import with_camera
-
-    scene = opened()
-    if mended.mended_by is None:
-        return scene
-    out = with_camera(scene, mended.mended_by.camera)
-    out.mended_by = mended.mended_by
-    return out
 
 
 def of_plate(plate, folder: Path, only) -> list[dict]:
@@ -125,20 +120,12 @@ def summary(rows) -> str:
         ms = [r["ms"][way] for r in whole.values() if way != NONE]
         cells = [way.replace("_", " "), f"{np.mean(ms):.0f} ({max(ms):.0f})" if ms else "–", len(without)]
         if without:
-            errors, over_stated = (np.array([[f(r) for r in some] for some in pairs]) for f in (error, over))
+            errors, stated = (np.array([[r[key] for r in some] for some in pairs]) for key in ("order2", "stated2"))
             ratio = errors[0] / errors[1]
             cells += [f"{np.exp(np.log(ratio).mean()):.2f}", (ratio > A_TENTH).sum(), (ratio < 1 / A_TENTH).sum()]
-            cells += [tables.spread(each) for each in (*errors, *over_stated)]
+            cells += [tables.spread(each) for each in (*errors, *(errors / stated))]
         lines.append([*cells, *["–"] * (len(HEAD) - len(cells))])
     return f"{len(whole)} photographs.\n\n{tables.table(HEAD, lines)}"
-
-
-def error(row) -> float:
-    return row["order2"]
-
-
-def over(row) -> float:
-    return row["order2"] / row["stated2"]
 
 
 def main(arguments) -> int:
