@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
+from btfsep_engine.imaging import images
 from btfsep_engine.imaging.srgb import linear_to_srgb
 from scripts.cycles import materials, objects, studio
 
@@ -29,6 +30,56 @@ def principled(surface) -> bpy.types.Material:
     """A material of a plate's colour, roughness and metal."""
     more = {"Roughness": surface["roughness"], "Metallic": surface["metallic"]}
     return materials.shaded("own", "ShaderNodeBsdfPrincipled", Base_Color=(*surface["colour"], 1), **more)[0]
+
+
+def unlike(thing: bpy.types.Object, kind: str, much: float) -> None:
+    """Gives an object what its job does not say: ``kind`` of `scripts.studies.plate_sets.OF_OBJECTS`.
+
+    ``much`` : 0 to 1, of what is usual
+    """
+    material = thing.data.materials[0]
+    tree, bsdf = material.node_tree, next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+    size = float(np.ptp(objects.vertex_positions(thing.data), axis=0).max())
+    if kind == "subsurface":
+        bsdf.inputs["Subsurface Weight"].default_value = 1
+        bsdf.inputs["Subsurface Radius"].default_value = (1, 0.6, 0.4)
+        bsdf.inputs["Subsurface Scale"].default_value = size * (0.01 + 0.04 * much)
+    elif kind in ("bumps", "mottled"):
+        noise, place = tree.nodes.new("ShaderNodeTexNoise"), tree.nodes.new("ShaderNodeTexCoord")
+        noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 12 / size, 3
+        tree.links.new(place.outputs["Object"], noise.inputs["Vector"])
+    if kind == "bumps":
+        bump = tree.nodes.new("ShaderNodeBump")
+        bump.inputs["Distance"].default_value = size * (0.01 + 0.03 * much)
+        tree.links.new(noise.outputs["Fac"], bump.inputs["Height"])
+        tree.links.new(bump.outputs["Normal"], bsdf.inputs["Normal"])
+    elif kind == "mottled":  # the noise is 0.5 in the mean, and hardly ever beyond 0.25 and 0.75
+        shade, tint = tree.nodes.new("ShaderNodeMapRange"), tree.nodes.new("ShaderNodeVectorMath")
+        spread = 0.2 + 0.3 * much
+        for name, value in {"From Min": 0.25, "From Max": 0.75, "To Min": 1 - spread, "To Max": 1 + spread}.items():
+            shade.inputs[name].default_value = value
+        tint.operation, tint.inputs[0].default_value = "MULTIPLY", bsdf.inputs["Base Color"].default_value[:3]
+        tree.links.new(noise.outputs["Fac"], shade.inputs["Value"])
+        tree.links.new(shade.outputs["Result"], tint.inputs[1])
+        tree.links.new(tint.outputs["Vector"], bsdf.inputs["Base Color"])
+
+
+def through(linear, kind: str, much: float, seed: int) -> np.ndarray:
+    """A picture (h, w, 3) as a camera with ``kind`` of `scripts.studies.plate_sets.OF_CAMERAS` takes it."""
+    height, width = linear.shape[:2]
+    if kind == "vignette":  # at the corners down to 0.7 to 0.4, as open lenses have it
+        y, x = np.mgrid[:height, :width]
+        off = np.hypot((2 * x + 1) / width - 1, (2 * y + 1) / height - 1) / np.sqrt(2)
+        return linear * (1 - (0.3 + 0.3 * much) * off[..., None] ** 2)
+    if kind == "grain":  # of photons: 3 to 9 % at the mean
+        mean = linear.mean()
+        noise = np.random.default_rng(seed).standard_normal(linear.shape)
+        return np.maximum(linear + (0.03 + 0.06 * much) * np.sqrt(np.maximum(linear, 0) * mean) * noise, 0)
+    if kind == "soft":  # pixels
+        return cv2.GaussianBlur(linear, (0, 0), 0.6 + 1.2 * much)
+    if kind == "glare":  # of each pixel's light, over the whole of the picture
+        return linear + (0.01 + 0.04 * much) * (cv2.GaussianBlur(linear, (0, 0), width / 6) - linear)
+    return linear
 
 
 def coded(scene, linear, folder: Path, curve: str) -> Path:
@@ -70,6 +121,8 @@ def take(plate, folder: Path) -> None:
         thing.data.materials.append(principled(surface))
     if "more" in plate:
         dress(thing.data)
+    if "told" in plate:
+        unlike(thing, plate["thing"], plate["much"])
     for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
         studio.add_sun(lamp["direction"], lamp["irradiance"], degrees=0.53)
     positions = objects.vertex_positions(thing.data)
@@ -77,6 +130,10 @@ def take(plate, folder: Path) -> None:
     lens = studio.add_camera(scene, positions, resolution=RESOLUTION, fill=FILL).data
     studio.denoise(scene)
     linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)
+    if "told" in plate:
+        linear = through(linear, plate["camera"], plate["much"], plate["seed"]).astype(np.float32)
+        images.write_exr(folder / "linear.exr", linear)
+        thing.data.materials[0] = principled(plate["told"])
     photo = coded(scene, linear, folder, plate["curve"])
     told = {"image_path": photo, "objects": [thing], "occluders": table}
     told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}

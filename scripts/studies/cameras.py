@@ -23,7 +23,8 @@ from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.job.load import load_job
 from btfsep_engine.storage.atomic import write_json
 from scripts.studies import parser, tables
-from scripts.studies.plates import COLUMNS, SETS, judged, of_set
+from scripts.studies.plate_sets import SETS, of_set
+from scripts.studies.plates import COLUMNS, judged
 
 # linear light and what is displayed of it, linear, 1: white; points of the base curves that darktable publishes
 MEASURED = {

@@ -11,7 +11,9 @@ is*), with the camera in line (*in line*), with nothing said of what it is made 
 plastic (*as any plastic*), and a render that was saved with AgX also as if nothing were known of that but what the file
 says (*not said*), or as if it were sRGB (*taken for sRGB*). Objects of the set *several* have three such materials, and
 are estimated with their mean, too (*as their mean*). Those of the set *stage* stand in dim light under lamps
-with filters of strong colours. The error of plates with a table is that of the light from above
+with filters of strong colours; of the sets *unsaid*, jobs say of the object what a user sees by eye, and nothing of
+what light does below its skin, of its bumps and its paint, nor of a lens that darkens corners, is out of focus or has
+glare, nor of noise. The error of plates with a table is that of the light from above
 it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
 
@@ -21,7 +23,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from btfsep_engine import sh
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.job.load import load_job
@@ -29,134 +30,19 @@ from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.mirrors import SHARP
 from btfsep_engine.storage.atomic import write_json
 from scripts.cycles.figure import display, exposure, write_rows
-from scripts.cycles.lights import light_path, studio_lights, true_lighting
+from scripts.cycles.lights import light_path
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.ground import above
 from scripts.studies.measures import errors
+from scripts.studies.plate_sets import SETS, of_set, truth
 
-SETS = {
-    "first": 1,
-    "second": 2,
-    "third": 3,
-    "several": 4,
-    "chrome": 5,
-    "fourth": 6,
-    "fifth": 7,
-    "sixth": 8,
-    "seventh": 9,
-    "stage": 10,
-    "eighth": 11,
-    "ninth": 12,
-}  # seeds; what was chosen by which of them, docs/accuracy.md says
-COUNT = 32
-OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
-COLOURS = {
-    "teal": (0.05, 0.35, 0.33), "red": (0.5, 0.04, 0.03), "clay": (0.55, 0.28, 0.17), "white": (0.78, 0.78, 0.76),
-    "grey": (0.3, 0.3, 0.3), "yellow": (0.75, 0.5, 0.05), "navy": (0.03, 0.05, 0.2), "green": (0.12, 0.3, 0.06),
-}  # fmt: skip
-SURFACES = {"matte": (0.9, 0), "satin": (0.5, 0), "gloss": (0.2, 0), "metal": (0.4, 1)}  # roughness, metallic
-OF_SURFACES = (0.35, 0.3, 0.25, 0.1)
-METALS = (
-    (0.55, 0.556, 0.554),
-    (0.97, 0.96, 0.91),
-    (1.0, 0.77, 0.34),
-    (0.95, 0.64, 0.54),
-)  # chrome, silver, gold, copper
-POLISHED = (0.0, 0.1, 0.2)  # roughness
-CURVES = ("srgb", "srgb", "agx", "floats")
-WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
-SUN_COLOUR = np.array([1.05, 1.0, 0.9])
-FILTERS = {
-    "red": (1, 0.03, 0.02), "amber": (1, 0.45, 0.05), "green": (0.05, 1, 0.1), "cyan": (0.05, 0.8, 1),
-    "blue": (0.03, 0.06, 1), "magenta": (1, 0.03, 0.8), "white": (1, 1, 1),
-}  # fmt: skip
-LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its other light, times what it is; lamps'
-# irradiance, times what that of the other light would be undimmed
 AS_IS, IN_LINE, AS_MEAN = "as it is", "in line", "as their mean"
 NOT_SAID, AS_SRGB = "not said", "taken for sRGB"
 RECOGNISED, AS_PLASTIC = "as recognised", "as any plastic"
 OF_AGX = {NOT_SAID: "auto", AS_SRGB: "srgb"}
 NO_MIRROR = "as no mirror"
 WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR)
-
-
-def drawn(seed: int) -> list[dict]:
-    """The plates of a set, as `scripts.cycles.plates` takes them; ``kinds`` in words."""
-    random, out = np.random.default_rng(seed), []
-    lights, colours = sorted(studio_lights()), list(COLOURS)
-    for i in range(COUNT):
-        kind = random.choice(list(SURFACES), p=OF_SURFACES)
-        colour, light, top = random.choice(colours), str(random.choice(lights)), random.choice(colours)
-        turn, off, way = random.uniform(0, 360), int(random.integers(3)), random.uniform(0, 2 * np.pi)
-        azimuth, height, table = random.uniform(0, 2 * np.pi), random.uniform(0.35, 1.2), random.random() < WITH_TABLE
-        sunny, curve = random.random() < WITH_SUN, str(random.choice(CURVES))
-        towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
-        strength = SUNNY * np.sqrt(4 * np.pi) * true_lighting(light, 0).mean()
-        roughness, metallic = SURFACES[kind]
-        out.append(
-            {
-                "name": f"{i:02d}",
-                "object": OBJECTS[i % len(OBJECTS)],
-                "seed": 11 + i,
-                "surface": {"colour": COLOURS[colour], "roughness": roughness, "metallic": metallic},
-                "light": light,
-                "turn": turn,
-                "sun": {"direction": towards, "irradiance": list(strength * SUN_COLOUR)} if sunny else None,
-                "table": COLOURS[top] if table else None,
-                "curve": curve,
-                "off": [off * np.cos(way), off * np.sin(way)],
-                "kinds": [f"{off} px off", curve, "on a table" if table else "alone", str(kind)],
-            }
-        )
-    return out
-
-
-def several(plates: list[dict]) -> list[dict]:
-    """The plates with two more materials each."""
-    random, kinds = np.random.default_rng(SETS["several"]), list(SURFACES)
-    out = []
-    for plate in plates:
-        more = []
-        for colour, kind in zip(random.choice(list(COLOURS), 2), random.choice(kinds, 2, p=OF_SURFACES), strict=True):
-            roughness, metallic = SURFACES[kind]
-            more.append({"colour": COLOURS[colour], "roughness": roughness, "metallic": metallic})
-        out.append(plate | {"more": more})
-    return out
-
-
-def mirroring(plates: list[dict]) -> list[dict]:
-    """The plates with polished metal, every second one of a ball."""
-    random, out = np.random.default_rng(SETS["chrome"]), []
-    for i, plate in enumerate(plates):
-        colour, roughness = METALS[random.integers(len(METALS))], float(random.choice(POLISHED))
-        surface = {"colour": colour, "roughness": roughness, "metallic": 1}
-        kinds = [*plate["kinds"][:-1], f"roughness {roughness}", "an object" if i % 2 else "a ball"]
-        out.append(plate | {"object": plate["object"] if i % 2 else "sphere", "surface": surface, "kinds": kinds})
-    return out
-
-
-def on_stage(plates: list[dict]) -> list[dict]:
-    """The plates under lamps with filters in place of the sun, and dim light."""
-    random, out = np.random.default_rng(SETS["stage"]), []
-    for plate in plates:
-        count, usual = int(random.integers(1, LAMPS + 1)), np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
-        lamps = []
-        for colour in random.choice(list(FILTERS), count, replace=False):
-            azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
-            towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
-            irradiance = random.uniform(*STRONG) * usual * 2 * np.array(FILTERS[colour])
-            lamps.append({"direction": towards, "irradiance": irradiance.tolist()})
-        kinds = [*plate["kinds"], f"{count} lamp{'s' if count > 1 else ''}"]
-        more = {"lamps": lamps, "dimmed": random.uniform(*DIMMED), "sun": None, "kinds": kinds}
-        out.append(plate | more)
-    return out
-
-
-def of_set(name: str) -> list[dict]:
-    """The plates of a set by its name."""
-    made = {"several": several, "chrome": mirroring, "stage": on_stage}
-    return made.get(name, list)(drawn(SETS[name]))
 
 
 def as_mean(job):
@@ -187,22 +73,6 @@ def as_no_mirror(job):
     """A job whose first object's surface is a little rougher than what counts as a mirror."""
     first, *others = job.objects
     return replace(job, objects=(replace(first, surface=replace(first.surface, roughness=SHARP + 0.01)), *others))
-
-
-def truth(plate) -> np.ndarray:
-    """The light's coefficients (100, 3)."""
-    c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
-    x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    x = x * plate.get("dimmed", 1)
-    for lamp in lamps_of(plate):
-        beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
-        x = x + beam[:, None] * lamp["irradiance"]
-    return x
-
-
-def lamps_of(plate) -> list:
-    """Its bare lamps, be it a sun."""
-    return [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", [])
 
 
 def worth_of(plate, found) -> dict:

@@ -24,7 +24,7 @@ from btfsep_engine.pipeline import mending
 from btfsep_engine.pipeline.estimation import REFINEMENTS
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.storage.atomic import write_json
-from scripts.studies import parser, plates, tables
+from scripts.studies import parser, plate_sets, plates, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.real import true_light
 
@@ -131,7 +131,7 @@ def summary(rows) -> str:
 def main(arguments) -> int:
     options = parser("refinements", __doc__)
     options.add_argument("folder", type=Path, nargs="?", help="of plates")
-    options.add_argument("--sets", nargs="+", choices=list(plates.SETS), default=SETS)
+    options.add_argument("--sets", nargs="+", choices=list(plate_sets.SETS), default=SETS)
     options.add_argument("--real", type=Path, metavar="FOLDER", help="jobs with a truth.json")
     options.add_argument("--only", nargs="+", choices=WAYS, default=WAYS, metavar="WAY", help="; ".join(WAYS))
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
@@ -139,7 +139,7 @@ def main(arguments) -> int:
     todo = []
     if given.folder:
         for name in given.sets:
-            todo += [(of_plate, plate, given.folder.resolve() / name) for plate in plates.of_set(name)]
+            todo += [(of_plate, plate, given.folder.resolve() / name) for plate in plate_sets.of_set(name)]
     if given.real:
         todo += [(of_real, truth.parent) for truth in sorted(given.real.glob("*/truth.json"))]
     if not todo:

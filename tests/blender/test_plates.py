@@ -12,11 +12,11 @@ from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from scripts.cycles import objects, studio
 from scripts.cycles import plates as studio_plates
-from scripts.studies import cameras, measures, plates
+from scripts.studies import cameras, measures, plate_sets, plates
 
 
 def test_plates_are_drawn_alike_and_of_all_kinds():
-    one, again, other = plates.drawn(1), plates.drawn(1), plates.drawn(2)
+    one, again, other = plate_sets.drawn(1), plate_sets.drawn(1), plate_sets.drawn(2)
     assert one == again and one != other
     kinds = {k for plate in one + other for k in plate["kinds"]}
     assert {"0 px off", "1 px off", "2 px off", "srgb", "agx", "floats", "alone", "on a table"} <= kinds
@@ -26,8 +26,8 @@ def test_plates_are_drawn_alike_and_of_all_kinds():
 
 
 def test_plates_of_several_materials_and_their_mean(tmp_path):
-    drawn = plates.of_set("several")
-    assert [plate | {"more": None} for plate in plates.drawn(4)] == [plate | {"more": None} for plate in drawn]
+    drawn = plate_sets.of_set("several")
+    assert [plate | {"more": None} for plate in plate_sets.drawn(4)] == [plate | {"more": None} for plate in drawn]
     scene = studio.clear()
     thing = objects.build("suzanne", seed=0)
     for surface in (drawn[0]["surface"], *drawn[0]["more"]):
@@ -65,9 +65,48 @@ def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
     assert ways["as a camera's"]["order2"] < ways["as sRGB"]["order2"] and ways["as sRGB"]["coded"] == "by a camera"
     assert cameras.study(plate, tmp_path, cameras.FLOATS, cameras.AS_STORED)["order2"] < 0.3
     aside = plate | {"turn": plate["turn"] + 90}
-    assert measures.order2(plates.truth(aside), plates.truth(plate)) > 0.4
+    assert measures.order2(plate_sets.truth(aside), plate_sets.truth(plate)) > 0.4
     # on a table only light from above it is judged, and what is stated of that
     on_table = plate | {"table": (0.3, 0.3, 0.3)}
     below = plates.study(on_table, tmp_path, plates.AS_IS)
     assert below["order2"] != row["order2"] and below["stated2"] < row["stated2"]
     assert below["over"] == below["order2"] / below["stated2"] and below["inside"] == row["inside"]
+
+
+def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
+    drawn = plate_sets.of_set("unsaid")
+    assert drawn == plate_sets.of_set("unsaid") != plate_sets.of_set("unsaid again")
+    usual = plate_sets.drawn(plate_sets.SETS["unsaid"])
+    assert [{k: p[k] for k in usual[0] if k != "kinds"} for p in drawn] == [
+        {k: p[k] for k in p if k != "kinds"} for p in usual
+    ]
+    ratios = np.log(np.divide([p["told"]["colour"] for p in drawn], [p["surface"]["colour"] for p in drawn]))
+    assert 0.08 < ratios.mean(1).std() < 0.25 and 0.02 < (ratios - ratios.mean(1, keepdims=True)).std() < 0.12
+    assert not any(p["thing"] == "subsurface" and p["surface"]["metallic"] for p in drawn)
+    monkeypatch.setattr(studio_plates, "RESOLUTION", 48)
+    monkeypatch.setattr(studio_plates, "SAMPLES", 4)
+    plain = drawn[0] | {"thing": "as it is", "camera": "clean", "curve": "floats", "much": 1.0, "off": [0, 0]}
+    pictures = {}
+    for name in plate_sets.OF_OBJECTS:
+        matte = plain["surface"] | {"roughness": 0.9, "metallic": 0}
+        studio_plates.take(plain | {"thing": name, "surface": matte}, tmp_path / name)
+        pictures[name] = images.read_linear(tmp_path / name / "linear.exr").pixels
+        said = load_job(tmp_path / name / "job").objects[0].surface
+        assert said.base_color == pytest.approx(plain["told"]["colour"], abs=1e-6)
+        assert said.roughness == pytest.approx(plain["told"]["roughness"], abs=1e-6)
+    for name in plate_sets.OF_OBJECTS[1:]:
+        assert np.abs(pictures[name] / pictures["as it is"] - 1).max() > 0.1, name
+
+
+def test_what_a_camera_adds_to_a_plate():
+    even, edge = np.full((64, 64, 3), 0.5, np.float32), np.zeros((64, 64, 3), np.float32)
+    edge[:, 32:] = 1
+    darkened = studio_plates.through(even, "vignette", 1.0, 0)
+    assert darkened[31, 31, 0] == pytest.approx(0.5, rel=0.01) and darkened[0, 0, 0] == pytest.approx(0.2, rel=0.05)
+    noisy = studio_plates.through(even, "grain", 0.0, 0)
+    assert noisy.mean() == pytest.approx(0.5, rel=0.01) and noisy.std() == pytest.approx(0.015, rel=0.05)
+    soft, glare = (studio_plates.through(edge, kind, 1.0, 0) for kind in ("soft", "glare"))
+    assert 0.1 < soft[32, 31, 0] < 0.5 and soft[32, 20, 0] < 1e-4
+    assert 0.005 < glare[32, 20, 0] < 0.05 and glare.mean() == pytest.approx(0.5, rel=0.01)
+    for kind in ("soft", "glare", "clean"):
+        assert studio_plates.through(even, kind, 1.0, 0) == pytest.approx(even, abs=1e-6)

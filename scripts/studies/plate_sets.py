@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which plates there are: sets of everyday surfaces under everyday light, each drawn by chance from its own seed."""
+
+import numpy as np
+
+from btfsep_engine import sh
+from scripts.cycles.lights import studio_lights, true_lighting
+
+SETS = {
+    "first": 1,
+    "second": 2,
+    "third": 3,
+    "several": 4,
+    "chrome": 5,
+    "fourth": 6,
+    "fifth": 7,
+    "sixth": 8,
+    "seventh": 9,
+    "stage": 10,
+    "eighth": 11,
+    "ninth": 12,
+    "unsaid": 13,
+    "unsaid again": 14,
+}  # seeds; what was chosen by which of them, docs/accuracy.md says
+COUNT = 32
+OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
+COLOURS = {
+    "teal": (0.05, 0.35, 0.33), "red": (0.5, 0.04, 0.03), "clay": (0.55, 0.28, 0.17), "white": (0.78, 0.78, 0.76),
+    "grey": (0.3, 0.3, 0.3), "yellow": (0.75, 0.5, 0.05), "navy": (0.03, 0.05, 0.2), "green": (0.12, 0.3, 0.06),
+}  # fmt: skip
+SURFACES = {"matte": (0.9, 0), "satin": (0.5, 0), "gloss": (0.2, 0), "metal": (0.4, 1)}  # roughness, metallic
+OF_SURFACES = (0.35, 0.3, 0.25, 0.1)
+METALS = (
+    (0.55, 0.556, 0.554),
+    (0.97, 0.96, 0.91),
+    (1.0, 0.77, 0.34),
+    (0.95, 0.64, 0.54),
+)  # chrome, silver, gold, copper
+POLISHED = (0.0, 0.1, 0.2)  # roughness
+CURVES = ("srgb", "srgb", "agx", "floats")
+WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
+SUN_COLOUR = np.array([1.05, 1.0, 0.9])
+FILTERS = {
+    "red": (1, 0.03, 0.02), "amber": (1, 0.45, 0.05), "green": (0.05, 1, 0.1), "cyan": (0.05, 0.8, 1),
+    "blue": (0.03, 0.06, 1), "magenta": (1, 0.03, 0.8), "white": (1, 1, 1),
+}  # fmt: skip
+LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its other light, times what it is; lamps'
+# irradiance, times what that of the other light would be undimmed
+OF_OBJECTS = ("as it is", "subsurface", "bumps", "mottled")
+OF_CAMERAS = ("clean", "vignette", "grain", "soft", "glare")
+BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
+
+
+def drawn(seed: int) -> list[dict]:
+    """The plates of a set, as `scripts.cycles.plates` takes them; ``kinds`` in words."""
+    random, out = np.random.default_rng(seed), []
+    lights, colours = sorted(studio_lights()), list(COLOURS)
+    for i in range(COUNT):
+        kind = random.choice(list(SURFACES), p=OF_SURFACES)
+        colour, light, top = random.choice(colours), str(random.choice(lights)), random.choice(colours)
+        turn, off, way = random.uniform(0, 360), int(random.integers(3)), random.uniform(0, 2 * np.pi)
+        azimuth, height, table = random.uniform(0, 2 * np.pi), random.uniform(0.35, 1.2), random.random() < WITH_TABLE
+        sunny, curve = random.random() < WITH_SUN, str(random.choice(CURVES))
+        towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
+        strength = SUNNY * np.sqrt(4 * np.pi) * true_lighting(light, 0).mean()
+        roughness, metallic = SURFACES[kind]
+        out.append(
+            {
+                "name": f"{i:02d}",
+                "object": OBJECTS[i % len(OBJECTS)],
+                "seed": 11 + i,
+                "surface": {"colour": COLOURS[colour], "roughness": roughness, "metallic": metallic},
+                "light": light,
+                "turn": turn,
+                "sun": {"direction": towards, "irradiance": list(strength * SUN_COLOUR)} if sunny else None,
+                "table": COLOURS[top] if table else None,
+                "curve": curve,
+                "off": [off * np.cos(way), off * np.sin(way)],
+                "kinds": [f"{off} px off", curve, "on a table" if table else "alone", str(kind)],
+            }
+        )
+    return out
+
+
+def several(plates: list[dict]) -> list[dict]:
+    """The plates with two more materials each."""
+    random, kinds = np.random.default_rng(SETS["several"]), list(SURFACES)
+    out = []
+    for plate in plates:
+        more = []
+        for colour, kind in zip(random.choice(list(COLOURS), 2), random.choice(kinds, 2, p=OF_SURFACES), strict=True):
+            roughness, metallic = SURFACES[kind]
+            more.append({"colour": COLOURS[colour], "roughness": roughness, "metallic": metallic})
+        out.append(plate | {"more": more})
+    return out
+
+
+def mirroring(plates: list[dict]) -> list[dict]:
+    """The plates with polished metal, every second one of a ball."""
+    random, out = np.random.default_rng(SETS["chrome"]), []
+    for i, plate in enumerate(plates):
+        colour, roughness = METALS[random.integers(len(METALS))], float(random.choice(POLISHED))
+        surface = {"colour": colour, "roughness": roughness, "metallic": 1}
+        kinds = [*plate["kinds"][:-1], f"roughness {roughness}", "an object" if i % 2 else "a ball"]
+        out.append(plate | {"object": plate["object"] if i % 2 else "sphere", "surface": surface, "kinds": kinds})
+    return out
+
+
+def on_stage(plates: list[dict]) -> list[dict]:
+    """The plates under lamps with filters in place of the sun, and dim light."""
+    random, out = np.random.default_rng(SETS["stage"]), []
+    for plate in plates:
+        count, usual = int(random.integers(1, LAMPS + 1)), np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
+        lamps = []
+        for colour in random.choice(list(FILTERS), count, replace=False):
+            azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
+            towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
+            irradiance = random.uniform(*STRONG) * usual * 2 * np.array(FILTERS[colour])
+            lamps.append({"direction": towards, "irradiance": irradiance.tolist()})
+        kinds = [*plate["kinds"], f"{count} lamp{'s' if count > 1 else ''}"]
+        more = {"lamps": lamps, "dimmed": random.uniform(*DIMMED), "sun": None, "kinds": kinds}
+        out.append(plate | more)
+    return out
+
+
+def unsaid(plates: list[dict], seed: int) -> list[dict]:
+    """The plates with an object and a camera that have more to them than their jobs say, which a user filled in by eye.
+
+    ``told`` is the surface that the job has. Of an object light may come from below its skin, it may have bumps that
+    its mesh has not, or be mottled; a camera may darken towards the corners, be noisy, out of focus, or have glare.
+    """
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        true = plate["surface"]
+        scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
+        told = {
+            "colour": tuple(np.clip(np.multiply(true["colour"], scale), 0, 1).tolist()),
+            "roughness": float(np.clip(true["roughness"] + random.normal(0, BY_EYE["roughness"]), 0, 1)),
+            "metallic": true["metallic"],
+        }
+        thing = str(random.choice(OF_OBJECTS if not true["metallic"] else [k for k in OF_OBJECTS if k != "subsurface"]))
+        camera, much = str(random.choice(OF_CAMERAS)), float(random.uniform())
+        more = {"told": told, "thing": thing, "camera": camera, "much": much}
+        out.append(plate | more | {"kinds": [*plate["kinds"], thing, camera]})
+    return out
+
+
+def of_set(name: str) -> list[dict]:
+    """The plates of a set by its name."""
+    made = {"several": several, "chrome": mirroring, "stage": on_stage}
+    if name.startswith("unsaid"):
+        return unsaid(drawn(SETS[name]), SETS[name])
+    return made.get(name, list)(drawn(SETS[name]))
+
+
+def truth(plate) -> np.ndarray:
+    """The light's coefficients (100, 3)."""
+    c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
+    x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+    x = x * plate.get("dimmed", 1)
+    for lamp in lamps_of(plate):
+        beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
+        x = x + beam[:, None] * lamp["irradiance"]
+    return x
+
+
+def lamps_of(plate) -> list:
+    """Its bare lamps, be it a sun."""
+    return [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", [])
