@@ -22,6 +22,7 @@ from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.left_out import left_out
+from btfsep_engine.pipeline.refine.limb import limb_brightness
 from btfsep_engine.pipeline.refine.mirrored import mirrored
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
@@ -149,6 +150,7 @@ REFINEMENTS = (
     vivid_light,
     nearer_materials,
     shifted,
+    limb_brightness,
     near_lamps,
     sharp_lamps,
     veiled,
