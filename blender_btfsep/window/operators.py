@@ -128,7 +128,6 @@ class BTFSEP_OT_clear_cache(buttons.Greyed, runs.EngineOperator, bpy.types.Opera
         return ["cache", "--clear"]
 
     def finish(self, context, result):
-        checkup.measure()
         return f"{result['freed'] / 1e6:.0f} MB are free now"
 
 

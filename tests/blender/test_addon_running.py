@@ -41,7 +41,11 @@ def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographe
     assert checkup.findings() == {"ok": True, "facts": facts, "message": "", "bytes": 3_000_000}
     assert checkup.fact_words("test render", "right, with llvm_ad_rgb /usr/lib/libLLVM.so.19.1") == "right"
     assert checkup.fact_words("libLLVM", "/usr/lib/libLLVM.so.19.1") == "/usr/lib/libLLVM.so.19.1"
-    (cache / "a.entry").unlink()
+    (cache / "b.entry").write_bytes(bytes(1_000_000))
+    fake_engine(lines=[{"type": "done", "result": {"objects": []}}])
+    assert bpy.ops.btfsep.recognise() == {"FINISHED"} and checkup.findings()["bytes"] == 4_000_000
+    for entry in cache.iterdir():
+        entry.unlink()
     fake_engine(lines=[{"type": "done", "result": {"folder": str(cache), "bytes": 0, "freed": 3_000_000}}])
     assert bpy.ops.btfsep.clear_cache() == {"FINISHED"} and checkup.findings()["bytes"] == 0
     assert bpy.context.window_manager.btfsep.summary == "3 MB are free now"
