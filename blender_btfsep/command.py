@@ -142,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
 
     light = commands.add_parser("light", parents=[everything], help="write the World's light to a file, as it is now")
     light.add_argument("file", help=".json, .btfsep, .exr, .hdr, .txt or .usda")
-    light.add_argument("--order", type=int, default=4, help="of harmonics (default: 4)")
+    light.add_argument("--order", type=int, help="of harmonics (default: 4, or the World's where that is higher)")
     light.add_argument("--scene", help="name of the scene (default: the active one)")
     light.set_defaults(run=_light)
 
@@ -195,7 +195,9 @@ def _apply(options) -> None:
 
 
 def _light(options) -> dict:
-    light_files.write(options.file, scene_of(options), _order(options))
+    scene = scene_of(options)
+    order = light_files.order_to_write(scene) if options.order is None else _order(options)
+    light_files.write(options.file, scene, order)
     say(f"wrote {options.file}")
     return {"file": str(Path(options.file).absolute())}
 

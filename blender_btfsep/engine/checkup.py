@@ -4,7 +4,7 @@
 import json
 from pathlib import Path
 
-from ..basics import atomic, drawing
+from ..basics import atomic, drawing, labels
 from ..basics.errors import InputError
 from . import durations
 
@@ -73,7 +73,7 @@ def fact_words(name: str, value: str) -> str:
     return value.partition(", with ")[0] if name == "test render" else value
 
 
-def draw(layout) -> None:
+def draw(context, layout) -> None:
     """The findings, the button that asks anew, and the cache."""
     state = findings()
     box = layout.box()
@@ -85,10 +85,10 @@ def draw(layout) -> None:
     else:
         row.label(text="The engine cannot work", icon="ERROR")
     row.operator("btfsep.doctor")
-    for part in filter(None, state.get("message", "").split("; ")):
-        line = box.row()
-        line.alert = True
-        line.label(text=part)
+    if state.get("message"):
+        column = box.column()
+        column.alert = True
+        labels.parted(context, column, state["message"])
     column = box.column(align=True)
     column.use_property_split = False
     for name, label in SHOWN.items():

@@ -36,7 +36,7 @@ class BTFSEP_AP_preferences(bpy.types.AddonPreferences):
         layout.prop(self, "engine")
         layout.prop(self, "library")
         layout.prop(self, "keep_jobs")
-        checkup.draw(layout)
+        checkup.draw(context, layout)
 
 
 def get(context=None):

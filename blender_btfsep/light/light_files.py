@@ -17,6 +17,7 @@ from . import lighting_file, sh_nodes, sun_lamp, world
 OWN, MAPS, TEXT, USD = {".json", ".btfsep"}, {".exr", ".hdr"}, {".txt"}, {".usda", ".usd", ".usdc"}
 SUMMED = 256  # rows of a map that is projected: enough for all orders that nodes have
 LEAST_RADIUS = 0.01  # of a lamp nearby in USD, of its distance: one without an area has no radiance
+USUAL_ORDER = 4  # of harmonics
 MAP = "BTFsep map"
 DISC = 3.0  # pixels of a key light in a map, at least
 _LINE = re.compile(r"\(\s*(\S+)\s*,\s*(\S+)\s*,\s*(\S+?)\s*\)\s*;?\s*//\s*L(\d+?)(-?\d+)\b(.*)")
@@ -26,7 +27,7 @@ _SHADER *= [1, -1, 1, -1, 1, -1, 1, -1, 1]  # what a shader multiplies by y, z, 
 _Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # a direction of Blender's in a frame whose Y is up
 
 
-def read(path, order: int = 4) -> dict:
+def read(path, order: int = USUAL_ORDER) -> dict:
     """The light in a file, as lighting_file.read gives it; of a map with "map" (h, w, 3), linear Rec.709, row 0 up.
 
     ``order`` : up to which a map is projected. Raises InputError.
@@ -185,7 +186,14 @@ def beam(lamp: dict, order: int) -> np.ndarray:
     return shape[:, None] * np.array(lamp["irradiance"])
 
 
-def write(path, scene, order: int = 4) -> None:
+def order_to_write(scene) -> int:
+    """The order of harmonics in which the light of ``scene`` is written where nobody says it: 4, or its nodes' own
+    where that is higher."""
+    node = sh_nodes.node_of(scene.world.node_tree) if world.is_ours(scene.world) else None
+    return max(USUAL_ORDER, node.node_tree[sh_nodes.GROUP_TAG] if node else 0)
+
+
+def write(path, scene, order: int = USUAL_ORDER) -> None:
     """Writes the light of ``scene`` as it is now, in the format of the suffix of ``path``. Raises InputError."""
     path = Path(path)
     suffix = path.suffix.lower()

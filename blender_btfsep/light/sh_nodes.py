@@ -19,9 +19,10 @@ COLUMNS = 12  # nodes a row of the layout
 class _Builder:
     """Makes nodes, left to right in rows, in the order in which they are to be computed.
 
-    Cycles generates code in the order of creation and frees a value after its last user, so creating each user
-    right after what it uses keeps its stack (255 floats) nearly empty. For the same reason no float is linked to
-    a vector socket: such links become hidden conversion nodes that Cycles computes all at once.
+    Cycles generates code in the order of creation, since Blender 5 in that in which the output asks for values, and
+    frees a value after its last user: its stack has 255 floats, and a World that needs more is black. So each user is
+    created right after what it uses, and what has two users is one of few. For the same reason no float is linked to a
+    vector socket: such links become hidden conversion nodes that Cycles computes all at once.
     """
 
     def __init__(self, tree):
@@ -136,16 +137,18 @@ def group_in_pieces(order: int):
     build.feed(separate.inputs[0], direction)
     x, y, z = (_Scalar(build, socket) for socket in separate.outputs)
 
-    total = blurred = None
-    window = harmonics.positive_window(order)
+    bands = [None] * (order + 1)
     for l, m, value in harmonics.terms(order, x, y, z):
         name = coefficient_name(l, m)
         if isinstance(value, _Scalar):
             value.socket.node.label = name
         term = build.vector("SCALE", inputs.outputs[name], scale=value)
-        total = term if total is None else build.vector("ADD", total, term)
-        blurred = term if blurred is None else build.vector("MULTIPLY_ADD", term, (float(window[l]),) * 3, blurred)
+        bands[l] = term if bands[l] is None else build.vector("ADD", bands[l], term)
         yield tree
+    total = blurred = bands[0]
+    for weight, band in zip(harmonics.positive_window(order)[1:], bands[1:], strict=True):
+        total = build.vector("ADD", total, band)
+        blurred = build.vector("MULTIPLY_ADD", band, (float(weight),) * 3, blurred)
 
     colour = build.vector("MAXIMUM", blurred, (0.0, 0.0, 0.0), label="blurred, not negative")
     y = build.luminance(colour)

@@ -3,6 +3,7 @@
 
 import bpy
 
+from ..basics import labels
 from ..engine import durations
 from ..light import kept_light, sun_lamp, world
 from ..light.advice import advice
@@ -47,15 +48,15 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
                 layout.operator("btfsep.estimate_sequence", icon="SEQUENCE")
             lacking = request.missing(context)
             if lacking:
-                sidebar.wrapped(context, layout, lacking, icon="INFO")
+                labels.wrapped(context, layout, lacking, icon="INFO")
             else:
                 unseen = reasons.unseen(context.scene, settings, request.fitted(settings))
                 if unseen:
-                    sidebar.wrapped(context, layout, unseen, icon="ERROR")
+                    labels.wrapped(context, layout, unseen, icon="ERROR")
             self._beside(context, layout, run, lacking)
         if live.waits(context.scene):
             words = "A light with other lamps or nodes is there. It waits: with it, what you undid could not be redone"
-            sidebar.wrapped(context, layout, words, icon="INFO")
+            labels.wrapped(context, layout, words, icon="INFO")
             layout.operator("btfsep.take_light", icon="LIGHT_SUN")
         self._outcome(context, layout, run)
         light = kept_light.kept(context.scene)
@@ -102,15 +103,14 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         if run.error:
             box = layout.box()
             box.alert = True
-            for number, part in enumerate(run.error.split("; ")):
-                sidebar.wrapped(context, box, part[:1].upper() + part[1:], icon="BLANK1" if number else "ERROR")
+            labels.parted(context, box, run.error)
         elif run.summary and not run.summary.startswith(
             (answer.APPLIED, answer.FOUND)
         ):  # the card says it, and follows undo
             box = layout.box()
-            done = "X" if run.summary.endswith(runs.CANCELLED) else "CHECKMARK"
+            done = "X" if runs.CANCELLED in run.summary else "CHECKMARK"
             for number, part in enumerate(run.summary.splitlines()):
-                sidebar.wrapped(context, box, part, icon="BLANK1" if number else done)
+                labels.wrapped(context, box, part, icon="BLANK1" if number else done)
         if run.warnings and (run.error or run.task != "Estimating"):
             said = {found.short: found for found in (advice(each.name) for each in run.warnings) if found.short}
             box = layout.box() if said else None
@@ -119,7 +119,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
 
     def _doubt(self, context, box, doubt):
         """A doubt of a card, with the button that mends it."""
-        sidebar.wrapped(context, box, doubt["short"], icon="ERROR")
+        labels.wrapped(context, box, doubt["short"], icon="ERROR")
         mend, about = doubt["mend"], next((w for n, w, _ in mending.MENDS if n == doubt["mend"]), "")
         if mend == "ALIGN":
             sidebar.refine_alignment(box, context.scene.btfsep)
@@ -138,7 +138,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         for words in (words for label, words in lines if label == "Trust"):  # above all else, however low the window is
             checked = (runs.is_running() or run.following) and card["trust"] == "NONE"
             words = "Being checked …" if checked else words
-            sidebar.wrapped(context, box, words, icon_value=icons.light(card["trust"]))
+            labels.wrapped(context, box, words, icon_value=icons.light(card["trust"]))
         if light.picture is not None:
             units = context.region.width / context.preferences.system.ui_scale / 20
             box.template_icon(icons.of_image(light.picture), scale=max(4, min(units - 3.5, 9)))
@@ -151,11 +151,11 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             name = row.column()
             name.active, name.scale_y = False, 0.8
             name.label(text=label)
-            sidebar.wrapped(context, row.column(), words, share=0.7)
+            labels.wrapped(context, row.column(), words, share=0.7)
         others = [f"'{lamp.name}'" for lamp in sun_lamp.others(context.scene)]
         if others:
             shine = f"{', '.join(others[:SHOWN])}{' …' * (len(others) > SHOWN)} shine{'s' * (len(others) == 1)}"
-            sidebar.wrapped(context, box, f"{shine} beside this light: hide in renders what should not", icon="INFO")
+            labels.wrapped(context, box, f"{shine} beside this light: hide in renders what should not", icon="INFO")
         for warning in card.get("warnings") or ():
             self._doubt(context, box, warning)
         if card.get("details"):
@@ -163,7 +163,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             row.alignment = "LEFT"
             row.prop(run, "show_details", icon="TRIA_DOWN" if run.show_details else "TRIA_RIGHT", emboss=False)
             for part in card["details"] if run.show_details else ():
-                sidebar.wrapped(context, box, part, icon="DOT")
+                labels.wrapped(context, box, part, icon="DOT")
 
 
 class BTFSEP_PT_advanced(sidebar.Sidebar, bpy.types.Panel):

@@ -3,6 +3,7 @@
 
 import bpy
 
+from ..basics import labels
 from ..engine import preferences
 from ..photo import camera as pinhole
 from ..photo import photo, upright
@@ -56,18 +57,18 @@ class BTFSEP_PT_photo(sidebar.Sidebar, bpy.types.Panel):
             row.prop(settings, "curve", text="Read As")
             if settings.curve == "auto" or floats:
                 read = use_photo.read_as(image, "auto")
-                sidebar.wrapped(context, layout, read[:1].upper() + read[1:], icon="INFO")
+                labels.wrapped(context, layout, read[:1].upper() + read[1:], icon="INFO")
         if sequence_run.is_sequence(image):
             shown = photo.file_at(image, camera, scene.frame_current)
-            sidebar.wrapped(context, layout, f"At this frame: {shown.name if shown else ''}", icon="SEQUENCE")
+            labels.wrapped(context, layout, f"At this frame: {shown.name if shown else ''}", icon="SEQUENCE")
         if upright.orientation_of(image) != 1:
-            sidebar.wrapped(context, layout, "The photo's file asks for it to be turned", icon="INFO")
+            labels.wrapped(context, layout, "The photo's file asks for it to be turned", icon="INFO")
             layout.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
         behind = use_photo.is_behind(scene)
         if behind and there and pinhole.shown(scene, image.size) is None:
             box = layout.box()
             box.alert = True
-            sidebar.wrapped(
+            labels.wrapped(
                 context,
                 box,
                 f"The photo is {image.size[0]} x {image.size[1]}; the scene renders another shape.",
@@ -83,7 +84,7 @@ class BTFSEP_PT_photo(sidebar.Sidebar, bpy.types.Panel):
             column.label(text="Over the Photo", icon="OVERLAY")
             column.row(align=True).prop(runs.run_state(), "overlay", expand=True)
             if runs.run_state().overlay != "OFF" and outlines.too_fine(scene):
-                sidebar.wrapped(context, layout, "A mesh has too many faces to be drawn over the photo", icon="INFO")
+                labels.wrapped(context, layout, "A mesh has too many faces to be drawn over the photo", icon="INFO")
             sidebar.refine_alignment(layout, settings)
 
 
@@ -129,7 +130,7 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
             split.prop(entry, "roughness")
             split.prop(entry, "metallic")
         elif entry.source == "BLENDER":
-            sidebar.wrapped(context, layout, own_surface.material_words(entry.object), icon="MATERIAL")
+            labels.wrapped(context, layout, own_surface.material_words(entry.object), icon="MATERIAL")
         elif entry.source == "LIBRARY":
             self._library(context, layout, entry)
         elif entry.candidates:
@@ -147,8 +148,7 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
             layout.prop_search(entry, "material", run, "library", text="", icon="MATERIAL")
         elif run.library_error:
             layout.prop(entry, "material", text="", icon="MATERIAL")  # a search would show any name as wrong
-            for number, part in enumerate(run.library_error.split("; ")):
-                sidebar.wrapped(context, layout, part[:1].upper() + part[1:], icon="BLANK1" if number else "ERROR")
+            labels.parted(context, layout, run.library_error)
             layout.operator("btfsep.read_library", icon="FILE_REFRESH")
         else:  # as high as what comes, or all below would jump away from the mouse
             layout.label(text="Reading the library …", icon="SORTTIME")
@@ -164,7 +164,7 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
     def _candidates(self, context, layout, entry):
         box = layout.box()
         if entry.unknown:
-            sidebar.wrapped(context, box, "It looks like no material of the library; the nearest are:", icon="QUESTION")
+            labels.wrapped(context, box, "It looks like no material of the library; the nearest are:", icon="QUESTION")
         column = box.column(align=True)
         library.ensure()  # for the thumbnails
         pictures = {material.name: material.thumbnail for material in runs.run_state().library}

@@ -1,12 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the panels of the tab "BTFsep" have in common: where they are, columns of fields, labels over several lines."""
-
-import blf
+"""What the panels of the tab "BTFsep" have in common: where they are, columns of fields."""
 
 from ..engine import engine_settings
-
-FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
-MARGIN = 105  # pixels of the sidebar's width that a label with an icon in a box cannot have, at scale 1
 
 
 class Sidebar:
@@ -32,40 +27,6 @@ def engine_rows(column, settings, part: str) -> None:
             if s.auto:
                 value.active = not getattr(settings, f"auto_{s.name}")
                 row.prop(settings, f"auto_{s.name}", text="Auto", toggle=True)
-
-
-def wrapped(context, layout, text: str, *, icon: str = "NONE", icon_value: int = 0, share: float = 1.0) -> None:
-    """A label over as many lines as the sidebar's width needs: Blender's own labels are cut off.
-
-    ``share`` : of the width that there is
-    """
-    scale = context.preferences.system.ui_scale
-    blf.size(0, FONT_SIZE * scale)
-    has_icon = icon != "NONE" or icon_value
-    margin = MARGIN if has_icon else MARGIN - 20
-    room = max((context.region.width - margin * scale) * share, 60 * scale)
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    given = {"icon_value": icon_value} if icon_value else {"icon": icon}
-    for line in lines(text, lambda part: blf.dimensions(0, part)[0] <= room):
-        column.label(text=line, **given)
-        given = {"icon": "BLANK1" if has_icon else "NONE"}
-
-
-def lines(text: str, fits) -> list:
-    """``text`` in lines of which ``fits(line)``; a word that is too long for one, as a path, is broken."""
-    made = [""]
-    for word in text.split():
-        if fits(f"{made[-1]} {word}".strip()):
-            made[-1] = f"{made[-1]} {word}".strip()
-            continue
-        while not fits(word):
-            much = next((n for n in range(len(word) - 1, 1, -1) if fits(word[:n])), 1)
-            at = word.rfind("/", 1, much) + 1  # of a path rather between two names
-            made.append(word[: at or much])
-            word = word[at or much :]
-        made.append(word)
-    return [line for line in made if line] or [""]
 
 
 def refine_alignment(layout, settings) -> None:

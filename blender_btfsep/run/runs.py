@@ -15,7 +15,7 @@ import bpy
 
 from ..basics.drawing import draw_when_due, over_panel, redraw
 from ..basics.errors import InputError
-from ..engine import durations, engine_process, preferences, resident
+from ..engine import checkup, durations, engine_process, preferences, resident
 from ..light import card, sun_lamp
 from ..photo import photo
 
@@ -306,6 +306,7 @@ class EngineOperator:
             self._fail(last.message)
             return {"CANCELLED"}
         self._clock.keep()
+        checkup.measure()
         try:
             state.summary = self.finish(context, last.result)
         except InputError as error:

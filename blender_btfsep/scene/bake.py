@@ -255,7 +255,7 @@ def _relief(stage, shader, scale: float, warnings):
         else:
             warnings.append(f"'{source.node.name}' at the Normal input is left out: the displacement is measured")
     if not heights:
-        warnings.append("neither displacement nor bump nor normal: the material is measured as flat")
+        warnings.append("the material is measured as flat: it has neither displacement nor bump nor normal")
         return np.zeros((stage.image.size[0],) * 2, np.float32), None
     total = heights[0] if len(heights) == 1 else stage.combined("ADD", *heights)
     return stage.bake(total)[..., 0], None

@@ -85,7 +85,9 @@ class BTFSEP_OT_export_lighting(buttons.Greyed, buttons.AtOnce, bpy.types.Operat
     check_extension = None  # the suffix is the format's
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix, *_ in SUFFIXES), options={"HIDDEN"})
     format: EnumProperty(name="Format", items=SUFFIXES, description="The suffix of the file's name, which it changes")
-    order: IntProperty(name="Order", description="Of harmonics", default=4, min=0, max=sh_nodes.MAX_NODE_ORDER)
+    order: IntProperty(
+        name="Order", description="Of harmonics", default=4, min=0, max=sh_nodes.MAX_NODE_ORDER, options={"SKIP_SAVE"}
+    )
 
     @staticmethod
     def reason(context) -> str:
@@ -95,9 +97,15 @@ class BTFSEP_OT_export_lighting(buttons.Greyed, buttons.AtOnce, bpy.types.Operat
         if not self.filepath:
             name = bpy.path.display_name_from_filepath(bpy.data.filepath) or "untitled"
             self.filepath = os.path.join(os.path.dirname(bpy.data.filepath), f"{name} light")
+        self._take_order(context)
         self._chosen = self.format
         self.filepath = _suffixed(self.filepath, self.format)
         return super().invoke(context, event)
+
+    def _take_order(self, context) -> None:
+        """So that nothing of the light is lost, where none is given."""
+        if not self.properties.is_property_set("order"):
+            self.order = light_files.order_to_write(context.scene)
 
     def check(self, context):
         """The name in the file browser has its suffix before Export is pressed: Blender warns of a file that is there.
@@ -120,6 +128,7 @@ class BTFSEP_OT_export_lighting(buttons.Greyed, buttons.AtOnce, bpy.types.Operat
         image = context.scene.btfsep.image
         if image is not None and image.filepath and Path(bpy.path.abspath(image.filepath)) == Path(path):
             raise InputError(Path(path).name, "it is the photo", "give another name")
+        self._take_order(context)
         light_files.write(path, context.scene, self.order)
         return f"wrote {path}"
 

@@ -5,7 +5,7 @@ import bpy
 
 from ..basics.errors import InputError
 from ..light import kept_light, world
-from ..run import buttons
+from ..run import buttons, runs
 from . import blender_views, camera_look, use_photo
 
 STANDARD = {"view_transform": "Standard", "look": "None", "exposure": 0.0, "gamma": 1.0}
@@ -109,6 +109,10 @@ class BTFSEP_OT_rendered_view(buttons.Greyed, buttons.AtOnce, bpy.types.Operator
         if use_photo.is_behind(scene) and not scene.render.film_transparent:
             scene.render.film_transparent = True  # else the World hides the photo behind the objects
             words.append("Film: transparent, so that the photo stays behind")
+        state = runs.run_state()
+        if state.overlay != "OFF":
+            state.overlay = "OFF"
+            words.append("Over the Photo: off, or the photo would lie over the render")
         for space in use_photo.views(context):
             space.shading.type = "RENDERED"
             use_photo.through(space, scene.btfsep.camera or scene.camera)

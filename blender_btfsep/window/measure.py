@@ -123,10 +123,9 @@ class BTFSEP_OT_measure_material(buttons.Greyed, runs.EngineOperator, bpy.types.
     def draw(self, context):
         layout = self.layout
         layout.use_property_split = True
-        for name in self.__annotations__:
-            if name != "ask":
-                empty = {"placeholder": "Choose a folder"} if name == "library" else {}
-                layout.prop(self, name, **empty)
+        for name in ASKED:
+            empty = {"placeholder": "Choose a folder"} if name == "library" else {}
+            layout.prop(self, name, **empty)
         words = engine_settings.measuring_words(self.size_mm, self.texels, self.samples, os.cpu_count() or 1)
         layout.label(text=words, icon="TIME")
         layout.label(text="Blender stays usable; what is measured is kept if it is stopped")
@@ -134,7 +133,7 @@ class BTFSEP_OT_measure_material(buttons.Greyed, runs.EngineOperator, bpy.types.
     def execute(self, context):
         if not getattr(self, "_asked", False):
             return super().execute(context)
-        chosen = {name: getattr(self, name) for name in self.__annotations__ if name != "ask"}
+        chosen = {name: getattr(self, name) for name in ASKED}
         try:
             bpy.ops.btfsep.measure_material("INVOKE_DEFAULT", ask=False, **chosen)  # the dialog ends, the run begins
         except RuntimeError as error:  # what the run has reported already
@@ -182,6 +181,7 @@ class BTFSEP_OT_measure_material(buttons.Greyed, runs.EngineOperator, bpy.types.
 _own = BTFSEP_OT_measure_material.__annotations__
 _shown = {"name": _own["name"]} | properties.engine_properties(engine_settings.MEASURE) | _own  # in the dialog's order
 BTFSEP_OT_measure_material.__annotations__ = _shown
+ASKED = tuple(name for name in _shown if name != "ask")  # what the dialog shows
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_OT_measure_material,))

@@ -13,6 +13,8 @@ from ..run import between_steps, buttons, request, runs
 from ..run.answer import FOUND, take_estimate, take_light, take_materials
 from . import library
 
+CAME = "The light had come before that: it is the World, unchecked; undo takes it back"
+
 
 class NeedsScene(buttons.Greyed):
     """Greyed out until there are a photo, a camera and objects."""
@@ -81,6 +83,8 @@ class BTFSEP_OT_estimate(NeedsScene, runs.EngineOperator, bpy.types.Operator):
         done = super()._end(context, last)
         if done == {"CANCELLED"} and getattr(self, "_lit", False):
             bpy.ops.ed.undo_push(message=self.bl_label)  # the light that came before the end is a step of its own
+            if isinstance(last, engine_process.Cancelled):
+                runs.run_state().summary += f"\n{CAME}"
         group_ahead.give_up()
         between_steps.known()
         return done
@@ -124,7 +128,6 @@ class BTFSEP_OT_clear_cache(buttons.Greyed, runs.EngineOperator, bpy.types.Opera
         return ["cache", "--clear"]
 
     def finish(self, context, result):
-        checkup.measure()
         return f"{result['freed'] / 1e6:.0f} MB are free now"
 
 

@@ -57,7 +57,7 @@ def _sync(path, flags: int) -> None:
 
 def sweep(folder) -> None:
     """Takes away scratch files that killed processes have left; what is younger than a day may be in use."""
-    with suppress(OSError):
+    with suppress(OSError, ValueError):  # of a name that no folder can have, since Python 3.13
         for path in Path(folder).glob(".writing-*"):
             with suppress(OSError):
                 if time.time() - path.lstat().st_mtime > ABANDONED:

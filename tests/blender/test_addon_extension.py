@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import btfsep_engine
-from scripts.studies.makers.build_extension import zip_name
+from scripts.studies.makers.build_extension import without_engine, zip_name
 
 ROOT = Path(__file__).resolve().parents[2]
 INSTALL = """
@@ -70,6 +70,14 @@ def test_zips_of_different_content_have_different_names():
     contents = [(None, ["3.11"]), ("linux-x64", ["3.11"]), ("linux-x64", ["3.13"]), ("linux-x64", ["3.11", "3.13"])]
     names = [zip_name("0.1.0", *content) for content in [*contents, ("windows-x64", ["3.11"])]]
     assert len(set(names)) == len(names) and names[2] == "btfsep-0.1.0-linux-x64-py313.zip"
+
+
+def test_a_zip_for_a_python_without_engine_is_refused_in_a_sentence(tmp_path):
+    command = [ROOT / "scripts" / "build_extension", "--with-dependencies", "linux-x64", "--output", tmp_path]
+    done = subprocess.run([*command, "--python", "3.99"], capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode and not list(tmp_path.iterdir())
+    assert done.stderr.startswith("error: Python 3.99; there is no engine for it; ") and done.stderr.count("\n") == 1
+    assert without_engine(["3.11", "3.13"]) == []
 
 
 def test_it_installs_and_works_in_a_fresh_place(extension, tmp_path):

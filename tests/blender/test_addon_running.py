@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What happens while a child process runs: its bar, and a scene that is renamed, undone or deleted meanwhile."""
 
+import json
+
 import bpy
 import pytest
 
@@ -39,7 +41,11 @@ def test_what_the_engine_finds_of_itself_is_kept_for_the_preferences(photographe
     assert checkup.findings() == {"ok": True, "facts": facts, "message": "", "bytes": 3_000_000}
     assert checkup.fact_words("test render", "right, with llvm_ad_rgb /usr/lib/libLLVM.so.19.1") == "right"
     assert checkup.fact_words("libLLVM", "/usr/lib/libLLVM.so.19.1") == "/usr/lib/libLLVM.so.19.1"
-    (cache / "a.entry").unlink()
+    (cache / "b.entry").write_bytes(bytes(1_000_000))
+    fake_engine(lines=[{"type": "done", "result": {"objects": []}}])
+    assert bpy.ops.btfsep.recognise() == {"FINISHED"} and checkup.findings()["bytes"] == 4_000_000
+    for entry in cache.iterdir():
+        entry.unlink()
     fake_engine(lines=[{"type": "done", "result": {"folder": str(cache), "bytes": 0, "freed": 3_000_000}}])
     assert bpy.ops.btfsep.clear_cache() == {"FINISHED"} and checkup.findings()["bytes"] == 0
     assert bpy.context.window_manager.btfsep.summary == "3 MB are free now"
@@ -81,6 +87,20 @@ def test_a_scene_renamed_or_undone_during_the_run_gets_the_light(photographed, f
     assert bpy.ops.btfsep.estimate() == {"FINISHED"}
     renamed, other = bpy.data.scenes["Another name"], bpy.data.scenes["Mine"]
     assert coefficients(renamed.world) == [tuple(row) for row in LIGHTING["coefficients"]] and other.world is None
+
+
+def test_a_light_that_came_before_the_run_was_stopped_is_said(photographed, fake_engine, monkeypatch, tmp_path):
+    from blender_btfsep.run import runs
+
+    came = tmp_path / "lighting.json"
+    came.write_text(json.dumps(LIGHTING))
+    for lines in ([LINE], [{"type": "light", "lighting": str(came)}, LINE]):
+        during_the_run(monkeypatch, lambda: runs.current.cancel())
+        fake_engine(lines=lines, sleep=60)
+        assert bpy.ops.btfsep.estimate() == {"CANCELLED"}
+        said, *more = runs.run_state().summary.splitlines()
+        assert said == "Estimating: cancelled" and (photographed.world is not None) == bool(more)
+    assert "unchecked" in more[0]
 
 
 def test_objects_that_change_names_during_the_run_get_their_own_materials(photographed, fake_engine, monkeypatch):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+from blender_btfsep import command
 from blender_btfsep.basics import harmonics, pixels
 from blender_btfsep.basics.errors import InputError
 from blender_btfsep.light import light_files, sh_nodes, sun_lamp, world
@@ -220,6 +221,19 @@ def test_the_name_without_a_suffix_gets_the_formats(addon, scene, tmp_path):
         bpy.ops.btfsep.export_lighting(filepath=str(tmp_path / "light"), format=".json", order=1)
     assert (tmp_path / "light.json").read_bytes() == kept
     assert bpy.ops.btfsep.export_lighting(filepath=str(tmp_path / "light.json"), order=1) == {"FINISHED"}
+
+
+def test_a_light_is_written_in_its_own_order_where_none_is_said(addon, scene, tmp_path):
+    out = tmp_path / "light.json"
+
+    def written(*options):
+        assert command.main(["light", str(out), *options]) == 0
+        return json.loads(out.read_text())["order"]
+
+    world.apply_lighting(scene, {"order": 6, "coefficients": positive_coefficients(6).tolist()})
+    assert written() == 6 and written("--order", "2") == 2
+    assert bpy.ops.btfsep.export_lighting(filepath=str(out)) == {"FINISHED"}
+    assert json.loads(out.read_text())["order"] == 6
 
 
 def test_the_file_browser_shows_the_name_that_is_written(addon):

@@ -71,6 +71,18 @@ def test_the_button_makes_a_mask_that_a_job_takes(hidden_in_part, tmp_path):
         bpy.ops.btfsep.new_mask()
 
 
+def test_the_mask_is_opened_for_painting_without_the_objects_uv_map(hidden_in_part):
+    area = bpy.context.window_manager.windows[0].screen.areas[0]
+    before, area.type = area.type, "IMAGE_EDITOR"
+    try:
+        assert bpy.ops.btfsep.new_mask() == {"FINISHED"}
+        space = area.spaces.active
+        assert space.image == hidden_in_part.btfsep.objects[0].mask
+        assert space.ui_mode == "PAINT" and not space.uv_editor.show_uv
+    finally:
+        area.type = before
+
+
 def test_an_object_that_is_not_seen_has_no_mask(hidden_in_part):
     hidden_in_part.btfsep.objects[0].object.location.y = -20
     with pytest.raises(RuntimeError, match="does not see"):

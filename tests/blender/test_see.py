@@ -285,11 +285,14 @@ def test_the_rendered_view_has_the_photos_colours_and_says_what_it_changed(lit, 
     view = lit.view_settings
     view.view_transform, view.exposure = "AgX", 1.5
     bpy.ops.btfsep.use_photo()
+    state = runs.run_state()
+    state.overlay = "OUTLINE"
     bpy.ops.ed.undo_push(message="before")
     assert bpy.ops.btfsep.rendered_view() == {"FINISHED"}
     said = capfd.readouterr().out
-    for words in ("View transform: Standard, was AgX", "Exposure: 0, was 1.5", "Film: transparent"):
+    for words in ("View transform: Standard, was AgX", "Exposure: 0, was 1.5", "Film: transparent", "Photo: off"):
         assert words in said
+    assert state.overlay == "OFF"
     assert (view.view_transform, view.exposure, lit.render.film_transparent) == ("Standard", 0, True)
     assert bpy.ops.btfsep.rendered_view() == {"FINISHED"} and "as the photo's already" in capfd.readouterr().out
     bpy.ops.ed.undo_push(message="looked")

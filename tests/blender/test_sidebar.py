@@ -5,11 +5,14 @@ import json
 from functools import partial
 from types import SimpleNamespace
 
+import blf
 import bpy
 import pytest
 
+from blender_btfsep.basics import labels
+from blender_btfsep.engine import checkup
 from blender_btfsep.light import lighting_file
-from blender_btfsep.panels import light_panel, photo_panels, sidebar
+from blender_btfsep.panels import light_panel, photo_panels
 from blender_btfsep.run import answer, runs
 from tests.blender.lit import LIGHTING
 
@@ -19,19 +22,19 @@ PATH = "/tmp/blender_VC1elB/btfsep/sun-8bcbcf0a/Renamed/result/lighting.json"
 @pytest.mark.parametrize("width", [3, 12, 30, 200])
 def test_nothing_of_a_long_path_is_left_out(width):
     text = f"The light of a file that was left is in {PATH}"
-    made = sidebar.lines(text, lambda line: len(line) <= width)
+    made = labels.lines(text, lambda line: len(line) <= width)
     assert all(len(line) <= width for line in made)
     assert "".join(made).replace(" ", "") == text.replace(" ", "")
 
 
 def test_lines_break_between_words_and_names_of_folders():
-    assert sidebar.lines("a light is in /one/two/three", lambda line: len(line) <= 10) == [
+    assert labels.lines("a light is in /one/two/three", lambda line: len(line) <= 10) == [
         "a light is",
         "in",
         "/one/two/",
         "three",
     ]
-    assert sidebar.lines("", lambda line: True) == [""]
+    assert labels.lines("", lambda line: True) == [""]
 
 
 class Drawn:
@@ -84,10 +87,27 @@ def drawn(scene):
     panel = SimpleNamespace(layout=Everything())
     for name in ("_suns", "_beside", "_outcome", "_card", "_doubt"):
         setattr(panel, name, partial(getattr(kind, name), panel))
-    found = {name: getattr(bpy.context, name) for name in ("window_manager", "view_layer", "object")}
-    found["preferences"] = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))  # without a window it is 0
-    kind.draw(panel, SimpleNamespace(scene=scene, region=SimpleNamespace(width=260), **found))
+    kind.draw(panel, seen(260, scene=scene))
     return panel.layout
+
+
+def seen(width: int, **more):
+    """A context as in a window, of a region of some pixels."""
+    found = {name: getattr(bpy.context, name) for name in ("window_manager", "view_layer", "object")} | more
+    found["preferences"] = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0))  # without a window it is 0
+    return SimpleNamespace(region=SimpleNamespace(width=width), **found)
+
+
+def test_the_preferences_say_all_of_what_the_engine_lacks(addon, monkeypatch):
+    message = "the engine; it was not found; " + "install the extension that contains it, or give the .venv " * 3
+    monkeypatch.setattr(checkup, "_found", {"ok": False, "facts": {}, "message": message})
+    layout, width = Everything(), 500
+    checkup.draw(seen(width), layout)
+    said = [words for kind, words in layout.shown if kind == "label"]
+    assert " ".join(said[1:]).startswith("The engine It was not found Install the extension that contains it")
+    assert " ".join(said).count("give the .venv") == 3
+    blf.size(0, labels.FONT_SIZE)
+    assert max(blf.dimensions(0, line)[0] for line in said) < width
 
 
 def test_the_light_is_the_first_of_the_tab(addon):

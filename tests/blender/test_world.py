@@ -72,6 +72,28 @@ def test_nodes_and_texture_show_the_light_that_the_engine_makes_of_a_series(scen
     assert order == 9 or cut > 1.015 * whole
 
 
+def most_alive(tree) -> int:
+    """Floats that are in use at once, where nodes are computed as the output asks for them, first inputs first."""
+    order = []
+
+    def visit(node):
+        for socket in node.inputs:
+            for link in socket.links:
+                if link.from_node not in order and link.from_node.type != "GROUP_INPUT":
+                    visit(link.from_node)
+        order.append(node)
+
+    visit(next(node for node in tree.nodes if node.type == "GROUP_OUTPUT"))
+    last = {s: max(order.index(link.to_node) for link in s.links) for n in order for s in n.outputs if s.links}
+    wide = {s: 1 if s.type == "VALUE" else 3 for s in last}
+    return max(sum(wide[s] for s in last if order.index(s.node) <= at <= last[s]) for at in range(len(order)))
+
+
+def test_the_highest_order_leaves_room_on_the_stack_of_cycles():
+    """It has 255 floats; Blender 5 computes what the output asks for, not what was made first."""
+    assert most_alive(sh_nodes.build_group(sh_nodes.MAX_NODE_ORDER)) < 128
+
+
 def test_texture_above_the_order_of_the_nodes(scene, render):
     look_around(scene)
     c = random_coefficients(12) / np.repeat(np.arange(13) + 1, 2 * np.arange(13) + 1)[:, None]

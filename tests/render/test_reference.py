@@ -105,7 +105,7 @@ def test_a_mirror_and_seeds():
     scene = Prepared([ball()], Mirror("chrome", np.array([0.9, 0.6, 0.3])), count=200, use_texture=False)
     lights = Some(SHBasis(3), (0, 5, 11))
     got = scene.reference(lights, samples=4).radiance
-    assert got == pytest.approx(scene.kernel(lights), abs=0.01 * np.abs(got).max())
+    assert got == pytest.approx(scene.kernel(lights), abs=0.01 * float(np.abs(got).max()))
     scene = Prepared([ball()], matte(), count=50, use_texture=False)
     first, again, other = (scene.reference(Some(SHBasis(0), (0,)), samples=64, seed=s).radiance for s in (1, 1, 2**31))
     assert np.array_equal(first, again) and not np.array_equal(first, other)

@@ -139,6 +139,14 @@ def zip_name(version: str, platform: str | None, pythons: list[str]) -> str:
     return "-".join(["btfsep", version, *parts]) + ".zip"
 
 
+def without_engine(pythons: list[str]) -> list[str]:
+    """Those of ``pythons`` for which the engine, or what it needs, is not made."""
+    from packaging.specifiers import SpecifierSet
+
+    made_for = SpecifierSet(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"])
+    return [python for python in pythons if f"{python}.0" not in made_for]
+
+
 def main(arguments) -> None:
     options = parser("build-extension", __doc__)
     options.add_argument("--output", type=Path, default=ROOT / "dist", help="folder for the zip (default: dist)")
@@ -150,6 +158,11 @@ def main(arguments) -> None:
     version = tomllib.loads((ROOT / "blender_manifest.toml").read_text())["version"]
     given.output.mkdir(parents=True, exist_ok=True)
     pythons = given.python or ["3.11"]
+    if given.with_dependencies and without_engine(pythons):
+        raise SystemExit(
+            f"error: Python {', '.join(without_engine(pythons))}; there is no engine for it; build without "
+            "--with-dependencies, and give the .venv of the source tree in the extension's preferences"
+        )
     target = given.output / zip_name(version, given.with_dependencies, pythons)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
