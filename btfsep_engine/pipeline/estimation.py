@@ -28,6 +28,7 @@ from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
+from btfsep_engine.pipeline.refine.roughness import as_rough_as_seen
 from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows, unlike_surroundings
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
@@ -147,6 +148,7 @@ REFINEMENTS = (
     without_things_in_front,
     left_as_it_is,
     finished,
+    as_rough_as_seen,
     vivid_light,
     nearer_materials,
     shifted,

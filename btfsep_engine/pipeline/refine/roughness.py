@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How rough an object of given numbers is: its job has what a user saw by eye, or never looked at.
+
+A surface's colour is seen, and its metal known; its roughness is guessed, or what Blender begins with. Light imitates
+the difference: a matte thing that is said to have a gloss has all that a gloss would show taken out of its light. But
+the photo tells: of 32 plates that were said to have a roughness of 0.5, those that have another explain it better by
+19 to 277 of the logarithm of the evidence, and of those that have it none by more than 9. So rougher and smoother
+surfaces are tried, step by step as long as the photo is explained better, on a few of the pixels under a field alone,
+and the best on all of them. Objects are looked at one by one, the largest first.
+
+On a few pixels light between surfaces stays what it was: it goes by the albedo, which a roughness hardly changes.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from btfsep_engine.btf.surfaces import GIVEN
+from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.pipeline.materials import of_surface
+from btfsep_engine.pipeline.model import stand_ins
+from btfsep_engine.pipeline.refine.reflectance import FEW, fewer, field_alone, with_material
+from btfsep_engine.pipeline.together import fit_together
+
+TURNS = 3
+STEP, LEAST = 0.15, 0.1  # of a roughness; smoother ones are sharper than tables are
+USUAL = 0.2  # by how much who says a roughness may be off: a standard deviation
+HOPEFUL, CLEARLY = -4.0, 10.0  # of the logarithm of the evidence, the prior counted: of a few pixels, of all ...
+FURTHER = 3.0  # ... where what is said is given up already
+ROUGHNESS = "roughness"  # its name among what is chosen
+
+
+def as_rough_as_seen(model, light):
+    """The refinement: the roughness that explains the photo best, of objects whose surface is given by numbers."""
+    settings = model.settings
+    by_kernel = model.problems[0].transport["by"] == "kernel"
+    if light.solver is None or settings.departures == "never" or not by_kernel:
+        return model, light, {}
+    given = [i for i in range(len(model.materials[0])) if _is_given(model, i)]
+    words, (first, *_) = [], model.problems
+    with model.reporter.stage("reflectance"):
+        for i in sorted(given, key=lambda i: -len(first.points[i])):
+            said = rough = first.scene.job.objects[i].surface.roughness
+            for _ in range(TURNS):
+                trial = _rougher_or_smoother(model, light, i, rough)
+                if trial is None:
+                    break
+                model, light, rough = trial
+            if rough != said:
+                name = first.scene.job.objects[i].name
+                words.append(
+                    f"'{name}' was taken to have a roughness of {rough:.2f}, where its surface says {said:.2f} "
+                    "(by evidence); check its material"
+                )
+    return model, light, {ROUGHNESS: "; ".join(words)} if words else {}
+
+
+def _rougher_or_smoother(model, light, i: int, rough: float):
+    """Model, light and roughness of an object that explain the photo clearly better than ``rough`` does, or None."""
+    said = model.problems[0].scene.job.objects[i].surface
+    better = _hopeful(model, light, i, rough)
+    if better is None:
+        return None
+    trial, answer = _on_all(model, light, i, replace(said, roughness=better))
+    prior = _log_prior(better, said) - _log_prior(rough, said)
+    needed = CLEARLY if rough == said.roughness else FURTHER
+    return (trial, answer, better) if answer.fit.evidence + prior > light.fit.evidence + needed else None
+
+
+def _is_given(model, i: int) -> bool:
+    """Whether an object is what the numbers of its surface make, one roughness all over, and no mirror's stand-in."""
+    surface, materials = model.problems[0].scene.job.objects[i].surface, [each[i] for each in model.materials]
+    if surface is None or surface.finish is not None:
+        return False
+    return all(m.is_given and m.name == GIVEN and m.mirror is None for m in materials)
+
+
+def _material(model, i: int, surface):
+    """What stands for an object with another surface."""
+    scene = model.problems[0].scene
+    made = of_surface(replace(scene.job.objects[i], surface=surface), scene.job, model.settings)
+    return stand_ins([made], model.appearance)[0]
+
+
+def _log_prior(rough: float, said) -> float:
+    return -0.5 * ((rough - said.roughness) / USUAL) ** 2
+
+
+def _hopeful(model, light, i: int, rough: float) -> float | None:
+    """The roughness that explains a few of the pixels best, its prior counted, beside ``rough``; None: none promises.
+
+    Steps go on as long as each is better than the one before.
+    """
+    settings = replace(model.modelled, order=light.order)
+    said = model.problems[0].scene.job.objects[i].surface
+    few = fewer(model.problems, FEW, settings.seed)
+    start = field_alone(few, light, settings)
+
+    def gain(other: float) -> float:
+        trial = [_relit(p, i, _material(model, i, replace(said, roughness=other)), settings) for p in few]
+        seen = field_alone(trial, light, settings, start=start)
+        return seen.evidence - start.evidence + _log_prior(other, said) - _log_prior(rough, said)
+
+    best, most = None, HOPEFUL
+    for way in (STEP, -STEP):
+        before, other = rough, _clipped(rough + way)
+        while other != before and (found := gain(other)) > most:
+            best, most = other, found
+            before, other = other, _clipped(other + way)
+    return best
+
+
+def _clipped(rough: float) -> float:
+    return float(np.clip(rough, LEAST, 1.0))
+
+
+def _relit(problem, i: int, material, settings):
+    """A problem with another material for an object, light between surfaces as it was."""
+    points, was, lights = problem.points[i], problem.materials[i], SHBasis(settings.fit_order)
+    how = {"directions": problem.transport["directions"]}
+    straight, before = (problem.scene.radiance(points, m, lights, **how) for m in (material, was))
+    basis = [b + (straight - before) if j == i else b for j, b in enumerate(problem.basis)]
+    return replace(problem, materials=[material if j == i else m for j, m in enumerate(problem.materials)], basis=basis)
+
+
+def _on_all(model, light, i: int, surface):
+    """The model with another surface for an object, and its light."""
+    material, settings = _material(model, i, surface), replace(model.modelled, order=light.order)
+    problems = with_material(model.problems, i, material, settings)
+    answer = fit_together(problems, settings, beside=light.fit)
+    materials = tuple([replace(m, surface=surface) if j == i else m for j, m in enumerate(e)] for e in model.materials)
+    departed = model.departed | {i: material}
+    return replace(model, looks={model.appearance: problems}, materials=materials, departed=departed), answer
