@@ -8,13 +8,13 @@ scripts/study plates FOLDER --sets chrome --show 05 07 23 26 --to docs/images/mi
 Objects of a plain Blender material ("as in Blender" in the job), alone or on a coloured table whose material the job
 has, under Blender's studio lights, turned, half of them with a Sun lamp. Each is estimated as the job is (*as it
 is*), with the camera in line (*in line*), with nothing said of what it is made of (*as recognised*) or only that it is
-plastic (*as any plastic*), and a render that was saved with AgX also as if nothing were known of that but what the file
-says (*not said*), or as if it were sRGB (*taken for sRGB*). Objects of the set *several* have three such materials, and
-are estimated with their mean, too (*as their mean*). Those of the set *stage* stand in dim light under lamps
-with filters of strong colours; of the sets *unsaid*, jobs say of the object what a user sees by eye, and nothing of
-what light does below its skin, of its bumps and its paint, nor of a lens that darkens corners, is out of focus or has
-glare, nor of noise. The error of plates with a table is that of the light from above
-it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
+plastic (*as any plastic*), with the roughness that a new material has (*roughness 0.5*), and a render that was saved
+with AgX also as if nothing were known of that but what the file says (*not said*), or as if it were sRGB (*taken for
+sRGB*). Objects of the set *several* have three such materials, and are estimated with their mean, too (*as their
+mean*). Those of the set *stage* stand in dim light under lamps with filters of strong colours; of the sets *unsaid*,
+jobs say of the object what a user sees by eye, and nothing of what light does below its skin, of its bumps and its
+paint, nor of a lens that darkens corners, is out of focus or has glare, nor of noise. The error of plates with a table
+is that of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
 
 from dataclasses import replace
@@ -42,7 +42,8 @@ NOT_SAID, AS_SRGB = "not said", "taken for sRGB"
 RECOGNISED, AS_PLASTIC = "as recognised", "as any plastic"
 OF_AGX = {NOT_SAID: "auto", AS_SRGB: "srgb"}
 NO_MIRROR = "as no mirror"
-WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR)
+NOT_LOOKED = "roughness 0.5"
+WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR, NOT_LOOKED)
 
 
 def as_mean(job):
@@ -67,6 +68,12 @@ def as_plastic(job):
     """A job whose first object is of plastic, of which it says neither colour nor roughness."""
     first, *others = job.objects
     return replace(job, objects=(replace(first, surface=None, material="surface/plastic"), *others))
+
+
+def with_blenders_roughness(job):
+    """A job whose first object has the roughness that a new material in Blender has."""
+    first, *others = job.objects
+    return replace(job, objects=(replace(first, surface=replace(first.surface, roughness=0.5)), *others))
 
 
 def as_no_mirror(job):
@@ -100,7 +107,13 @@ def study(plate, folder: Path, way: str) -> dict:
     """One estimate."""
     where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
     job = load_job(where, colorspace=OF_AGX.get(way))
-    made = {AS_MEAN: as_mean, NO_MIRROR: as_no_mirror, RECOGNISED: as_recognised, AS_PLASTIC: as_plastic}
+    made = {
+        AS_MEAN: as_mean,
+        NO_MIRROR: as_no_mirror,
+        NOT_LOOKED: with_blenders_roughness,
+        RECOGNISED: as_recognised,
+        AS_PLASTIC: as_plastic,
+    }
     return {"way": way} | judged(plate, made[way](job) if way in made else job)
 
 
@@ -160,6 +173,7 @@ def main(arguments) -> int:
     todo = [t for t in todo if t[2] not in OF_AGX or t[0]["curve"] == "agx"]
     todo = [t for t in todo if t[2] != AS_MEAN or "more" in t[0]]
     todo = [t for t in todo if t[2] != NO_MIRROR or t[1].name == "chrome"]
+    todo = [t for t in todo if t[2] != NOT_LOOKED or not {"more", "told"} & set(t[0])]
     todo = [t for t in todo if t[2] != IN_LINE or any(t[0]["off"])]
     rows = [study(*each) for each in tqdm(todo)]
     if given.numbers:

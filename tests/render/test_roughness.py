@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How rough an object of given numbers is: photos made with one roughness, jobs that say another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.refine import roughness
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.render.homogeneous import homogeneous
+from tests.engine.half_sphere import even, lamp
+from tests.render.scenes import egg_and_pebble, job_of, looking_down, off_as_seen, picture, scene_of, with_photo
+
+SETTINGS = choose("draft", bounces=1)
+CLAY = Surface((0.5, 0.3, 0.2), roughness=0.9)
+DIRECTION = np.array([0.6, -0.2, 0.77]) / np.linalg.norm([0.6, -0.2, 0.77])
+SOFT = np.repeat(np.exp(-0.02 * np.arange(10) ** 2), 2 * np.arange(10) + 1)[:, None]
+LIGHT = even((0.5,) * 3) + lamp(DIRECTION, (3.0, 3.0, 3.0)) * SOFT
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    """A photo maker: a surface -> the scene of an egg and a pebble of it, with a camera's noise, and its points."""
+    scene = scene_of(job_of([egg_and_pebble()], looking_down()))
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+
+    def made(surface: Surface):
+        values = scene.radiance(points, homogeneous(surface, GIVEN), SHLighting(LIGHT), directions=4096)[:, 0]
+        return with_photo(scene.job, picture(points, values, noise=0.02))
+
+    return made
+
+
+def found_of(job, surface: Surface, **changes):
+    told = replace(job, objects=(replace(job.objects[0], surface=surface),))
+    return estimate(scene_of(told), open_library(None), replace(SETTINGS, **changes))
+
+
+@pytest.mark.parametrize(("true", "said"), [(0.9, 0.5), (0.35, 0.8)])
+def test_a_roughness_that_is_said_wrong_is_found_and_the_light_with_it(photographed, true, said):
+    job = photographed(replace(CLAY, roughness=true))
+    found, left = (
+        found_of(job, replace(CLAY, roughness=said), departures=departures) for departures in ("auto", "never")
+    )
+    taken = found.materials[0].surface.roughness
+    assert abs(taken - true) <= 0.16 and replace(found.materials[0].surface, roughness=0.9) == CLAY
+    assert f"to have a roughness of {taken:.2f}, where its surface says {said:.2f}" in found.choice["roughness"]
+    assert found.choice["roughness"] in found.scene.reporter.warnings
+    assert found.model.departed[0].surface.roughness == taken == found.model.problems[0].materials[0].surface.roughness
+    assert left.materials[0].surface is None and "roughness" not in left.choice
+    assert found.fit.evidence > left.fit.evidence + roughness.CLEARLY
+    wrong, right = (off_as_seen(each.lighting.coefficients, LIGHT) for each in (left, found))
+    assert right < 0.6 * wrong
+
+
+def test_a_roughness_that_is_said_right_stays(photographed):
+    found = found_of(photographed(CLAY), CLAY)
+    assert "roughness" not in found.choice and found.materials[0].surface is None and not found.model.departed
+
+
+def test_what_explains_little_more_is_not_believed(photographed, monkeypatch):
+    monkeypatch.setattr(roughness, "CLEARLY", np.inf)
+    found = found_of(photographed(CLAY), replace(CLAY, roughness=0.5))
+    assert "roughness" not in found.choice and not found.model.departed
+
+
+def test_of_an_object_of_several_finishes_and_of_a_material_of_the_library_nothing_is_asked(photographed, monkeypatch):
+    monkeypatch.setattr(roughness, "_hopeful", lambda *_: pytest.fail("asked"))
+    finish = np.full((4, 4, 3), (0.5, 0.0, 0.5), np.float32)
+    finish[:2, :, 0] = 0.3
+    job = photographed(CLAY)
+    estimate(scene_of(job), open_library(None), SETTINGS, material="reference/white-diffuse")
+    found_of(job, replace(CLAY, roughness=0.5, finish=finish))
+
+
+def test_on_a_few_pixels_another_surface_is_lit_as_on_all(photographed):
+    """Light between surfaces aside, which stays what it was."""
+    found = found_of(photographed(CLAY), CLAY)
+    (problem,) = found.model.problems
+    other = homogeneous(replace(CLAY, roughness=0.3), GIVEN)
+    lit, made = roughness._relit(problem, 0, other, SETTINGS), problem.of_materials([other], SETTINGS)
+    np.testing.assert_allclose(lit.basis[0], made.basis[0], atol=1e-5)
+    assert lit.materials == [other] and not np.allclose(lit.basis[0], problem.basis[0], atol=1e-3)
+
+
+def test_steps_go_on_while_they_gain_and_end_at_what_tables_hold(photographed, monkeypatch):
+    found = found_of(photographed(CLAY), replace(CLAY, roughness=0.5), departures="never")
+    monkeypatch.setattr(roughness, "_log_prior", lambda rough, said: -100 * abs(rough - 0.92))
+    rough = roughness._hopeful(found.model, found.light, 0, 0.5)
+    assert rough in (pytest.approx(0.95), 1.0)
+    assert [roughness._clipped(r) for r in (-1, 0.1, 0.4, 2)] == [0.1, 0.1, 0.4, 1.0]
