@@ -18,9 +18,9 @@ FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said 
 @dataclass(frozen=True)
 class Advice:
     """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object, {1}: how much
-    brighter or darker it is); "" hides it under Details; ``mend`` : key of `mending.MENDS`, or "ALIGN", "UPRIGHT",
-    "FREEZE" (the suns), which have their own buttons; ``level`` : the trust that is left at best; ``objects`` : what
-    the engine's sentence names
+    brighter or darker it is, {2}: how rough); "" hides it under Details; ``mend`` : key of `mending.MENDS`, or "ALIGN",
+    "UPRIGHT", "FREEZE" (the suns), which have their own buttons; ``level`` : the trust that is left at best;
+    ``objects`` : what the engine's sentence names
     """
 
     phrase: str
@@ -68,6 +68,7 @@ KNOWN = (
         "The photo shows {0} in another colour than Blender has; the light goes by the photo's",
         "SELECT",
     ),
+    Advice("where its surface says", "The photo shows {0} with a roughness of {2}; the light goes by that", "SELECT"),
     Advice(
         "or what is said is wrong",
         "The photo shows {0} in another colour than Blender has: the material is wrong, or the light",
@@ -116,7 +117,13 @@ def advice(sentence: str) -> Advice:
             if not named:  # of what has no name, nothing can be selected
                 called, mend = ("what stands around", "") if mend == "SELECT" else ("the object", mend)
                 called = called[:1].upper() + called[1:] if known.short.startswith("{0}") else called
-            return Advice(known.phrase, known.short.format(called, _how_much(sentence)), mend, known.level, named)
+            return Advice(
+                known.phrase,
+                known.short.format(called, _how_much(sentence), _how_rough(sentence)),
+                mend,
+                known.level,
+                named,
+            )
     first = re.match(r".{30,}?(?=[;:] | \(|$)|.*", sentence)[0].strip()
     return Advice("", first[:1].upper() + first[1:])
 
@@ -125,6 +132,11 @@ def _how_much(sentence: str) -> str:
     """How much brighter or darker something is said to be: "25 % brighter"; of nothing, that it is not the same."""
     told = re.search(r"\d+ % (?:brighter|darker)", sentence)
     return told[0] if told else "brighter or darker"
+
+
+def _how_rough(sentence: str) -> str:
+    """The roughness that an object was taken to have, of several the numbers of all."""
+    return ", ".join(re.findall(r"a roughness of ([\d.]+)", sentence))
 
 
 def worst(*levels) -> str:

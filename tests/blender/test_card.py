@@ -197,6 +197,17 @@ def test_words_of_jobs_and_commands_are_not_the_panels():
     )
 
 
+def test_a_roughness_that_the_photo_does_not_show_is_said_with_the_one_that_it_shows():
+    each = "object '{}' was taken to have a roughness of {}, where its surface says 0.50 (by evidence)"
+    told = f"{each.format('Jug', 0.95)}; check its 'surface'; {each.format('Lid', 0.2)}; check its 'surface'"
+    (shown,) = card.card_of({}, lighting(), FRONT, warnings=[told])["warnings"]
+    assert shown == {
+        "short": "The photo shows Jug, Lid with a roughness of 0.95, 0.2; the light goes by that",
+        "mend": "SELECT",
+        "object": "Jug\nLid",
+    }
+
+
 def test_surfaces_that_are_not_as_the_light_makes_them_are_said_by_name_with_the_way_to_their_material():
     between = "is said to reflect 0.08, 0.08, 0.08 (red, green, blue), and the photo shows about 0.79, 0.74, 0.70 of it"
     otherwise = (

@@ -49,8 +49,8 @@ def as_rough_as_seen(model, light):
             if rough != said:
                 name = first.scene.job.objects[i].name
                 words.append(
-                    f"'{name}' was taken to have a roughness of {rough:.2f}, where its surface says {said:.2f} "
-                    "(by evidence); check its material"
+                    f"object '{name}' was taken to have a roughness of {rough:.2f}, where its surface says {said:.2f} "
+                    "(by evidence); check its 'surface'"
                 )
     return model, light, {ROUGHNESS: "; ".join(words)} if words else {}
 
