@@ -46,7 +46,7 @@ FILTERS = {
 }  # fmt: skip
 LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its other light, times what it is; lamps'
 # irradiance, times what that of the other light would be undimmed
-OF_OBJECTS = ("as it is", "subsurface", "bumps", "mottled")
+OF_OBJECTS = ("as said", "subsurface", "bumps", "mottled")
 OF_CAMERAS = ("clean", "vignette", "grain", "soft", "glare")
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 

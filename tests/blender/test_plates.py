@@ -85,7 +85,7 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
     assert not any(p["thing"] == "subsurface" and p["surface"]["metallic"] for p in drawn)
     monkeypatch.setattr(studio_plates, "RESOLUTION", 48)
     monkeypatch.setattr(studio_plates, "SAMPLES", 4)
-    plain = drawn[0] | {"thing": "as it is", "camera": "clean", "curve": "floats", "much": 1.0, "off": [0, 0]}
+    plain = drawn[0] | {"thing": "as said", "camera": "clean", "curve": "floats", "much": 1.0, "off": [0, 0]}
     pictures = {}
     for name in plate_sets.OF_OBJECTS:
         matte = plain["surface"] | {"roughness": 0.9, "metallic": 0}
@@ -95,7 +95,7 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
         assert said.base_color == pytest.approx(plain["told"]["colour"], abs=1e-6)
         assert said.roughness == pytest.approx(plain["told"]["roughness"], abs=1e-6)
     for name in plate_sets.OF_OBJECTS[1:]:
-        assert np.abs(pictures[name] / pictures["as it is"] - 1).max() > 0.1, name
+        assert np.abs(pictures[name] / pictures["as said"] - 1).max() > 0.1, name
 
 
 def test_what_a_camera_adds_to_a_plate():

@@ -14,6 +14,7 @@ from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.pipeline.coarse_chroma import BESIDE, KAPPA, NEXT, chroma_weights
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
+from btfsep_engine.pipeline.refine import limb
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, in_white, off_as_seen, scene_of
 
@@ -56,7 +57,8 @@ def weights_of(scene):
     return problem, chroma_weights(problem)
 
 
-def test_the_light_of_a_red_object_is_that_of_a_file_without_loss(photographed, tmp_path):
+def test_the_light_of_a_red_object_is_that_of_a_file_without_loss(photographed, tmp_path, monkeypatch):
+    monkeypatch.setattr(limb, "SPEAKS", np.inf)  # what the lawn adds to weak channels would pass for a brighter limb
     scene, image, truth = photographed
 
     def found(there):
