@@ -122,9 +122,9 @@ def shown(plate, folder: Path) -> list:
     job = load_job(folder / plate["name"] / "job")
     found, true = estimated(scene_of(job)).map, read_map(light_path(plate["light"]))
     true = np.roll(true, -round(plate["turn"] / 360 * true.shape[1]), 1)
-    photo = job.photo.radiance
+    photo, kinds = job.photo.radiance, plate["kinds"][-3:] if "told" in plate else plate["kinds"][:-2]
     return [
-        (display(photo, exposure(photo)), ", ".join(plate["kinds"][:-2])),
+        (display(photo, exposure(photo)), ", ".join(kinds)),
         *((display(each, exposure(true)), plate["light"]) for each in (found, true)),
     ]
 
