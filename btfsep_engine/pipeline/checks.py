@@ -18,7 +18,7 @@ from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
-from btfsep_engine.pipeline.refine.roughness import ROUGHNESS
+from btfsep_engine.pipeline.refine.roughness import OTHERWISE as ROUGH_OTHERWISE
 from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
@@ -46,7 +46,7 @@ def all_doubts(estimate) -> list[str]:
 
 def shape_and_colour_doubts(estimate) -> list[str]:
     """What was said on the way of shapes (`refine.misshapen`), surroundings (`refine.said_surface`) and roughness."""
-    return [estimate.choice[key] for key in (UNEXPLAINED, OTHERWISE, UNLIKE, ROUGHNESS) if key in estimate.choice]
+    return [estimate.choice[key] for key in (UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE) if key in estimate.choice]
 
 
 def in_front_doubts(estimate) -> list[str]:

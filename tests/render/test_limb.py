@@ -97,7 +97,9 @@ def test_light_goes_into_no_metal_and_no_mirror(photographed, monkeypatch):
 
     assert limb._has_depth(made(0.0)) and not limb._has_depth(made(1.0))
     library = open_library(None)
+    white, metal = library.load(WHITE), Surface((0.5, 0.5, 0.5), metallic=1.0)
+    assert not limb._has_depth(white, metal) and limb._has_depth(white, replace(metal, metallic=0.0))
     assert limb._has_depth(library.load(WHITE)) and not limb._has_depth(library.load("reference/chrome"))
     scene, image, _ = photographed
-    monkeypatch.setattr(limb, "_has_depth", lambda material: False)
+    monkeypatch.setattr(limb, "_has_depth", lambda *_: False)
     assert "limb" not in found_of(scene, with_limb(scene, image, 0.4)).choice

@@ -49,10 +49,10 @@ def test_a_roughness_that_is_said_wrong_is_found_and_the_light_with_it(photograp
     )
     taken = found.materials[0].surface.roughness
     assert abs(taken - true) <= 0.16 and replace(found.materials[0].surface, roughness=0.9) == CLAY
-    assert f"to have a roughness of {taken:.2f}, where its surface says {said:.2f}" in found.choice["roughness"]
-    assert found.choice["roughness"] in found.scene.reporter.warnings
+    assert f"to have a roughness of {taken:.2f}, where its surface says {said:.2f}" in found.choice[roughness.OTHERWISE]
+    assert found.choice[roughness.OTHERWISE] in found.scene.reporter.warnings
     assert found.model.departed[0].surface.roughness == taken == found.model.problems[0].materials[0].surface.roughness
-    assert left.materials[0].surface is None and "roughness" not in left.choice
+    assert left.materials[0].surface is None and not {roughness.ROUGHNESS, roughness.OTHERWISE} & set(left.choice)
     assert found.fit.evidence > left.fit.evidence + roughness.CLEARLY
     wrong, right = (off_as_seen(each.lighting.coefficients, LIGHT) for each in (left, found))
     assert right < 0.6 * wrong
@@ -60,13 +60,23 @@ def test_a_roughness_that_is_said_wrong_is_found_and_the_light_with_it(photograp
 
 def test_a_roughness_that_is_said_right_stays(photographed):
     found = found_of(photographed(CLAY), CLAY)
-    assert "roughness" not in found.choice and found.materials[0].surface is None and not found.model.departed
+    assert (
+        not {roughness.ROUGHNESS, roughness.OTHERWISE} & set(found.choice)
+        and found.materials[0].surface is None
+        and not found.model.departed
+    )
+
+
+def test_a_roughness_near_what_is_said_is_no_doubt(photographed, monkeypatch):
+    monkeypatch.setattr(roughness, "USUAL", 0.5)
+    found = found_of(photographed(CLAY), replace(CLAY, roughness=0.5))
+    assert found.choice["roughness"] not in found.scene.reporter.warnings and roughness.OTHERWISE not in found.choice
 
 
 def test_what_explains_little_more_is_not_believed(photographed, monkeypatch):
     monkeypatch.setattr(roughness, "CLEARLY", np.inf)
     found = found_of(photographed(CLAY), replace(CLAY, roughness=0.5))
-    assert "roughness" not in found.choice and not found.model.departed
+    assert not {roughness.ROUGHNESS, roughness.OTHERWISE} & set(found.choice) and not found.model.departed
 
 
 def test_of_an_object_of_several_finishes_and_of_a_material_of_the_library_nothing_is_asked(photographed, monkeypatch):

@@ -34,7 +34,9 @@ def limb_brightness(model, light):
         return model, light, {}
     with model.reporter.stage("fit"):
         columns = [aslant(p, light.fit.shown) for p in model.problems]
-        wanted = [i for i in _speaking(model.problems, columns, light) if _has_depth(model.problems[0].materials[i])]
+        of_first = zip(model.problems[0].materials, model.problems[0].scene.job.objects, strict=True)
+        deep = [_has_depth(material, thing.surface) for material, thing in of_first]
+        wanted = [i for i in _speaking(model.problems, columns, light) if deep[i]]
         if not wanted:
             return model, light, {}
         free = model.changed(lambda p, c: replace(p, slopes=_beside(p.slopes, USUAL * c[:, wanted])), columns)
@@ -68,11 +70,14 @@ def _share_left(problems, light) -> float:
     return float(np.linalg.norm(left) / max(np.linalg.norm(seen), 1e-300))
 
 
-def _has_depth(material) -> bool:
-    """Whether light goes into a material: into any that is not known to be a mirror or a metal."""
+def _has_depth(material, surface=None) -> bool:
+    """Whether light goes into a material: into any that is not known to be a mirror or a metal.
+
+    ``surface`` : what the job says of the object; of an image of it, materials know no more
+    """
     if material.mirror_reflectance is not None:
         return False
-    surface = material.table.surface
+    surface = material.table.surface or surface
     return surface is None or surface.metallic < METAL
 
 
