@@ -10,6 +10,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.materials import of_surface
 from btfsep_engine.pipeline.refine import roughness
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.homogeneous import homogeneous
@@ -56,6 +57,23 @@ def test_a_roughness_that_is_said_wrong_is_found_and_the_light_with_it(photograp
     assert found.fit.evidence > left.fit.evidence + roughness.CLEARLY
     wrong, right = (off_as_seen(each.lighting.coefficients, LIGHT) for each in (left, found))
     assert right < 0.6 * wrong
+
+
+def test_of_an_object_with_an_image_of_its_colours_it_is_found_too():
+    mesh = egg_and_pebble(3)
+    mesh = replace(mesh, corner_uv=((mesh.vertices[:, :2] + 1) / 2.2)[mesh.faces])
+    stripes = np.where(np.arange(64)[:, None] % 2, 1.0, 0.7) * np.array(CLAY.base_color)
+    painted = replace(CLAY, image=np.broadcast_to(stripes, (64, 64, 3)).astype(np.float32))
+    job = job_of([mesh], looking_down())
+    job = replace(job, objects=(replace(job.objects[0], surface=painted, uv="mesh"),))
+    scene = scene_of(job)
+    points = scene.points(0, region=scene.view.mesh == 0, textured=True)
+    material = of_surface(job.objects[0], job, SETTINGS)
+    values = scene.radiance(points, material, SHLighting(LIGHT), directions=4096)[:, 0]
+    job = with_photo(job, picture(points, values, noise=0.02))
+    found = found_of(job, replace(painted, roughness=0.5))
+    assert found.materials[0].surface.roughness >= 0.7 and found.materials[0].surface.image is painted.image
+    assert off_as_seen(found.lighting.coefficients, LIGHT) < 0.03
 
 
 def test_a_roughness_that_is_said_right_stays(photographed):
