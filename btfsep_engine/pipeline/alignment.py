@@ -17,6 +17,7 @@ from btfsep_engine.job.model import Camera
 from btfsep_engine.pipeline.aligner import FIRST_LEVEL, LEAST_GAIN, LEVELS, Aligner, Left, too_few
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.storage import kept
+from btfsep_engine.threads import one_thread
 
 # For a move. On 16 photographs by Cycles the true camera, moved to where its photo goes best, gains 0.026 of the
 # objective at most, one that is a pixel and a degree off 0.036 at least; 2.3 deviations as a rule, and 2.7 and more.
@@ -135,6 +136,7 @@ def looks_off(scene: PreparedScene) -> bool:
     return look.off or look.settles
 
 
+@one_thread()
 def align(scene: PreparedScene) -> Alignment:
     """Looks for the camera that took a scene's photo, near the job's own; of a depth, for the shift of its photo."""
     camera = scene.job.camera

@@ -7,6 +7,7 @@ The job's files stay as they are; `btfsep align` makes a job of it.
 from btfsep_engine.pipeline.checks import shift_doubt
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import PhotoSettings
+from btfsep_engine.threads import one_thread
 
 MOST_PIXELS, MOST_DEGREES = 20.0, 20.0  # of a move, in pixels of a picture of `aligner.SIDE`
 OUTLINES = 0.05  # of the objective, that outlines gain by a move of which they had not spoken before: shading alone has
@@ -40,6 +41,7 @@ def mends(scene: PreparedScene, alignment) -> bool:
     return (clear or shift_doubt(scene) is not None) and moved <= MOST_PIXELS and alignment.degrees <= MOST_DEGREES
 
 
+@one_thread()  # a search is of many small products, which several threads make slower
 def mended(scene: PreparedScene, settings: PhotoSettings) -> PreparedScene:
     """The scene with its camera in line with the photo, and a warning that says so; else the scene itself.
 

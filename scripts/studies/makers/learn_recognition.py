@@ -41,7 +41,7 @@ from scripts.studies.photos import WHITE
 
 OBJECTS = ("suzanne", "blob", "cloth")
 LIGHTS = ("city", "sunrise")  # of the eight, drawn by chance
-OBJECTS_EACH, LIGHTS_EACH = 1, 5  # of a material; the last of an object's lights is a studio light
+OBJECTS_EACH, LIGHTS_EACH = 3, 5  # of a material; the last of an object's lights is a studio light
 DRAWN = "drawn"  # what the other lights' names begin with
 VARIATION = 2  # of the texels: the library has 0, the evaluation 1
 HEIGHT = 128  # rows of a light
