@@ -207,5 +207,5 @@ def candidate_cues(radiance, vectors, recogniser: Recogniser, library, verificat
     # a root, because a classifier that is wrong is wrong by far: its training lights did not have this photo's
     cues = {"classifier": -np.sqrt(-np.log(np.clip(scores, 1e-12, 1)))}
     if verification:
-        cues |= verification.cues(names, cues, recogniser, radiance, vectors, library.load)
+        cues |= verification.cues(names, cues, radiance, library.load)
     return names, cues

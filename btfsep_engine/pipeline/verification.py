@@ -5,9 +5,8 @@ The classifier has seen the materials under its training lights, never under the
 that light is: the most probable one for its mean ABRDF and the photo's pixels. How probable that makes the photo is the
 first cue, the evidence: a wrong candidate needs a light of unusual shape; how far the light's colour is from those of
 natural light and lamps is the second, the tint. For the likeliest by these and the classifier the BTF is rendered under
-that light, and compared with the photo: the cosine of the visual words of their texture, and how strong that is, octave
-by octave, in lightness and colour (`recognise.contrast`): a light that explains the shading does not explain the
-texture. `recognise.judgement` says what all of it is worth.
+that light, and compared with the photo by statistics of its texture (`recognise.contrast`): a light that explains the
+shading does not explain the texture. `recognise.judgement` says what all of it is worth.
 """
 
 from dataclasses import dataclass
@@ -24,10 +23,8 @@ from btfsep_engine.fit.search import Solution, solve
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.log_field import coarse_field, even_field
 from btfsep_engine.recognise.contrast import Contrast, contrast_of, unlike
-from btfsep_engine.recognise.descriptors import described
 from btfsep_engine.recognise.judgement import judgements, utilities
 from btfsep_engine.recognise.masked import Masked
-from btfsep_engine.recognise.recogniser import Recogniser
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.sampling import choose_pixels
 from btfsep_engine.render.surface import with_texture
@@ -42,11 +39,10 @@ ORDER = 6  # of its coefficients
 NEARBY = 2  # steps from another material's light to a rough one
 FIELD = 8, 4, sh.term_count(ORDER), 256  # of its logarithm: orders of lightness and of colours; directions
 EXPLANATIONS = ("evidence", "tint")
-SIMILARITIES = ("texture", "contrast", "chroma", "skewness", "correlation")
+SIMILARITIES = ("contrast", "tails", "correlation", "together", "directed", "coarse")
 # standard deviations of the mean's log2 R / B and log2 G / sqrt(R B) in natural light and lamps: nine maps show 0.21
 # and 0.09, lamps and nights more
 TINT = (0.35, 0.15)
-NOISE = 0.05  # of a rendering that is compared, relative to the mean: a photo has some
 
 
 @dataclass(frozen=True)
@@ -77,12 +73,10 @@ class Photographed:
     Attributes
     ----------
     seen : recognise.masked.Masked, the pixels of the region that have a value in the photograph
-    texture : (length,) SIFT's part of the VLAD of the whole object, of unit length
     contrast : recognise.contrast.Contrast
     """
 
     seen: Masked
-    texture: np.ndarray
     contrast: Contrast
 
 
@@ -158,17 +152,16 @@ class Verification:
         self.points, few = kept.recalled("candidates' points", parts, chosen)
         self.transport = scene.transport(self.points, directions=settings.training_directions)
         self.few_transport = scene.transport(few, directions=settings.training_directions)
-        self.region, self.window, self.seed = region[window], window, settings.seed
+        self.region, self.window = region[window], window
         self.every = False  # whether candidates are rendered, not the likeliest alone
 
-    def cues(self, names, votes, recogniser: Recogniser, radiance, vectors, load) -> dict:
+    def cues(self, names, votes, radiance, load) -> dict:
         """{cue: (candidates,) float} of the materials ``names``, the classifier's likeliest first.
 
         Parameters
         ----------
         votes : {cue: (candidates,) float}, what the classifier says of them
         radiance : (h, w, 3), the window of the photograph, NaN where a pixel is unusable
-        vectors : (windows + 1, length), VLAD of the photograph
         load : material name -> Material
         """
         count = len(names)
@@ -188,13 +181,12 @@ class Verification:
         if not self.every:
             enough = odds[likely[0]] - HOPELESS
             likely = [i for i in likely[:RENDERED] if odds[i] > enough or mirrors[i]]
-        texture = recogniser.encoder.part(vectors[-1], "sift")
         seen = Masked(self.region, self.region & np.isfinite(radiance).all(-1))
-        photo = Photographed(seen, texture, contrast_of(seen.values_of(radiance), seen))
+        photo = Photographed(seen, contrast_of(seen.values_of(radiance), seen))
         similar = [
             dict.fromkeys(SIMILARITIES, np.nan)
             if mirrors[i]
-            else self.similarity(materials[i], explained[i].light, recogniser, photo)
+            else self.similarity(materials[i], explained[i].light, photo)
             for i in likely
         ]
         return cues | {cue: _of_all(np.array([s[cue] for s in similar]), likely, count) for cue in SIMILARITIES}
@@ -231,24 +223,12 @@ class Verification:
 
         return kept.recalled("candidate", [self.few_transport.key, material], made) if good.all() else made(good)
 
-    def similarity(self, material, light, recogniser: Recogniser, photo: Photographed) -> dict[str, float]:
-        """`SIMILARITIES` of the photograph and a material under a light: a cosine, -1 to 1, and differences, <= 0."""
+    def similarity(self, material, light, photo: Photographed) -> dict[str, float]:
+        """`SIMILARITIES` of the photograph and a material under a light: how unlike they look, each <= 0."""
         under, light = self.transport.radiance(material, CELLS), light.astype(np.float32)
         pixels = np.stack([under[..., c] @ light[:, c] for c in range(3)], 1)
-        usable = photo.seen.valid[self.region]
-        pixels = pixels[usable]
-        differences = unlike(contrast_of(pixels, photo.seen), photo.contrast)
-        mean = max(float(pixels.mean()), 1e-30)
-        noisy = pixels + NOISE * np.sqrt(np.maximum(pixels, 0) * mean) * self._noise[usable]
-        noisy = np.maximum(noisy, 1e-4 * mean)
-        descriptors = described(noisy, photo.seen, settings=recogniser.settings, colour=False)
-        texture = recogniser.encoder.whole(descriptors, "sift") @ photo.texture
-        return {"texture": float(texture)} | {name: -value for name, value in differences.items()}
-
-    @cached_property
-    def _noise(self) -> np.ndarray:
-        """(p, 3), as all renderings have it."""
-        return np.random.default_rng(self.seed).standard_normal((len(self.points), 3), np.float32)
+        differences = unlike(contrast_of(pixels[photo.seen.valid[self.region]], photo.seen), photo.contrast)
+        return {name: -differences[name] for name in SIMILARITIES}
 
 
 def unusual(colour) -> float:

@@ -186,23 +186,21 @@ def extract(radiance, mask, *, settings=DEFAULT, what="the region to recognise",
     return replace(every, xy=every.xy + np.array([left, top], np.float32))
 
 
-def described(radiance, seen: Masked, *, settings=DEFAULT, what="the region to recognise", colour=True) -> Descriptors:
+def described(radiance, seen: Masked, *, settings=DEFAULT, what="the region to recognise") -> Descriptors:
     """As `extract`, of the usable pixels alone, places in the mask's own image.
 
     Parameters
     ----------
     radiance : (n, 3) float32, of ``seen.pixels``
-    colour : whether colour patches are taken; else there are (n, 0)
     """
-    colours, opponent = normalised(radiance, settings=settings), settings.colours == "opponent"
-    luminance = np.float32(REC709_LUMINANCE)
-    image = seen.image(colours if colour else colours[:, 0] if opponent else colours @ luminance)
-    first = image[..., 0] if colour else image
+    image = seen.image(normalised(radiance, settings=settings))
+    first = image[..., 0]
     shade = seen.mean(np.ascontiguousarray(first), settings.shading) if settings.shading else 0
     seen.fill(image, _reach(settings))
     first -= shade
-    lightness = np.ascontiguousarray(first) if opponent or not colour else image @ luminance
-    of_image = image if colour else None, lightness, orientation_maps(lightness, settings.sift_sigma), seen
+    opponent = settings.colours == "opponent"
+    lightness = np.ascontiguousarray(first) if opponent else image @ np.float32(REC709_LUMINANCE)
+    of_image = image, lightness, orientation_maps(lightness, settings.sift_sigma), seen
     parts = [_at_scale(*of_image, edge, settings) for edge in settings.bins]
     for edge in FALLBACK_BINS:
         if sum(map(len, parts)) >= settings.minimum:
@@ -291,19 +289,16 @@ def _at_scale(image, lightness, maps, seen: Masked, edge, settings) -> Descripto
     """The descriptors of one scale; ``edge`` is the edge of a SIFT cell in pixels."""
     half = 2 * edge
     x, y = seen.once((half, settings), lambda: _places(seen, half, settings))
-    n, taken = len(x), 0 if image is None else 3 * TAPS * TAPS
-    if not n:
-        empty = np.zeros((0, 2), np.float32)
-        return Descriptors(
-            np.zeros((0, taken), np.float32), np.zeros((0, SIFT_LENGTH), np.uint8), np.zeros(0, np.float32), empty
-        )
+    if not len(x):
+        none = np.zeros((0, 3 * TAPS * TAPS), np.float32), np.zeros((0, SIFT_LENGTH), np.uint8)
+        return Descriptors(*none, np.zeros(0, np.float32), np.zeros((0, 2), np.float32))
     # SIFT is normalised for contrast, so a flat patch would be described by its noise: the contrast is kept beside
     box = (2 * half + 1,) * 2
     local_mean = cv2.blur(lightness, box)
     # its running sums leave less than nothing where all is black but for a lamp's spot beside
     variance = np.maximum(cv2.blur((lightness - local_mean) ** 2, box)[y, x], 0)
     return Descriptors(
-        _patches(image, x, y, edge) if taken else np.zeros((n, 0), np.float32),
+        _patches(image, x, y, edge),
         dense_sift(maps, x, y, edge),
         np.sqrt(variance).astype(np.float32),
         np.stack([x, y], 1).astype(np.float32) + 0.5,

@@ -182,23 +182,6 @@ class Encoder:
         points = points_of(descriptors, self.half_contrast, root=self.encoding.root_sift)
         return {kind: dictionary.projected(points[kind]) for kind, dictionary in self.dictionaries.items()}
 
-    def part(self, vector, kind: str) -> np.ndarray:
-        """The part of a kind of a vector (length,) of `encode`, of unit length, where it is not all zero."""
-        start = 0
-        for name, (_, _, weight) in self.encoding.kinds.items():
-            end = start + self.dictionaries[name].words.size
-            if name == kind:
-                return vector[start:end] / np.sqrt(weight)
-            start = end
-        raise KeyError(kind)
-
-    def whole(self, descriptors, kind: str) -> np.ndarray:
-        """The part of a kind of the whole object's vector, of unit length: (length of the part,) float32."""
-        points = points_of(descriptors, self.half_contrast, root=self.encoding.root_sift)[kind]
-        dictionary, everywhere = self.dictionaries[kind], np.zeros(len(points), int)
-        sums = aggregate(dictionary.projected(points), dictionary.words, everywhere, 1)
-        return normalise(sums, self.encoding.power)[0]
-
     def encode(self, descriptors):
         """The VLAD vectors of an object: one per window, then that of the whole object.
 

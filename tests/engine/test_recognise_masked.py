@@ -54,17 +54,15 @@ def test_what_is_filled_is_like_its_neighbours_and_the_rest_as_it_was(rng, holed
 
 
 def test_images_of_the_same_pixels_are_described_as_if_each_were_alone(rng, holed):
-    """With or without colours; after another image has been there."""
+    """After another image has been there."""
     for picture in (image(rng), image(rng, 0.8), 3 * image(rng, 4.0)):
         radiance = np.where(holed.valid[..., None], picture, np.nan)
         alone, values = descriptors.extract(radiance, MASK), holed.values_of(picture)
-        whole, texture = (descriptors.described(values, holed, colour=c) for c in (True, False))
-        np.testing.assert_array_equal(whole.xy, alone.xy)
-        np.testing.assert_allclose(whole.colour, alone.colour, atol=1e-4)
-        assert texture.colour.shape == (len(alone), 0)
-        for found in (whole, texture):
-            assert np.abs(found.sift.astype(int) - alone.sift).max() <= 1  # they are rounded
-            np.testing.assert_allclose(found.contrast, alone.contrast, atol=1e-5)
+        found = descriptors.described(values, holed)
+        np.testing.assert_array_equal(found.xy, alone.xy)
+        np.testing.assert_allclose(found.colour, alone.colour, atol=1e-4)
+        assert np.abs(found.sift.astype(int) - alone.sift).max() <= 1  # they are rounded
+        np.testing.assert_allclose(found.contrast, alone.contrast, atol=1e-5)
         one, other = contrast_of(values, holed), contrast(radiance, MASK)
         for name, value in vars(one).items():
             np.testing.assert_array_equal(value, getattr(other, name))
