@@ -28,6 +28,17 @@ def test_nothing_that_was_learned_on_is_judged_by(tmp_path):
     assert counts == [10] * 15
 
 
+def test_each_material_is_learned_on_every_object_and_on_one_of_twice_the_size(tmp_path):
+    materials = [photos.WHITE, *open_library().entries]
+    by_size = learn.shots(tmp_path, materials)
+    assert len(by_size) == len(learn.RESOLUTIONS) and len({s.folder for some in by_size for s in some}) == 225
+    meshes = [{(s.object, photos.library_name(s.material)) for s in some} for some in by_size]
+    assert all(len(some) == 15 for some in meshes)
+    assert set.union(*meshes) == {(name, material) for name in learn.OBJECTS for material in materials}
+    lights = [s.light for some in by_size for s in some]
+    assert len(set(lights)) == 225 and not any(light in recognition.LIGHTS for light in lights)
+
+
 def test_shares_come_with_their_range():
     assert recognition.share(i < 22 for i in range(30)) == "73.3% (56 to 86)"
     assert recognition.share([False] * 12) == "0.0% (0 to 24)"
@@ -103,7 +114,7 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
 
 
 def learned_by_hand():
-    return Judgement({"classifier": 1.0, "texture": 5.0}, -2.0, np.linspace(0, 1, 40))
+    return Judgement({"classifier": 1.0, "contrast": 5.0}, -2.0, np.linspace(0, 1, 40))
 
 
 @pytest.mark.parametrize("flaw", cues.FLAWS[1:])

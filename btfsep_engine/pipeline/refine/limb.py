@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.fit.diagnose import effect
-from btfsep_engine.pipeline.together import all_weights, fit_together, stacked
+from btfsep_engine.pipeline.together import all_weights, fit_together, light_solver, stacked
 
 USUAL = 0.3  # of the brightness, from a cosine of 0 to 1: a deviation
 SPEAKS = 12.0  # chi^2 of one degree of freedom
@@ -40,7 +40,10 @@ def limb_brightness(model, light):
         if not wanted:
             return model, light, {}
         free = model.changed(lambda p, c: replace(p, slopes=_beside(p.slopes, USUAL * c[:, wanted])), columns)
-        answer = fit_together(free.problems, replace(model.settings, order=light.order), beside=light.fit)
+        settings = replace(model.settings, order=light.order)
+        if not _promises(free.problems, light, settings):
+            return model, light, {}
+        answer = fit_together(free.problems, settings, beside=light.fit)
     left, every = answer.left_over(free.problems), np.concatenate(columns)[:, wanted]
     is_brighter = (left[:, None] * every).sum() > 0
     if answer.fit.evidence < light.fit.evidence + CLEARLY or not is_brighter:
@@ -79,6 +82,14 @@ def _has_depth(material, surface=None) -> bool:
         return False
     surface = material.table.surface or surface
     return surface is None or surface.metallic < METAL
+
+
+def _promises(problems, light, settings) -> bool:
+    """Whether the evidence grows by the light's own model: a third of the time of an election, whose evidence is within
+    0.4 of this one's (29 photographs by Cycles)."""
+    solver = light_solver(problems, settings)
+    fit = solver.follow(light.radiance(problems), light.fit, weights=all_weights(problems), beside=light.fit)
+    return fit.evidence > light.fit.evidence + CLEARLY
 
 
 def _beside(slopes, more):
