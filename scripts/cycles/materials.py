@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials of the photographed objects: white matte, or meso-structure as true geometry.
+"""Materials of the photographed objects: white matte, alike all over, or meso-structure as true geometry.
 
 A displaced material is a dense mesh whose vertices stand at the height of the map, with the map's colour and
 roughness on a Principled BSDF: what the engine's tables stand for, made in another way.
@@ -43,6 +43,12 @@ def shaded(name: str, kind: str, **inputs):
 def white(albedo=WHITE_ALBEDO) -> bpy.types.Material:
     """A perfectly diffuse material of an albedo, one number or three."""
     return shaded("white matte", "ShaderNodeBsdfDiffuse", Color=(*np.broadcast_to(albedo, 3), 1), Roughness=0)[0]
+
+
+def principled(surface) -> bpy.types.Material:
+    """A material alike all over, of the numbers of `scripts.cycles.plain`."""
+    more = {"Roughness": surface["roughness"], "Metallic": surface["metallic"]}
+    return shaded("own", "ShaderNodeBsdfPrincipled", Base_Color=(*surface["colour"], 1), **more)[0]
 
 
 def surface(name: str, maps) -> bpy.types.Material:

@@ -26,12 +26,6 @@ BRIGHT, AT = 98, 0.9  # percentile of the pixels that is exposed so bright
 JPEG = 92
 
 
-def principled(surface) -> bpy.types.Material:
-    """A material of a plate's colour, roughness and metal."""
-    more = {"Roughness": surface["roughness"], "Metallic": surface["metallic"]}
-    return materials.shaded("own", "ShaderNodeBsdfPrincipled", Base_Color=(*surface["colour"], 1), **more)[0]
-
-
 def unlike(thing: bpy.types.Object, kind: str, much: float) -> None:
     """Gives an object what its job does not say: ``kind`` of `scripts.studies.plate_sets.OF_OBJECTS`.
 
@@ -118,7 +112,7 @@ def take(plate, folder: Path) -> None:
     scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = plate.get("dimmed", 1)
     thing = objects.build(plate["object"], seed=plate["seed"], view=studio.VIEW_FROM)
     for surface in (plate["surface"], *plate.get("more", ())):
-        thing.data.materials.append(principled(surface))
+        thing.data.materials.append(materials.principled(surface))
     if "more" in plate:
         dress(thing.data)
     if "told" in plate:
@@ -133,7 +127,7 @@ def take(plate, folder: Path) -> None:
     if "told" in plate:
         linear = through(linear, plate["camera"], plate["much"], plate["seed"]).astype(np.float32)
         images.write_exr(folder / "linear.exr", linear)
-        thing.data.materials[0] = principled(plate["told"])
+        thing.data.materials[0] = materials.principled(plate["told"])
     photo = coded(scene, linear, folder, plate["curve"])
     told = {"image_path": photo, "objects": [thing], "occluders": table}
     told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}

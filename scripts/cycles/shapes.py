@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
-from scripts.cycles import objects, plates, studio
+from scripts.cycles import materials, objects, studio
 
 RESOLUTION, SAMPLES = 224, 64  # pixels; a pixel
 LENSES = {  # millimetres, part of the frame, pixels, shift of the frame
@@ -84,7 +84,7 @@ def take(plate, folder: Path) -> None:
         thing = imported(name, plate["facing"])
     else:
         thing = objects.build(name, seed=plate["seed"], view=studio.VIEW_FROM)
-    thing.data.materials.append(plates.principled(plate["surface"]))
+    thing.data.materials.append(materials.principled(plate["surface"]))
     if plate["sun"]:
         studio.add_sun(plate["sun"]["direction"], plate["sun"]["irradiance"], degrees=0.53)
     studio.denoise(scene)

@@ -20,7 +20,7 @@ from tqdm import tqdm
 from blender_btfsep.scene.export import export_job
 from btfsep_engine.btf import procedural
 from btfsep_engine.errors import InputError
-from scripts.cycles import objects, studio
+from scripts.cycles import objects, plain, studio
 
 COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object
 STANDING = ("object", "material", "seed", "variation", "thickness", "fill")  # the same of all that one scene shows
@@ -28,7 +28,7 @@ STANDING = ("object", "material", "seed", "variation", "thickness", "fill")  # t
 
 def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None, denoise=False) -> None:
     """Renders each shot, and writes each folder's job (photo, base mesh, camera) after its first one."""
-    for kind, known in (("object", objects.NAMES), ("material", ("white", *procedural.NAMES))):
+    for kind, known in (("object", objects.NAMES), ("material", ("white", *procedural.NAMES, *plain.NAMES))):
         if unknown := {shot[kind] for shot in shots} - {*known}:  # said before the first picture is taken
             got = f"no {kind} of the studio is called {' or '.join(sorted(unknown))}"
             raise InputError("the photographs", got, f"choose from {', '.join(known)}")

@@ -18,7 +18,7 @@ import numpy as np
 from mathutils import Vector
 
 from blender_btfsep.basics import pixels
-from scripts.cycles import materials, objects
+from scripts.cycles import materials, objects, plain
 from scripts.cycles.lights import light_path
 
 LENS_MM, SENSOR_MM = 85.0, 36.0
@@ -144,7 +144,7 @@ def make_scene(
     Parameters
     ----------
     object_name : one of ``objects.NAMES``
-    material_name : "white", or a material of the library ("class/material")
+    material_name : "white", one of ``plain.NAMES``, or a material of the library ("class/material")
     light : the path of a map, or a name of :func:`scripts.cycles.lights.studio_lights`; None: dark
     resolution : edge of the square photo, pixels
     seed : of the object's shape
@@ -161,9 +161,10 @@ def make_scene(
     scene = clear()
     scene.world = make_world(light)
     base = objects.build(object_name, seed=seed, thickness=thickness, view=VIEW_FROM)
-    if material_name == "white":
-        photo = bpy.data.objects.new(f"{object_name} in white", base.data.copy())
-        photo.data.materials.append(materials.white())
+    if material_name == "white" or material_name in plain.NAMES:
+        photo = bpy.data.objects.new(f"{object_name} in {material_name}", base.data.copy())
+        alike = materials.white() if material_name == "white" else materials.principled(plain.named(material_name))
+        photo.data.materials.append(alike)
         scene.collection.objects.link(photo)
     else:
         maps = maps or materials.load_maps(material_name, variation=seed + 1 if variation is None else variation)

@@ -4,6 +4,7 @@
 import numpy as np
 
 from btfsep_engine import sh
+from scripts.cycles import plain
 from scripts.cycles.lights import studio_lights, true_lighting
 
 SETS = {
@@ -24,11 +25,6 @@ SETS = {
 }  # seeds; what was chosen by which of them, docs/accuracy.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
-COLOURS = {
-    "teal": (0.05, 0.35, 0.33), "red": (0.5, 0.04, 0.03), "clay": (0.55, 0.28, 0.17), "white": (0.78, 0.78, 0.76),
-    "grey": (0.3, 0.3, 0.3), "yellow": (0.75, 0.5, 0.05), "navy": (0.03, 0.05, 0.2), "green": (0.12, 0.3, 0.06),
-}  # fmt: skip
-SURFACES = {"matte": (0.9, 0), "satin": (0.5, 0), "gloss": (0.2, 0), "metal": (0.4, 1)}  # roughness, metallic
 OF_SURFACES = (0.35, 0.3, 0.25, 0.1)
 METALS = (
     (0.55, 0.556, 0.554),
@@ -54,26 +50,25 @@ BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: 
 def drawn(seed: int) -> list[dict]:
     """The plates of a set, as `scripts.cycles.plates` takes them; ``kinds`` in words."""
     random, out = np.random.default_rng(seed), []
-    lights, colours = sorted(studio_lights()), list(COLOURS)
+    lights, colours = sorted(studio_lights()), list(plain.COLOURS)
     for i in range(COUNT):
-        kind = random.choice(list(SURFACES), p=OF_SURFACES)
+        kind = random.choice(list(plain.FINISHES), p=OF_SURFACES)
         colour, light, top = random.choice(colours), str(random.choice(lights)), random.choice(colours)
         turn, off, way = random.uniform(0, 360), int(random.integers(3)), random.uniform(0, 2 * np.pi)
         azimuth, height, table = random.uniform(0, 2 * np.pi), random.uniform(0.35, 1.2), random.random() < WITH_TABLE
         sunny, curve = random.random() < WITH_SUN, str(random.choice(CURVES))
         towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
         strength = SUNNY * np.sqrt(4 * np.pi) * true_lighting(light, 0).mean()
-        roughness, metallic = SURFACES[kind]
         out.append(
             {
                 "name": f"{i:02d}",
                 "object": OBJECTS[i % len(OBJECTS)],
                 "seed": 11 + i,
-                "surface": {"colour": COLOURS[colour], "roughness": roughness, "metallic": metallic},
+                "surface": plain.of(kind, colour),
                 "light": light,
                 "turn": turn,
                 "sun": {"direction": towards, "irradiance": list(strength * SUN_COLOUR)} if sunny else None,
-                "table": COLOURS[top] if table else None,
+                "table": plain.COLOURS[top] if table else None,
                 "curve": curve,
                 "off": [off * np.cos(way), off * np.sin(way)],
                 "kinds": [f"{off} px off", curve, "on a table" if table else "alone", str(kind)],
@@ -84,13 +79,13 @@ def drawn(seed: int) -> list[dict]:
 
 def several(plates: list[dict]) -> list[dict]:
     """The plates with two more materials each."""
-    random, kinds = np.random.default_rng(SETS["several"]), list(SURFACES)
+    random, kinds = np.random.default_rng(SETS["several"]), list(plain.FINISHES)
     out = []
     for plate in plates:
         more = []
-        for colour, kind in zip(random.choice(list(COLOURS), 2), random.choice(kinds, 2, p=OF_SURFACES), strict=True):
-            roughness, metallic = SURFACES[kind]
-            more.append({"colour": COLOURS[colour], "roughness": roughness, "metallic": metallic})
+        colours = random.choice(list(plain.COLOURS), 2)
+        for colour, kind in zip(colours, random.choice(kinds, 2, p=OF_SURFACES), strict=True):
+            more.append(plain.of(kind, colour))
         out.append(plate | {"more": more})
     return out
 

@@ -10,7 +10,7 @@ from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
-from scripts.cycles import objects, studio
+from scripts.cycles import materials, objects, studio
 from scripts.cycles import plates as studio_plates
 from scripts.studies import cameras, measures, plate_sets, plates
 
@@ -31,7 +31,7 @@ def test_plates_of_several_materials_and_their_mean(tmp_path):
     scene = studio.clear()
     thing = objects.build("suzanne", seed=0)
     for surface in (drawn[0]["surface"], *drawn[0]["more"]):
-        thing.data.materials.append(studio_plates.principled(surface))
+        thing.data.materials.append(materials.principled(surface))
     studio_plates.dress(thing.data)
     counts = np.bincount([face.material_index for face in thing.data.polygons], minlength=3)
     assert counts.min() > 0.05 * counts.sum()
