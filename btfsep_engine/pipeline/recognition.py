@@ -9,7 +9,7 @@ from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings
-from btfsep_engine.pipeline.verification import CELLS, Verification
+from btfsep_engine.pipeline.verification import CELLS, PLAIN, Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.model_file import cached, known_materials
@@ -23,7 +23,7 @@ from btfsep_engine.threads import one_thread
 WINDOW = 64  # edge in pixels of the windows that a large object is cut down to
 KEPT = 0.5  # of all that a process may keep: so much at most are pictures that a training leaves
 # One photo of unknown exposure cannot tell two greys apart: white stands for all neutral matte materials. Surfaces by
-# numbers are what a person knows of an object, no material that it could be told to be.
+# numbers have no texture to be trained on: they are candidates of `verification`.
 INDISTINGUISHABLE = {"reference/grey18", *SURFACES}
 
 
@@ -187,25 +187,23 @@ def recognised(photo, region, window, recogniser: Recogniser, library, verificat
     names, cues = candidate_cues(radiance, vectors, recogniser, library, verification)
     model = "votes" if not verification else "spoilt" if spoilt(radiance, region[window]) else "verified"
     answer = judgements()[model].answer(names, cues)
-    if not calibrated:  # the order counts, but the sets are those of another classifier
-        first = recogniser.judged(vectors)
-        return replace(answer, likely=None, unknown=first.unknown, unknown_score=first.unknown_score)
-    if not answer.unknown or verification is None:
+    if calibrated:
         return answer
-    first, *others = SURFACES
-    explained = {first: verification.explained(library.load(first), radiance)}
-    explained |= {s: verification.explained(library.load(s), radiance, explained[first]) for s in others}
-    return replace(answer, stand_in=max(explained, key=lambda name: explained[name].evidence))
+    first = recogniser.judged(vectors)  # the order counts, but the sets are those of another classifier
+    doubt = {"likely": None, "unknown": first.unknown, "unknown_score": first.unknown_score}
+    return replace(answer, **doubt, stand_in=answer.stand_in if first.unknown else None)
 
 
 def candidate_cues(radiance, vectors, recogniser: Recogniser, library, verification) -> tuple[tuple[str, ...], dict]:
     """The candidates, the classifier's likeliest first, and {cue: (candidates,) float} of `recognise.judgement`.
+
+    With a ``verification`` `verification.PLAIN` follow them.
 
     ``radiance`` : (h, w, 3), the window of the photograph, NaN where unusable; ``vectors`` : what it is described as
     """
     names, scores = zip(*recogniser.judged(vectors).candidates, strict=True)
     # a root, because a classifier that is wrong is wrong by far: its training lights did not have this photo's
     cues = {"classifier": -np.sqrt(-np.log(np.clip(scores, 1e-12, 1)))}
-    if verification:
-        cues |= verification.cues(names, cues, radiance, library.load)
-    return names, cues
+    if not verification:
+        return names, cues
+    return (*names, *PLAIN), verification.cues(names, cues, radiance, library.load)

@@ -7,16 +7,22 @@ first cue, the evidence: a wrong candidate needs a light of unusual shape; how f
 natural light and lamps is the second, the tint. For the likeliest by these and the classifier the BTF is rendered under
 that light, and compared with the photo by statistics of its texture (`recognise.contrast`): a light that explains the
 shading does not explain the texture. `recognise.judgement` says what all of it is worth.
+
+Beside the library's materials stand surfaces that are alike all over (`PLAIN`): most things of plastic, paint and metal
+are none of the library's, and what they do not have is texture. Their colour is free: no light is unusual for them.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from btfsep_engine import sh
+from btfsep_engine.btf.model import Tabulated
+from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.colour import base_colour, tint_of
 from btfsep_engine.fit.election import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import Solution, solve
@@ -25,6 +31,7 @@ from btfsep_engine.light.log_field import coarse_field, even_field
 from btfsep_engine.recognise.contrast import Contrast, contrast_of, unlike
 from btfsep_engine.recognise.judgement import judgements, utilities
 from btfsep_engine.recognise.masked import Masked
+from btfsep_engine.render.homogeneous import homogeneous
 from btfsep_engine.render.parametrise import physical_uv
 from btfsep_engine.render.sampling import choose_pixels
 from btfsep_engine.render.surface import with_texture
@@ -39,6 +46,10 @@ ORDER = 6  # of its coefficients
 NEARBY = 2  # steps from another material's light to a rough one
 FIELD = 8, 4, sh.term_count(ORDER), 256  # of its logarithm: orders of lightness and of colours; directions
 EXPLANATIONS = ("evidence", "tint")
+PLAIN = tuple(SURFACES)  # candidates beside a library's,
+ROUGHNESSES = {"surface/plastic": (0.2, 0.4), "surface/metal": (0.3, 0.5)}  # each the best of its kind
+DYED, BASE = "surface/plastic", 0.5  # of a colour, whose gloss has none: of a metal, as of what is matte, it is all one
+IS_PLAIN = "plain"  # the cue that says so, -1: how probable such a thing is beside one of the library's
 SIMILARITIES = ("contrast", "tails", "correlation", "together", "directed", "coarse")
 # standard deviations of the mean's log2 R / B and log2 G / sqrt(R B) in natural light and lamps: nine maps show 0.21
 # and 0.09, lamps and nights more
@@ -78,6 +89,18 @@ class Photographed:
 
     seen: Masked
     contrast: Contrast
+
+
+@dataclass(frozen=True)
+class Plain:
+    """A kind of `PLAIN`: the best of its ``material``s, grey, and how it is ``explained``.
+
+    ``evidence`` : the largest, in the colour that the object may have
+    """
+
+    material: Tabulated
+    explained: Explained
+    evidence: float
 
 
 class CoarselyLit(Photograph):
@@ -156,28 +179,29 @@ class Verification:
         self.every = False  # whether candidates are rendered, not the likeliest alone
 
     def cues(self, names, votes, radiance, load) -> dict:
-        """{cue: (candidates,) float} of the materials ``names``, the classifier's likeliest first.
+        """{cue: (candidates + `PLAIN`,) float} of the materials ``names``, the classifier's likeliest first.
 
         Parameters
         ----------
-        votes : {cue: (candidates,) float}, what the classifier says of them
+        votes : {cue: (candidates,) float}, what the classifier says of them; of `PLAIN` it knows nothing
         radiance : (h, w, 3), the window of the photograph, NaN where a pixel is unusable
         load : material name -> Material
         """
-        count = len(names)
+        count, last = len(names), len(names[:EXPLAINED])
         materials = [load(name) for name in names[:EXPLAINED]]
         first = self.explained(materials[0], radiance)  # the others' lights are looked for from there on
         explained = [first, *(self.explained(material, radiance, first) for material in materials[1:])]
-        evidence = np.array([e.evidence for e in explained])
+        plain = [self.plain(name, radiance, first) for name in PLAIN]
+        evidence = np.array([*(e.evidence for e in explained), *(p.evidence for p in plain)])
+        materials, explained = materials + [p.material for p in plain], explained + [p.explained for p in plain]
         # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
         mirrors = np.array([m.mirror_reflectance is not None for m in materials])
-        if not mirrors.all():
-            evidence[mirrors] = np.minimum(evidence[mirrors], evidence[~mirrors].max())
-        below = np.sqrt(np.maximum(evidence.max() - evidence, 0))  # half of a chi^2's size, of which a root is normal
-        found = {"evidence": -below, "tint": np.array([-unusual(e.colour) for e in explained])}
-        cues = {cue: _of_all(values, range(len(materials)), count) for cue, values in found.items()}
+        evidence[mirrors] = np.minimum(evidence[mirrors], evidence[~mirrors].max())
+        below = -np.sqrt(np.maximum(evidence.max() - evidence, 0))  # half of a chi^2's size, of which a root is normal
+        found = {"evidence": below[:last], "tint": np.array([-unusual(e.colour) for e in explained[:last]])}
+        cues = {cue: _of_all(values, range(last), count) for cue, values in found.items()}
         odds = utilities(judgements()["explained"].weights, votes | cues)
-        likely = [i for i in np.argsort(-odds, kind="stable") if i < len(materials)]
+        likely = [i for i in np.argsort(-odds, kind="stable") if i < last]
         if not self.every:
             enough = odds[likely[0]] - HOPELESS
             likely = [i for i in likely[:RENDERED] if odds[i] > enough or mirrors[i]]
@@ -187,9 +211,14 @@ class Verification:
             dict.fromkeys(SIMILARITIES, np.nan)
             if mirrors[i]
             else self.similarity(materials[i], explained[i].light, photo)
-            for i in likely
+            for i in (*likely, *range(last, len(materials)))
         ]
-        return cues | {cue: _of_all(np.array([s[cue] for s in similar]), likely, count) for cue in SIMILARITIES}
+        each = {cue: np.array([s[cue] for s in similar]) for cue in SIMILARITIES}
+        cues |= {cue: _of_all(values[: len(likely)], likely, count) for cue, values in each.items()}
+        of_plain = {cue: values[len(likely) :] for cue, values in each.items()} | {"evidence": below[last:]}
+        of_plain |= {cue: np.zeros(len(PLAIN)) for cue in (*votes, "tint")}
+        out = {cue: np.append(values, of_plain[cue]) for cue, values in (votes | cues).items()}
+        return out | {IS_PLAIN: np.append(np.zeros(count), -np.ones(len(PLAIN)))}
 
     def explained(self, material, radiance, beside: Explained | None = None) -> Explained:
         """What a material explains by its mean ABRDF of ``radiance`` (h, w, 3), the window of the photograph.
@@ -208,6 +237,16 @@ class Verification:
             best = natural_light(photo, rounds=2, start=start)
         light = CELLS.means(best.radiance, best.model.field.directions) * photo.level
         return Explained(light, best.x[:, 0] * photo.level, best.evidence, photo.effective, best)
+
+    def plain(self, name: str, radiance, beside: Explained) -> "Plain":
+        """The best of a kind of `PLAIN`; arguments as of `explained`."""
+        each = [(self.explained(m, radiance, beside), m) for m in _surfaces(name)]
+        best, material = max(each, key=lambda one: one[0].evidence)
+        evidence = best.evidence
+        if name == DYED and unusual(best.colour) > 1:
+            dyed = replace(material.surface, base_color=tuple(BASE * base_colour(tint_of(best.colour))))
+            evidence = max(evidence, self.explained(homogeneous(dyed, name), radiance, beside).evidence)
+        return Plain(material, best, evidence)
 
     def _basis(self, material, good) -> Basis:
         """The basis images of a material's mean ABRDF at the few points that are ``good`` (n,) bool.
@@ -229,6 +268,13 @@ class Verification:
         pixels = np.stack([under[..., c] @ light[:, c] for c in range(3)], 1)
         differences = unlike(contrast_of(pixels[photo.seen.valid[self.region]], photo.seen), photo.contrast)
         return {name: -differences[name] for name in SIMILARITIES}
+
+
+@lru_cache(maxsize=len(PLAIN))
+def _surfaces(name: str) -> list[Tabulated]:
+    """Those of a kind of `PLAIN`."""
+    roughnesses = ROUGHNESSES.get(name, (SURFACES[name].roughness,))
+    return [homogeneous(replace(SURFACES[name], roughness=roughness), name) for roughness in roughnesses]
 
 
 def unusual(colour) -> float:

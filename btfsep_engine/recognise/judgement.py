@@ -11,7 +11,8 @@ compared with what it was in the table's photographs, each under a light of its 
     (1 + number of those photographs that were as strange or stranger) / (1 + their number),
 
 and the candidates above `LEVEL` are the answer: the right material is among them in at least 95 % of photographs like
-those. Where there are none, the object looks like no material that is known.
+those. Where none of the library's is among them, the object looks like no material that is known; the likeliest of the
+surfaces that are alike all over (`btf.surfaces`) stands in for it.
 
 The table is ``data/recognition.json``; ``scripts/study learn-recognition`` makes it.
 """
@@ -23,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.recognise.recogniser import Recognition
 
 TABLE = Path(__file__).resolve().parents[1] / "data" / "recognition.json"
@@ -51,7 +53,12 @@ class Judgement:
         scores = found.probabilities / found.probabilities.sum()
         likely = tuple(names[i] for i in order if found.likely[i])
         candidates = tuple((names[i], float(scores[i])) for i in order)
-        return Recognition(names[order[0]], candidates, not likely, found.strangeness, likely)
+        nearest = next(i for i in order if names[i] not in SURFACES)
+        known = bool(found.likely[nearest])
+        material, stand_in = names[order[0] if known else nearest], None
+        if not known:
+            stand_in = next((names[i] for i in order if names[i] in SURFACES), None)
+        return Recognition(material, candidates, not known, float(found.strangeness[nearest]), likely, stand_in)
 
 
 @dataclass(frozen=True)
@@ -62,13 +69,13 @@ class Judged:
     ----------
     probabilities : (n,), and ``none`` : float; they add up to 1
     likely : (n,) bool, those that are not ruled out, whose p value is above `LEVEL`
-    strangeness : of the likeliest, over that at which nothing is left; above 1: none of them
+    strangeness : (n,), over that at which a candidate is ruled out; above 1: it is
     """
 
     probabilities: np.ndarray
     none: float
     likely: np.ndarray
-    strangeness: float
+    strangeness: np.ndarray
 
 
 def utilities(weights: dict, cues: dict) -> np.ndarray:
@@ -89,7 +96,7 @@ def judged(utility, none: float, strangeness) -> Judged:
         np.exp(logs[:-1]),
         float(np.exp(logs[-1])),
         p_values > LEVEL,
-        float(strange.min() / max(allowed, 1e-9)),
+        strange / max(allowed, 1e-9),
     )
 
 

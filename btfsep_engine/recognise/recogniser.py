@@ -17,14 +17,14 @@ class Recognition:
     Attributes
     ----------
     material : the best candidate's name
-    candidates : (name, score in [0, 1]) of every known material, best first; the scores sum to 1
-    unknown : whether the object looks like none of the known materials; ``material`` is then only the nearest
-    unknown_score : above 1 is unknown. By `judgement`, how strange the photo is of the likeliest material, over the
-        strangeness at which nothing is left; by the classifier alone, how far the winning vote falls short of 1, over
-        the shortfall that 99 % of the library's own materials stay below under lights that were held out
+    candidates : (name, score in [0, 1]) of every known material and plain surface, best first; the scores sum to 1
+    unknown : whether the object looks like none of the library's materials; ``material`` is then only the nearest
+    unknown_score : above 1 is unknown. By `judgement`, how strange the photo is of the library's likeliest material,
+        over the strangeness at which it is ruled out; by the classifier alone, how far the winning vote falls short of
+        1, over the shortfall that 99 % of the library's own materials stay below under lights that were held out
     likely : the materials that are not ruled out, the likeliest first: the right one is among them 95 times of 100;
-        none where ``unknown``. None: not stated (by the classifier alone)
-    stand_in : the surface by numbers that explains an unknown object best, where one was looked for
+        where ``unknown``, plain surfaces at most. None: not stated (by the classifier alone)
+    stand_in : the likeliest plain surface where ``unknown``, if any was looked at
     """
 
     material: str

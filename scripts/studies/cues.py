@@ -39,13 +39,13 @@ class Remembering(Verification):
         self.known: dict = {}
 
     def explained(self, material, radiance, beside=None):
-        key = "explained", material.name
+        key = "explained", material.name, getattr(material, "surface", None)  # of one name are several plain ones
         if key not in self.known:
             self.known[key] = super().explained(material, radiance, beside)
         return self.known[key]
 
     def similarity(self, material, *about):
-        key = "similarity", material.name
+        key = "similarity", material.name, getattr(material, "surface", None)
         if key not in self.known:
             self.known[key] = super().similarity(material, *about)
         return self.known[key]

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How often the material is recognised, how sure it is said to be, and whether what is not known is said to be so.
 
-scripts/study recognition FOLDER                    150 photographs by Cycles, taken into FOLDER unless they are there
+scripts/study recognition FOLDER                    230 photographs by Cycles, taken into FOLDER unless they are there
 scripts/study recognition FOLDER --no-take --flaws clean noisy
 scripts/study recognition FOLDER --light            the error of the light, too, with the sets, with the true material
 
 Five objects, each in six of the library's materials, under six of Blender's studio lights; meso-structure as displaced
 geometry with other texels than the library's and another UV map. No object and no light of theirs is among those on
-which the weights and the sets' size were learned (`scripts/study learn-recognition`). The answers are those of an
+which the weights and the sets' size were learned (`scripts/study learn-recognition`). The same objects and lights, with
+surfaces that are alike all over, are what the library has nothing of. The answers are those of an
 estimate with the same preset. Shares come with the range that holds the true one with 95 % (Wilson's, as if photos
 were independent; those of one object in one material are not quite).
 """
@@ -24,6 +25,7 @@ from scipy.stats import binomtest, rankdata
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.verification import PLAIN
 from btfsep_engine.recognise.judgement import judgements
 from scripts.studies import ROOT, cues, measures, parser, photos, tables
 from scripts.studies.estimates import scene_of
@@ -32,6 +34,10 @@ from scripts.studies.photos import WHITE
 OBJECTS = ("knot", "vase", "pebble", "cushion", "sphere")
 LIGHTS = ("courtyard", "forest", "interior", "night", "studio", "sunset")
 OBJECTS_EACH, LIGHTS_EACH = 2, 5  # of a material
+SHOWN_PLAIN = (  # of which the library has nothing
+    *("plain/satin-teal", "plain/satin-white", "plain/gloss-green", "plain/gloss-white"),
+    *("plain/metal-yellow", "plain/metal-white", "plain/matte-teal", "plain/matte-yellow"),
+)
 RESOLUTION, SAMPLES = 256, 64
 BINS = 10  # of the calibration
 PICTURES = ROOT / "docs" / "results" / "images"
@@ -82,9 +88,11 @@ def answers(seen, model: str | None = None) -> list[dict]:
                 "object": s.photograph.object,
                 "light": s.photograph.light,
                 "answer": known.material,
+                "stand_in": known.stand_in,
                 "rank": order.index(truth) if truth in order else len(order),
-                "confidence": known.candidates[0][1],
+                "confidence": dict(known.candidates)[known.material],
                 "likely": known.likely,
+                "may_be_plain": any(name in PLAIN for name in known.likely),
                 "strangeness": known.unknown_score,
                 "left_out": s.left_out and judgement.answer(s.left_out["names"], s.left_out["cues"]).unknown_score,
             }
@@ -131,6 +139,22 @@ def judge(answers, title: str) -> dict:
         held = sum(a["truth"] in a["likely"] for a in wrong if (a["truth"], a["answer"]) == (truth, answer))
         print(f"  {truth} -> {answer}: {times}, {held}")
     return row
+
+
+def judge_plain(answers, known) -> None:
+    """Prints what is said of plain surfaces, of which the library has none, beside answers of its own materials."""
+    print(f"\n## plain surfaces: {len(answers)} photos")
+    metal = [a for a in answers if "metal" in a["truth"]]
+    kinds = {"all but matte": [a for a in answers if "matte" not in a["truth"]]}
+    kinds |= dict(tables.groups([a | {"finish": a["truth"].split("-")[0]} for a in answers], "finish", every=None))
+    lower = [a["strangeness"] for a in known]
+    for kind, some in kinds.items():
+        unknown = share(a["stand_in"] is not None for a in some)
+        held = share(bool(a["may_be_plain"]) for a in some)
+        area = area_under([a["strangeness"] for a in some], lower)
+        print(f"{kind}: said unknown {unknown}; plain in the set {held}; AUROC {area:.3f}")
+        print("  taken for", Counter(a["stand_in"] or a["answer"] for a in some).most_common(6))
+    print("of metal said to be metal:", share("surface/metal" in (a["stand_in"], a["answer"]) for a in metal))
 
 
 def confusion_picture(answers, path: Path) -> None:
@@ -212,10 +236,12 @@ def main(arguments) -> int:
     given = options.parse_args(arguments)
     library, settings = open_library(), choose(given.preset)
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
+    of_plain = shots(given.folder.resolve(), SHOWN_PLAIN)
     if given.take:
-        photos.take(wanted, resolution=RESOLUTION, samples=SAMPLES, denoise=True)
-    found = cues.seen_in(given.folder, wanted)
-    found.sort(key=lambda p: OBJECTS.index(p.object))  # an object's training is loaded once
+        photos.take([*wanted, *of_plain], resolution=RESOLUTION, samples=SAMPLES, denoise=True)
+    found, plain = (cues.seen_in(given.folder, some) for some in (wanted, of_plain))
+    for some in (found, plain):
+        some.sort(key=lambda p: OBJECTS.index(p.object))  # an object's training is loaded once
     rows, answers_of = [], {}
     for flaw in given.flaws:
         begun = time.perf_counter()
@@ -223,6 +249,8 @@ def main(arguments) -> int:
         print(f"{flaw}: {time.perf_counter() - begun:.0f} s")
         answers_of[flaw] = answers(seen)
         rows.append(judge(answers_of[flaw], flaw))
+        if plain:
+            judge_plain(answers(cues.cues_of(plain, library, settings, flaw=flaw)), answers_of[flaw])
         if flaw == "clean":
             rows.append(judge(answers(seen, "votes"), "clean, by the classifier alone"))
     heads = list(rows[0])

@@ -3,13 +3,16 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.conventions import REC709_LUMINANCE
+from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.verification import PLAIN
 from btfsep_engine.recognise.judgement import Judgement
 from scripts.studies import cues, photos, recognition
 from scripts.studies.makers import learn_recognition as learn
@@ -24,19 +27,25 @@ def test_nothing_that_was_learned_on_is_judged_by(tmp_path):
     assert {s.object for s in shots} == set(recognition.OBJECTS) and {s.light for s in shots} == set(recognition.LIGHTS)
     assert not set(recognition.OBJECTS) & set(learn.OBJECTS) and not set(recognition.LIGHTS) & set(learn.LIGHTS)
     assert {s.variation for s in shots} == {1} and learn.VARIATION not in (0, 1)
+    plain = recognition.shots(tmp_path, recognition.SHOWN_PLAIN)
+    assert len(plain) == 80 and {s.light for s in plain} == set(recognition.LIGHTS)
+    assert not set(recognition.SHOWN_PLAIN) & set(learn.SHOWN_PLAIN)
     counts = [sum(photos.library_name(s.material) == m for s in shots) for m in materials]
     assert counts == [10] * 15
 
 
 def test_each_material_is_learned_on_every_object_and_on_one_of_twice_the_size(tmp_path):
     materials = [photos.WHITE, *open_library().entries]
-    by_size = learn.shots(tmp_path, materials)
+    *by_size, plain = learn.shots(tmp_path, materials)
     assert len(by_size) == len(learn.RESOLUTIONS) and len({s.folder for some in by_size for s in some}) == 225
     meshes = [{(s.object, photos.library_name(s.material)) for s in some} for some in by_size]
     assert all(len(some) == 15 for some in meshes)
     assert set.union(*meshes) == {(name, material) for name in learn.OBJECTS for material in materials}
-    lights = [s.light for some in by_size for s in some]
-    assert len(set(lights)) == 225 and not any(light in recognition.LIGHTS for light in lights)
+    assert {s.material for s in plain} == set(learn.SHOWN_PLAIN) and {s.object for s in plain} == set(learn.OBJECTS)
+    lights = [s.light for some in (*by_size, plain) for s in some]
+    assert len(set(lights)) == 225 + 80 and not any(light in recognition.LIGHTS for light in lights)
+    same = [np.array_equal(read_map(a), read_map(b)) for a, b in zip(lights[:4], lights[225:229], strict=True)]
+    assert not any(same)
 
 
 def test_shares_come_with_their_range():
@@ -66,10 +75,36 @@ def test_the_weights_are_those_that_made_the_data():
         z = np.append(2.0 * seen["a"] + 0.5 * seen["b"], 1.0)
         p = np.exp(z) / np.exp(z).sum()
         right = rng.choice(6, p=p)
-        data.append((seen, None if right == 5 else int(right), 1.0, "x", True))
+        data.append(learn.Example(seen, () if right == 5 else (int(right),), 1.0, "x", "light"))
     weights, none = learn.learned(data, ("a", "b", "noise"))
     assert weights["a"] == pytest.approx(2, abs=0.25) and weights["b"] == pytest.approx(0.5, abs=0.15)
     assert weights["noise"] < 0.1 and none == pytest.approx(1, abs=0.25)
+
+
+def test_of_several_that_are_right_it_does_not_matter_which():
+    """What speaks for both alike is learned, what tells them apart is not."""
+    rng, data = np.random.default_rng(0), []
+    for _ in range(400):
+        seen = {"both": np.array([1.0, 1.0, 0.0]) + 0.3 * rng.normal(size=3), "one": np.array([rng.normal(), 0.0, 0.0])}
+        data.append(learn.Example(seen, (0, 1), 1.0, "x", "light"))
+    weights, _ = learn.learned(data, ("both", "one"))
+    assert weights["both"] > 3 and weights["one"] < 0.3
+
+
+def test_plain_surfaces_are_candidates_where_they_are_asked_for():
+    names = ("leather/brown-grain", photos.WHITE, *PLAIN)
+    found = {"names": names, "cues": {"classifier": list(range(5))}}
+
+    def example(shown, **how):
+        photograph = photos.Photograph(Path(), "blob", shown, "drawn-000")
+        return learn.examples([cues.Seen(photograph, found, None)], **how)
+
+    (leather,), (metal,), (matte,) = (
+        example(s) for s in ("leather-brown-grain", "plain-metal-grey", "plain-matte-red")
+    )
+    assert (leather.right, metal.right, matte.right) == ((0,), (2, 3, 4), (1, 2, 3, 4))
+    (alone,) = example("leather-brown-grain", plain=False)
+    assert alone.cues["classifier"].tolist() == [0, 1] and example("plain-metal-grey", plain=False) == []
 
 
 def test_drawn_lights_are_lights():
@@ -100,7 +135,8 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     settings = choose("draft", training_turns=1)
     (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings)
     known, left_out = seen.known["names"], seen.left_out["names"]
-    assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome"} == {*left_out, THREE[1]}
+    assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome", *PLAIN} == {*left_out, THREE[1]}
+    assert all(len(values) == len(known) for values in seen.known["cues"].values())
     models = dict.fromkeys(("verified", "spoilt"), learned_by_hand())
     monkeypatch.setattr(recognition, "judgements", lambda: models)
     (answer,) = recognition.answers([seen])

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from btfsep_engine.pipeline.verification import EXPLANATIONS, SIMILARITIES
+from btfsep_engine.pipeline.verification import EXPLANATIONS, IS_PLAIN, SIMILARITIES
 from btfsep_engine.recognise.judgement import Judgement, judged, judgements, utilities
 
 NAMES = tuple("abcdef")
@@ -56,22 +56,40 @@ def test_nothing_like_the_photo_is_unknown(rng):
     assert answer.unknown and answer.likely == () and answer.unknown_score > 1 and answer.material == "a"
 
 
+@pytest.mark.parametrize(
+    ("library", "plain", "unknown", "material", "likely"),
+    [
+        (-4.0, 4.0, True, "a", ("surface/plastic",)),  # like nothing that the library has
+        (3.9, 4.0, False, "surface/plastic", ("surface/plastic", "a")),  # the photo does not tell them apart
+        (4.0, -4.0, False, "a", ("a",)),
+        (-5.0, -6.0, True, "a", ()),  # like nothing at all: the likeliest of the plain ones, for want of a better
+    ],
+)
+def test_a_plain_surface_may_be_it_and_is_none_of_the_librarys(rng, library, plain, unknown, material, likely):
+    model = Judgement({"cue": 1.0}, 0.0, strangeness(photographs(rng, 200, spread=0.1), 0.0))
+    names = ("a", "b", "surface/matte", "surface/plastic")
+    answer = model.answer(names, {"cue": np.array([library, -9.0, -9.0, plain])})
+    assert answer.unknown is unknown and answer.material == material and answer.likely == likely
+    assert answer.stand_in == ("surface/plastic" if unknown else None) and (answer.unknown_score > 1) is unknown
+
+
 def test_the_limit_of_strangeness_is_where_the_p_value_crosses_the_level(rng):
     for count in (19, 20, 59, 200):
         known = np.sort(rng.exponential(size=count))
         for u in rng.normal(0, 3, (200, 6)):
             found = judged(u, 0.0, known)
-            assert (found.strangeness > 1) == (not found.likely.any())
+            assert ((found.strangeness > 1) == ~found.likely).all()
 
 
 def test_of_few_photographs_nothing_is_ruled_out():
     found = judged(np.array([-50.0, -60.0]), 0.0, np.linspace(0, 1, 18))
-    assert found.likely.all() and found.strangeness == 0
+    assert found.likely.all() and (found.strangeness == 0).all()
 
 
 def test_the_shipped_table_is_of_enough_lights_and_asks_for_cues_that_there_are():
     explained = {"classifier", *EXPLANATIONS}
     every = explained | {*SIMILARITIES}
+    every |= {IS_PLAIN}
     cues = {"verified": every, "spoilt": every, "explained": explained, "votes": {"classifier"}}
     for name, model in judgements().items():
         assert set(model.weights) == cues[name] and len(model.strangeness) >= 19

@@ -26,7 +26,7 @@ from btfsep_engine.render.homogeneous import homogeneous
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, scene_of, with_photo
 from tests.render.test_reflectance import WINDOW
 
-SETTINGS = choose("draft", bounces=1, directions=256, appearance="mean", order=2)
+SETTINGS = choose("draft", bounces=1, directions=512, appearance="mean", order=2)
 PLASTIC, RED = "surface/plastic", (0.5, 0.04, 0.03)
 
 
@@ -89,15 +89,27 @@ def test_a_grey_surface_gets_its_roughness_and_no_colour():
     assert off(found.fit.coefficients, true[:9]) < off(light.fit.coefficients, true[:9])
 
 
-def test_the_librarys_own_surface_stays_as_it_is():
-    model, light, _ = of_ball(SURFACES[PLASTIC])
+@pytest.mark.parametrize("name", [PLASTIC, "surface/metal"])
+def test_the_librarys_own_surface_stays_as_it_is(name):
+    model, light, _ = of_ball(SURFACES[name], name)
     same, found, words = finished(model, light)
     assert same is model and found is light and words["finish"].startswith("as it is in the library")
 
 
-@pytest.mark.parametrize(("name", "changes"), [("surface/metal", {}), (PLASTIC, {"departures": "never"})])
-def test_metals_are_left_alone_and_all_where_nobody_asks(name, changes):
-    model, light, _ = of_ball(Surface(RED, roughness=0.4), name, **changes)
+@pytest.mark.parametrize("roughness", [0.45, 0.6])
+def test_a_metal_gets_its_roughness_and_stays_a_metal(roughness):
+    copper = Surface((0.95, 0.64, 0.54), roughness=roughness, metallic=1)
+    model, light, true = of_ball(copper, "surface/metal")
+    changed, found, words = finished(model, light)
+    assert words["finish"] == f"the surface was taken to have a roughness of {roughness:g} (by evidence)"
+    assert changed.problems[0].materials[0].dye is None
+    assert off(found.fit.coefficients, true[:9]) < 0.7 * off(light.fit.coefficients, true[:9])
+    assert found.fit.evidence > light.fit.evidence + 12
+
+
+@pytest.mark.parametrize("name", [PLASTIC, "surface/metal"])
+def test_all_are_left_alone_where_nobody_asks(name):
+    model, light, _ = of_ball(Surface(RED, roughness=0.4), name, departures="never")
     assert finished(model, light) == (model, light, {})
 
 

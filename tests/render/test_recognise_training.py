@@ -17,7 +17,7 @@ from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.recognition import recognise_object, trained_recogniser
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings, choose
-from btfsep_engine.pipeline.verification import CELLS, Verification
+from btfsep_engine.pipeline.verification import CELLS, PLAIN, ROUGHNESSES, Verification
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
@@ -250,7 +250,9 @@ def test_a_photo_after_others_is_answered_as_the_first_of_a_process(monkeypatch,
     trained_recogniser(scene, 0, library, settings)
     trained, large = len(rendered), max(rendered)
     answers = [answered(photo) for photo in photos]
-    assert 0 < max(rendered[trained:]) < large  # the few pixels that lights are found from
+    after, plain = rendered[trained:], 1 + sum(map(len, ROUGHNESSES.values()))
+    assert min(after) < large  # the few pixels that lights are found from
+    assert sum(n == large for n in after) <= plain  # which no training knows
     for photo, before in zip(photos, answers, strict=True):
         STORE.forget()
         assert answered(photo) == before
@@ -284,4 +286,6 @@ def test_what_is_far_behind_is_not_rendered(monkeypatch, scene, library, setting
         sure = Recognition(FEW[0], ((FEW[0], score), *others), False, 0.5)
         monkeypatch.setattr(Recogniser, "judged", lambda self, vectors, sure=sure: sure)
         recognise_object(scene, 0, library, settings)
-        assert FEW[0] in rendered and (len(rendered) == 1) is (count == 1)
+        of_library = [name for name in rendered if name not in PLAIN]
+        assert FEW[0] in rendered and (len(of_library) == 1) is (count == 1)
+        assert set(rendered) >= set(PLAIN)

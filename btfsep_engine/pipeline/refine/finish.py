@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A surface that nobody measured: how rough it is, and its colour where that is not known, by evidence.
 
-The homogeneous family (`btf.surfaces`) stands for what no library holds, as one plastic and one matte surface. A real
-thing is rougher or glossier, darker or brighter than either, and light imitates the difference. What is coloured is
-its base: its gloss is white. A grey surface under coloured light is as a coloured one under grey light only as long as
-it has no gloss; of a red thing, in green and blue, that is nearly all one sees. So where the object's colour is not
-known (`fit.colour`) the base gets the one that the light leaves to the object, and both are found by turns.
+The homogeneous family (`btf.surfaces`) stands for what no library holds, as one plastic, one matte and one metallic
+surface. A real thing is rougher or glossier, darker or brighter than these, and light imitates the difference. What is
+coloured of a dielectric is its base: its gloss is white. A grey surface under coloured light is as a coloured one under
+grey light only as long as it has no gloss; of a red thing, in green and blue, that is nearly all one sees. So where the
+object's colour is not known (`fit.colour`) the base gets the one that the light leaves to the object, and both are
+found by turns.
 
 A material that was recognised stands beside them: recognition knows what looks most like the photo, and of a thing
 that is not in the library that may be anything. Where a plain surface explains the photo far better, it takes over.
@@ -27,6 +28,7 @@ from btfsep_engine.render.homogeneous import homogeneous
 
 ROUGHNESSES = (0.2, 0.4, 0.6, 0.9)
 BRIGHTEST = (0.6, 0.25)  # of the base colour's channels
+OF_METAL = (0.45, 0.6)  # roughnesses beside its own: of smoother ones the light's order shows too little
 ON_ALL = 2  # surfaces that are tried on all pixels
 TURNS = 3
 SETTLED = 0.05  # of a tint
@@ -58,16 +60,20 @@ def finished(model, light):
     taken = next((m[0] for m in model.materials), None)
     recognised = taken is not None and not taken.is_given and taken.mirror is None
     of_family = SURFACES.get(made_of.name)
-    dielectric = of_family is not None and not of_family.metallic
+    metal = of_family is not None and of_family.metallic == 1
     ideal = unknown and made_of.matte_albedo is not None  # a reference has no colour
-    if not (dielectric or ideal or recognised) or made_of.mirror_reflectance is not None:
+    if not (of_family or ideal or recognised) or made_of.mirror_reflectance is not None:
         return model, light, {}
     tint = tint_of(made_of.diffuse_albedo())
     with model.reporter.stage("reflectance"):
         seen = tint + light.fit.tint.object_tint if unknown or np.abs(tint).max() > GREY else None
-        best = _best(model.problems, light, seen, replace(model.modelled, order=light.order))
-    of_library = recognised and not dielectric
-    needed = FAR if of_library or dielectric else FAR_FROM_REFERENCE
+        if metal:
+            seen, every = None, [replace(of_family, roughness=roughness) for roughness in OF_METAL]
+        else:
+            every = _dielectrics(seen)
+        best = _best(model.problems, light, seen, every, replace(model.modelled, order=light.order))
+    of_library = recognised and not of_family
+    needed = FAR if of_library or of_family else FAR_FROM_REFERENCE
     if best is None or best.light.fit.evidence < light.fit.evidence + needed:
         return model, light, {"finish": "as it is in the library: no plain surface explains the photo better"}
     words = f"a roughness of {best.surface.roughness:g}"
@@ -94,14 +100,18 @@ def _none_of_the_library(model, best: Finished) -> tuple:
     return tuple([replace(one, **instead) for one in each] for each in model.materials)
 
 
-def _best(problems, light, tint, settings) -> Finished | None:
+def _dielectrics(tint) -> list[Surface]:
+    """Those that are tried of a colour."""
+    colour = base_colour(np.zeros(2) if tint is None else tint)
+    return [Surface(tuple(b * colour), roughness) for roughness in ROUGHNESSES for b in BRIGHTEST]
+
+
+def _best(problems, light, tint, every: list[Surface], settings) -> Finished | None:
     """The surface of the largest evidence; None where a look at a few pixels leaves no hope.
 
-    ``tint`` : (2,) of the object's colour, as far as it is seen; None: it is grey
+    ``tint`` : (2,) of the object's colour, as far as it is seen; None: it is grey, or all of it is the light's
     """
     few, name = fewer(problems, FEW, settings.seed), problems[0].materials[0].name
-    colour = base_colour(np.zeros(2) if tint is None else tint)
-    every = [Surface(tuple(b * colour), roughness) for roughness in ROUGHNESSES for b in BRIGHTEST]
     made = [with_material(few, 0, homogeneous(surface, name), settings) for surface in every]
     evidence = np.array([field_alone(trial, light, settings).evidence for trial in made])
     if evidence.max() < field_alone(few, light, settings).evidence + HOPEFUL:

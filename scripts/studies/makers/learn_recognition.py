@@ -4,21 +4,23 @@
 scripts/study learn-recognition FOLDER              takes the photographs into FOLDER, and writes the table
 
 The photographs are by Cycles, of displaced geometry whose texels are not the library's: three objects in every material
-of the library, each under a light of its own; of each material one object's are twice as large. No object and no light
-of theirs is in the evaluation (`scripts/study recognition`), and no light among those that a recogniser is trained
-under. The lights: two of Blender's eight studio lights, drawn by chance, each photograph with another turn of it; and
-draws from the prior of natural light (`light/log_field.py`) with up to two lamps.
+of the library, each under a light of its own; of each material one object's are twice as large; and objects in plain
+surfaces, of which the library has none: right are there `verification.PLAIN`, of a matte one white, too. No object and
+no light of theirs is in the evaluation (`scripts/study recognition`), and no light among those that a recogniser is
+trained under. The lights: two of Blender's eight studio lights, drawn by chance, each photograph with another turn of
+it; and draws from the prior of natural light (`light/log_field.py`) with up to two lamps.
 
 Four models: "verified", of all cues; "spoilt", the same of photographs that have lost their finest detail: each is
 blurred, made noisier and coded as JPEG once more; "explained", which says what is worth a rendering; and "votes", of
-the classifier alone. The weights are those of the largest
-likelihood (a multinomial logistic regression with a ridge), each photograph twice: with all materials, where its own is
-right, and without its own, where none is. The strangeness of each photograph's own material is that under weights which
-were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
+the classifier alone; of these two plain surfaces are no part. The weights are those of the largest likelihood (a
+multinomial logistic regression with a ridge), each photograph of the library's materials twice: with all, where its own
+is right, and without its own, where none is. The strangeness of what is right in each photograph is that under weights
+which were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
 """
 
 import itertools
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,9 +33,10 @@ from btfsep_engine.light.lightings import shrink, turned
 from btfsep_engine.light.log_field import natural_field
 from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.pipeline.verification import EXPLANATIONS, SIMILARITIES, TINT
+from btfsep_engine.pipeline.verification import EXPLANATIONS, IS_PLAIN, PLAIN, SIMILARITIES, TINT
 from btfsep_engine.recognise.judgement import TABLE, judged, utilities
 from btfsep_engine.storage.atomic import write_text
+from scripts.cycles import plain as studio_plain
 from scripts.cycles.lights import studio_lights
 from scripts.studies import cues, parser, photos
 from scripts.studies.makers.prepare_lights import normalised
@@ -48,9 +51,14 @@ HEIGHT = 128  # rows of a light
 LAMPS = (0.4, 0.4, 0.2)  # how probable none, one and two are
 LAMP_PIXELS = 2.0  # radius of a lamp's disc
 RESOLUTIONS, SAMPLES = (256, 256, 512), 64  # of a photograph: of a material's first object, second, third
+SHOWN_PLAIN = (
+    *("plain/matte-red", "plain/matte-navy", "plain/satin-clay", "plain/satin-grey"),
+    *("plain/gloss-red", "plain/gloss-grey", "plain/metal-clay", "plain/metal-grey"),
+)
+PLAIN_TURNS, PLAIN_RESOLUTION = 2, 256
 MODELS = {
-    "verified": ("classifier", *EXPLANATIONS, *SIMILARITIES),
-    "spoilt": ("classifier", *EXPLANATIONS, *SIMILARITIES),
+    "verified": ("classifier", *EXPLANATIONS, *SIMILARITIES, IS_PLAIN),
+    "spoilt": ("classifier", *EXPLANATIONS, *SIMILARITIES, IS_PLAIN),
     "explained": ("classifier", *EXPLANATIONS),
     "votes": ("classifier",),
 }
@@ -89,52 +97,96 @@ def tint_of(radiance, number: int) -> np.ndarray:
     return (wanted / mean).astype(np.float32)
 
 
-def shots(folder: Path, materials) -> list[list]:
-    """The photographs of each of `RESOLUTIONS`, their lights written beside them; those of one object in one material
-    stand together."""
-    random, out, lights = np.random.default_rng(0), [], folder / "lights"
-    lights.mkdir(parents=True, exist_ok=True)
-    for turn, (j, material), k in itertools.product(range(len(RESOLUTIONS)), enumerate(materials), range(LIGHTS_EACH)):
-        number = len(out)
+class Lights:
+    """The lights of photographs in their order, each written beside them when it is first asked for."""
+
+    def __init__(self, folder: Path, seed: int, prefix: str = ""):
+        self.folder, self.prefix, self.count = folder / "lights", prefix, 0
+        self.random = np.random.default_rng(seed)
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def next(self, k: int, j: int) -> Path:
+        """The k-th of an object in the j-th material."""
         if k == LIGHTS_EACH - 1:
             light = LIGHTS[j % len(LIGHTS)]
             radiance = read_map(studio_lights()[light])
-            radiance = turned(shrink(radiance, max(1, len(radiance) // 256)), random.uniform(0, 360))
+            radiance = turned(shrink(radiance, max(1, len(radiance) // 256)), self.random.uniform(0, 360))
         else:
-            light, radiance = DRAWN, drawn_light(random)
-            radiance *= tint_of(radiance, number)
-        path = lights / f"{light}-{number:03d}.exr"
+            light, radiance = DRAWN, drawn_light(self.random)
+            radiance *= tint_of(radiance, self.count)
+        path = self.folder / f"{light}-{self.prefix}{self.count:03d}.exr"
         if not path.exists():
             write_exr(path, np.asarray(radiance, np.float32))
-        name = OBJECTS[(j + turn) % len(OBJECTS)]
-        out.append(photos.shot(folder, name, photos.studio_name(material), path, variation=VARIATION))
-    each = len(materials) * LIGHTS_EACH
-    return [out[i : i + each] for i in range(0, len(out), each)]
+        self.count += 1
+        return path
 
 
-def examples(seen) -> list:
-    """(cues, number of the right one or None, how much it counts, object, light) of photographs (cues.Seen)."""
+def shots(folder: Path, materials) -> list[list]:
+    """The photographs of each of `RESOLUTIONS`, their lights written beside them, and those of plain surfaces; those of
+    one object in one material stand together."""
+    out = []
+    lights = Lights(folder, 0)
+    for turn in range(len(RESOLUTIONS)):
+        out.append(of_objects(folder, [photos.studio_name(m) for m in materials], lights, turn))
+    lights = Lights(folder, 1, "plain-")
+    return [*out, [shot for turn in range(PLAIN_TURNS) for shot in of_objects(folder, SHOWN_PLAIN, lights, turn)]]
+
+
+def of_objects(folder: Path, materials, lights: Lights, turn: int) -> list:
+    """Photographs of an object in each of some materials, of the studio's names."""
+    grid = itertools.product(enumerate(materials), range(LIGHTS_EACH))
+    return [
+        photos.shot(folder, OBJECTS[(j + turn) % len(OBJECTS)], m, lights.next(k, j), variation=VARIATION)
+        for (j, m), k in grid
+    ]
+
+
+@dataclass(frozen=True)
+class Example:
+    """What is learned from: ``cues`` : {cue: (candidates,)}, ``right`` : which of them are, if any; what it counts."""
+
+    cues: dict
+    right: tuple[int, ...]
+    counts: float
+    object: str
+    light: str
+
+
+def examples(seen, *, plain: bool = True) -> list[Example]:
+    """Of photographs (cues.Seen); ``plain`` : with plain surfaces, as candidates and photographed."""
     out = []
     for s in seen:
-        right = s.known["names"].index(s.photograph.material)
-        light = s.photograph.light
+        truth, light = s.photograph.material, s.photograph.light
+        is_plain = truth in studio_plain.NAMES
         about = s.photograph.object, light if light.startswith(DRAWN) else light.split("-")[0]  # a turn is the same
-        out.append((s.known["cues"], right, 1.0, *about))
-        out.append((s.left_out["cues"], None, LEFT_OUT, *about))
+        if is_plain and not plain:
+            continue
+        names = s.known["names"]
+        may = (*PLAIN, WHITE) if "matte" in truth else PLAIN if is_plain else (truth,)
+        right = tuple(i for i, name in enumerate(names) if name in may)
+        out.append(Example(of_candidates(s.known, plain), right, 1.0, *about))
+        if s.left_out:
+            out.append(Example(of_candidates(s.left_out, plain), (), LEFT_OUT, *about))
     return out
 
 
-def learned(data, names) -> tuple[dict, float]:
-    """The weights of the cues ``names``, and that of none, by the largest likelihood of `examples`."""
-    unit = np.array([np.std(np.concatenate([cues[n] for cues, *_ in data])) for n in names])
+def of_candidates(found, plain: bool) -> dict:
+    """The cues of all candidates, or of the library's materials alone."""
+    some = [i for i, name in enumerate(found["names"]) if plain or name not in PLAIN]
+    return {cue: np.asarray(values)[some] for cue, values in found["cues"].items()}
+
+
+def learned(data: list[Example], names) -> tuple[dict, float]:
+    """The weights of the cues ``names``, and that of none, by the largest likelihood of examples."""
+    unit = np.array([np.std(np.concatenate([one.cues[n] for one in data])) for n in names])
     unit[unit == 0] = 1.0
-    rows = [np.stack([cues[n] for n in names], 1) / unit for cues, *_ in data]
+    rows = [np.stack([one.cues[n] for n in names], 1) / unit for one in data]
 
     def loss(w):
         total = RIDGE * np.square(w[:-1]).sum()
-        for x, (_, right, counts, *_) in zip(rows, data, strict=True):
+        for x, one in zip(rows, data, strict=True):
             z = np.append(x @ w[:-1], w[-1])
-            total += counts * (z.max() + np.log(np.exp(z - z.max()).sum()) - z[-1 if right is None else right])
+            total += one.counts * (np.logaddexp.reduce(z) - np.logaddexp.reduce(z[list(one.right) or [-1]]))
         return total
 
     limits = [(0, None)] * len(names) + [(None, None)]  # each cue speaks for a candidate, or says nothing
@@ -142,15 +194,15 @@ def learned(data, names) -> tuple[dict, float]:
     return dict(zip(names, np.round(w[:-1] / unit, 4).tolist(), strict=True)), round(float(w[-1]), 4)
 
 
-def strangeness(data, names) -> list:
-    """-log p of the right material of one photograph of each light, under weights learned on the other objects."""
+def strangeness(data: list[Example], names) -> list:
+    """-log p of what is right in one photograph of each light, under weights learned on the other objects."""
     of_light: dict = {}
-    for name in sorted({of for *_, of, _ in data}):
-        weights, none = learned([d for d in data if d[3] != name], names)
-        for cues_, right, _, of, light in data:
-            if of == name and right is not None:
-                p = judged(utilities(weights, cues_), none, np.zeros(1)).probabilities[right]
-                of_light.setdefault(light, []).append(round(-float(np.log(max(p, 1e-300))), 4))
+    for name in sorted({one.object for one in data}):
+        weights, none = learned([one for one in data if one.object != name], names)
+        for one in data:
+            if one.object == name and one.right:
+                p = judged(utilities(weights, one.cues), none, np.zeros(1)).probabilities[list(one.right)].sum()
+                of_light.setdefault(one.light, []).append(round(-float(np.log(max(p, 1e-300))), 4))
     random = np.random.default_rng(0)
     return sorted(float(random.choice(values)) for values in of_light.values())
 
@@ -164,7 +216,7 @@ def main(arguments) -> int:
     library = open_library()
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
     if given.take:
-        for some, resolution in zip(wanted, RESOLUTIONS, strict=True):
+        for some, resolution in zip(wanted, (*RESOLUTIONS, PLAIN_RESOLUTION), strict=True):
             photos.take(some, resolution=resolution, samples=SAMPLES, denoise=True)
     found = [cues.seen_in(given.folder, some) for some in wanted]
     found += [photos.photographs_in(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
@@ -173,18 +225,17 @@ def main(arguments) -> int:
         some.sort(key=lambda p: p.object)
         for flaw, into in seen.items():
             into += cues.cues_of(some, library, choose("balanced"), flaw=flaw, every=True)
-    every = [s for some in seen.values() for s in some]
-    used = {"verified": [s for s in every if not s.spoilt], "spoilt": [s for s in every if s.spoilt]}
-    clean = seen[FLAWS[0]]
+    every, clean = [s for some in seen.values() for s in some], seen[FLAWS[0]]
+    used = {model: examples([s for s in every if s.model == model]) for model in ("verified", "spoilt")}
     table = {
         "photographs": len(clean),
         "objects": sorted({s.photograph.object for s in clean}),
-        "lights": len({d[-1] for d in examples(clean)}),
+        "lights": len({one.light for one in examples(clean)}),
         "made_by": "scripts/study learn-recognition",
         "models": {},
     }
     for model, names in MODELS.items():
-        data = examples(used.get(model, clean))
+        data = used.get(model) or examples(clean, plain=False)
         weights, none = learned(data, names)
         table["models"][model] = {"weights": weights, "none": none, "strangeness": strangeness(data, names)}
         print(model, weights, none)
