@@ -186,7 +186,7 @@ def recognised(photo, region, window, recogniser: Recogniser, library, verificat
         return recogniser.judged(vectors)
     names, cues = candidate_cues(radiance, vectors, recogniser, library, verification)
     model = "votes" if not verification else "spoilt" if spoilt(radiance, region[window]) else "verified"
-    answer = judgements()[model].answer(names, cues)
+    answer = judgements()[model].answer(names, cues, plain=PLAIN)
     if calibrated:
         return answer
     first = recogniser.judged(vectors)  # the order counts, but the sets are those of another classifier

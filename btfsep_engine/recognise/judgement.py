@@ -12,7 +12,7 @@ compared with what it was in the table's photographs, each under a light of its 
 
 and the candidates above `LEVEL` are the answer: the right material is among them in at least 95 % of photographs like
 those. Where none of the library's is among them, the object looks like no material that is known; the likeliest of the
-surfaces that are alike all over (`btf.surfaces`) stands in for it.
+surfaces that are alike all over stands in for it.
 
 The table is ``data/recognition.json``; ``scripts/study learn-recognition`` makes it.
 """
@@ -24,7 +24,6 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.recognise.recogniser import Recognition
 
 TABLE = Path(__file__).resolve().parents[1] / "data" / "recognition.json"
@@ -46,18 +45,21 @@ class Judgement:
     none: float
     strangeness: np.ndarray
 
-    def answer(self, names, cues: dict) -> Recognition:
-        """What is to be said of the candidates ``names`` with ``cues`` : {cue: (candidates,) float}."""
+    def answer(self, names, cues: dict, *, plain=()) -> Recognition:
+        """What is to be said of the candidates ``names`` with ``cues`` : {cue: (candidates,) float}.
+
+        ``plain`` : those that are none of the library's
+        """
         found = judged(utilities(self.weights, cues), self.none, self.strangeness)
         order = np.argsort(-found.probabilities, kind="stable")
         scores = found.probabilities / found.probabilities.sum()
         likely = tuple(names[i] for i in order if found.likely[i])
         candidates = tuple((names[i], float(scores[i])) for i in order)
-        nearest = next(i for i in order if names[i] not in SURFACES)
+        nearest = next(i for i in order if names[i] not in plain)
         known = bool(found.likely[nearest])
         material, stand_in = names[order[0] if known else nearest], None
         if not known:
-            stand_in = next((names[i] for i in order if names[i] in SURFACES), None)
+            stand_in = next((names[i] for i in order if names[i] in plain), None)
         return Recognition(material, candidates, not known, float(found.strangeness[nearest]), likely, stand_in)
 
 

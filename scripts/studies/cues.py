@@ -18,7 +18,7 @@ import numpy as np
 from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
-from btfsep_engine.pipeline.verification import Verification
+from btfsep_engine.pipeline.verification import PLAIN, Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import TABLE
 from btfsep_engine.recognise.model_file import source_digest
@@ -86,6 +86,13 @@ class Seen:
     def model(self) -> str:
         """Which of `judgement.judgements` it is judged by."""
         return "spoilt" if self.spoilt else "verified"
+
+    def of_candidates(self, *, left_out: bool = False, plain: bool = True) -> tuple[tuple[str, ...], dict]:
+        """The names of the candidates, and their cues; ``plain`` : with those of `verification.PLAIN`."""
+        found = self.left_out if left_out else self.known
+        some = [i for i, name in enumerate(found["names"]) if plain or name not in PLAIN]
+        cues = {cue: np.asarray(values)[some] for cue, values in found["cues"].items()}
+        return tuple(found["names"][i] for i in some), cues
 
 
 def flawed(radiance, region, flaw: str, random) -> np.ndarray:

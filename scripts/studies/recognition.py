@@ -75,12 +75,21 @@ def calibration(confidence, right) -> tuple[float, list]:
     return float(sum(n * abs(c - r) for c, r, n in bins) / len(right)), bins
 
 
+def by_chance(confidence) -> tuple[float, float]:
+    """The middle 90 % of the expected calibration errors of photographs of which the confidence is right."""
+    confidence, random = np.asarray(confidence), np.random.default_rng(0)
+    drawn = [calibration(confidence, random.random(len(confidence)) < confidence)[0] for _ in range(1000)]
+    return tuple(np.quantile(drawn, (0.05, 0.95)))
+
+
 def answers(seen, model: str | None = None) -> list[dict]:
     """What is answered of photographs (cues.Seen), by a model of the table; None: as an estimate chooses it."""
     out = []
     for s in seen:
         judgement = judgements()[model or s.model]
-        truth, known = s.photograph.material, judgement.answer(s.known["names"], s.known["cues"])
+        plain = model != "votes"  # the classifier knows nothing of plain surfaces
+        truth, known = s.photograph.material, judgement.answer(*s.of_candidates(plain=plain), plain=PLAIN)
+        hidden = s.left_out and judgement.answer(*s.of_candidates(left_out=True, plain=plain), plain=PLAIN)
         order = [name for name, _ in known.candidates]
         out.append(
             {
@@ -94,7 +103,7 @@ def answers(seen, model: str | None = None) -> list[dict]:
                 "likely": known.likely,
                 "may_be_plain": any(name in PLAIN for name in known.likely),
                 "strangeness": known.unknown_score,
-                "left_out": s.left_out and judgement.answer(s.left_out["names"], s.left_out["cues"]).unknown_score,
+                "left_out": hidden and hidden.unknown_score,
             }
         )
     return out
@@ -108,7 +117,8 @@ def judge(answers, title: str) -> dict:
     """Prints what came out, and gives the row of the table."""
     right = [a["answer"] == a["truth"] for a in answers]
     same_class = [of_class(a["answer"]) == of_class(a["truth"]) for a in answers]
-    error, bins = calibration([a["confidence"] for a in answers], right)
+    stated = [a["confidence"] for a in answers]
+    error, bins = calibration(stated, right)
     row = {
         "photos": f"{title} ({len(answers)})",
         "material": share(right),
@@ -116,7 +126,7 @@ def judge(answers, title: str) -> dict:
         "first three": share(a["rank"] < 3 for a in answers),
         "in the set": share(a["truth"] in a["likely"] for a in answers),
         "size of the set": f"{np.mean([len(a['likely']) for a in answers]):.2f}",
-        "calibration error": f"{error:.3f}",
+        "calibration error": "{:.3f} (by chance {:.3f} to {:.3f})".format(error, *by_chance(stated)),
     }
     print(f"\n## {title}: {len(answers)} photos")
     print("; ".join(f"{k} {v}" for k, v in list(row.items())[1:]))

@@ -67,6 +67,16 @@ def test_calibration_is_the_mean_distance_of_what_is_said_from_what_is_so():
     assert error == pytest.approx(0.5 * 0.2 + 0.5 * 0.05) and [b[2] for b in bins] == [20, 20]
 
 
+def test_photographs_of_which_the_confidence_is_right_differ_from_it_by_chance_alone():
+    rng = np.random.default_rng(0)
+    stated = rng.uniform(0.2, 1, 150)
+    low, high = recognition.by_chance(stated)
+    assert 0.02 < low < high < 0.15
+    honest = [recognition.calibration(stated, rng.random(150) < stated)[0] for _ in range(40)]
+    assert 30 <= sum(low <= error <= high for error in honest)
+    assert recognition.calibration(stated, rng.random(150) < stated - 0.2)[0] > high
+
+
 def test_the_weights_are_those_that_made_the_data():
     """Photographs whose right material is drawn from known weights; a cue that says nothing gets none."""
     rng, data = np.random.default_rng(0), []

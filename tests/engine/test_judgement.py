@@ -68,7 +68,7 @@ def test_nothing_like_the_photo_is_unknown(rng):
 def test_a_plain_surface_may_be_it_and_is_none_of_the_librarys(rng, library, plain, unknown, material, likely):
     model = Judgement({"cue": 1.0}, 0.0, strangeness(photographs(rng, 200, spread=0.1), 0.0))
     names = ("a", "b", "surface/matte", "surface/plastic")
-    answer = model.answer(names, {"cue": np.array([library, -9.0, -9.0, plain])})
+    answer = model.answer(names, {"cue": np.array([library, -9.0, -9.0, plain])}, plain=names[2:])
     assert answer.unknown is unknown and answer.material == material and answer.likely == likely
     assert answer.stand_in == ("surface/plastic" if unknown else None) and (answer.unknown_score > 1) is unknown
 

@@ -161,19 +161,13 @@ def examples(seen, *, plain: bool = True) -> list[Example]:
         about = s.photograph.object, light if light.startswith(DRAWN) else light.split("-")[0]  # a turn is the same
         if is_plain and not plain:
             continue
-        names = s.known["names"]
+        names, found = s.of_candidates(plain=plain)
         may = (*PLAIN, WHITE) if "matte" in truth else PLAIN if is_plain else (truth,)
         right = tuple(i for i, name in enumerate(names) if name in may)
-        out.append(Example(of_candidates(s.known, plain), right, 1.0, *about))
+        out.append(Example(found, right, 1.0, *about))
         if s.left_out:
-            out.append(Example(of_candidates(s.left_out, plain), (), LEFT_OUT, *about))
+            out.append(Example(s.of_candidates(left_out=True, plain=plain)[1], (), LEFT_OUT, *about))
     return out
-
-
-def of_candidates(found, plain: bool) -> dict:
-    """The cues of all candidates, or of the library's materials alone."""
-    some = [i for i, name in enumerate(found["names"]) if plain or name not in PLAIN]
-    return {cue: np.asarray(values)[some] for cue, values in found["cues"].items()}
 
 
 def learned(data: list[Example], names) -> tuple[dict, float]:
