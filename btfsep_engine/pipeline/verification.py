@@ -48,6 +48,7 @@ FIELD = 8, 4, sh.term_count(ORDER), 256  # of its logarithm: orders of lightness
 EXPLANATIONS = ("evidence", "tint")
 PLAIN = tuple(SURFACES)  # candidates beside a library's,
 ROUGHNESSES = {"surface/plastic": (0.2, 0.4), "surface/metal": (0.3, 0.5)}  # each the best of its kind
+BESIDE = 3.0  # roots of evidence, as the cue has it: kinds that are so far behind another are not rendered
 DYED, BASE = "surface/plastic", 0.5  # of a colour, whose gloss has none: of a metal, as of what is matte, it is all one
 IS_PLAIN = "plain"  # the cue that says so, -1: how probable such a thing is beside one of the library's
 SIMILARITIES = ("contrast", "tails", "correlation", "together", "directed", "coarse")
@@ -202,21 +203,24 @@ class Verification:
         cues = {cue: _of_all(values, range(last), count) for cue, values in found.items()}
         odds = utilities(judgements()["explained"].weights, votes | cues)
         likely = [i for i in np.argsort(-odds, kind="stable") if i < last]
+        kinds = list(range(last, len(materials)))
         if not self.every:
             enough = odds[likely[0]] - HOPELESS
             likely = [i for i in likely[:RENDERED] if odds[i] > enough or mirrors[i]]
+            kinds = [i for i in kinds if below[i] >= below[last:].max() - BESIDE]
         seen = Masked(self.region, self.region & np.isfinite(radiance).all(-1))
         photo = Photographed(seen, contrast_of(seen.values_of(radiance), seen))
         similar = [
             dict.fromkeys(SIMILARITIES, np.nan)
             if mirrors[i]
             else self.similarity(materials[i], explained[i].light, photo)
-            for i in (*likely, *range(last, len(materials)))
+            for i in (*likely, *kinds)
         ]
         each = {cue: np.array([s[cue] for s in similar]) for cue in SIMILARITIES}
         cues |= {cue: _of_all(values[: len(likely)], likely, count) for cue, values in each.items()}
-        of_plain = {cue: values[len(likely) :] for cue, values in each.items()} | {"evidence": below[last:]}
-        of_plain |= {cue: np.zeros(len(PLAIN)) for cue in (*votes, "tint")}
+        numbers = np.array(kinds) - last
+        of_plain = {cue: _of_all(values[len(likely) :], numbers, len(PLAIN)) for cue, values in each.items()}
+        of_plain |= {cue: np.zeros(len(PLAIN)) for cue in (*votes, "tint")} | {"evidence": below[last:]}
         out = {cue: np.append(values, of_plain[cue]) for cue, values in (votes | cues).items()}
         return out | {IS_PLAIN: np.append(np.zeros(count), -np.ones(len(PLAIN)))}
 

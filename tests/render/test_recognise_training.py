@@ -288,4 +288,4 @@ def test_what_is_far_behind_is_not_rendered(monkeypatch, scene, library, setting
         recognise_object(scene, 0, library, settings)
         of_library = [name for name in rendered if name not in PLAIN]
         assert FEW[0] in rendered and (len(of_library) == 1) is (count == 1)
-        assert set(rendered) >= set(PLAIN)
+        assert 0 < len(rendered) - len(of_library) < len(PLAIN)  # a metal is far behind
