@@ -172,9 +172,12 @@ def _cholesky(gram, damping: float) -> np.ndarray:
     if not len(gram):
         return gram
     lower, failed = lapack.spotrf(_and_one(gram.copy(), damping).T, lower=1, overwrite_a=1, clean=0)
-    if failed:  # its values span more than single precision does
-        more = damping + ROUNDED * float(np.diag(gram).max())
-        lower = np.linalg.cholesky(_and_one(gram.astype(np.float64), more)).astype(np.float32)
+    more = ROUNDED * float(np.diag(gram).max())
+    while failed:  # its values span more than single precision does; of many that are alike, more than the largest says
+        if not np.isfinite(more):
+            raise np.linalg.LinAlgError("the matrix of a fit has values that are no numbers")
+        lower, failed = lapack.dpotrf(_and_one(gram.astype(np.float64), damping + more), lower=1)
+        lower, more = lower.astype(np.float32), 10 * more
     return lower
 
 
