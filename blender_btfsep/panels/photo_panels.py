@@ -164,7 +164,7 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
     def _candidates(self, context, layout, entry):
         box = layout.box()
         if entry.unknown:
-            labels.wrapped(context, box, "It looks like no material of the library; the likeliest are:", icon="QUESTION")
+            labels.wrapped(context, box, "It looks like nothing of the library; the likeliest are:", icon="QUESTION")
         column = box.column(align=True)
         library.ensure()  # for the thumbnails
         pictures = {material.name: material.thumbnail for material in runs.run_state().library}
