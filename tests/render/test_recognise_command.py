@@ -14,7 +14,7 @@ from btfsep_engine.cli import main
 from btfsep_engine.light.files import exactly, write_lighting
 from btfsep_engine.pipeline.recognition import bounding_window, training_region
 from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.pipeline.verification import SIMILARITIES, Verification
+from btfsep_engine.pipeline.verification import PLAIN, SIMILARITIES, Verification
 from tests.render.progress_lines import assert_whole_run
 from tests.render.scenes import positive_light, scene_of
 
@@ -65,7 +65,8 @@ def test_the_material_of_a_photo_is_recognised_and_used(
         assert found["material"] == name and found["recognised"]
         scores = [c["score"] for c in found["candidates"]]
         assert scores == sorted(scores, reverse=True) and sum(scores) == pytest.approx(1, abs=1e-3)
-        assert {c["name"] for c in found["candidates"]} == {*CHOSEN, "reference/white-diffuse", "reference/chrome"}
+        named = {c["name"] for c in found["candidates"]}
+        assert named == {*CHOSEN, "reference/white-diffuse", "reference/chrome", *PLAIN}
     assert "classifier" not in result["seconds"]  # kept from the first photo: the geometry is the same
     assert main(["estimate", str(folder), *common, "--classifier", classifier, "--no-report", "--json"]) == 0
     estimated = json.loads(capsys.readouterr().out.splitlines()[-1])["result"]
@@ -134,7 +135,7 @@ def test_that_a_mirror_can_explain_any_photo_says_nothing(sphere_job_folder, sma
     scene = scene_of(folder)
     region = training_region(scene.regions[0], settings.training_pixels)
     verification = Verification(scene, 0, region, bounding_window(region), settings)
-    explained = {CHOSEN[0]: -300.0, "reference/chrome": 0.0}
+    explained = {CHOSEN[0]: -300.0, "reference/chrome": 0.0} | dict.fromkeys(PLAIN, -444.0)
     own = Verification.explained
     monkeypatch.setattr(
         Verification,
@@ -143,6 +144,6 @@ def test_that_a_mirror_can_explain_any_photo_says_nothing(sphere_job_folder, sma
     )
     radiance = scene.job.photo.radiance[verification.window]
     told = {"classifier": np.array([-0.5, -2.0])}, radiance, library.load
-    assert verification.cues(names, *told)["evidence"].tolist() == [0.0, 0.0]
+    assert verification.cues(names, *told)["evidence"] == pytest.approx([0.0, 0.0, -12.0, -12.0, -12.0])
     explained["reference/chrome"] = -400.0  # and that it cannot speaks against it
-    assert verification.cues(names, *told)["evidence"] == pytest.approx([0.0, -10.0])
+    assert verification.cues(names, *told)["evidence"] == pytest.approx([0.0, -10.0, -12.0, -12.0, -12.0])
