@@ -242,7 +242,7 @@ class Verification:
         light = CELLS.means(best.radiance, best.model.field.directions) * photo.level
         return Explained(light, best.x[:, 0] * photo.level, best.evidence, photo.effective, best)
 
-    def plain(self, name: str, radiance, beside: Explained) -> "Plain":
+    def plain(self, name: str, radiance, beside: Explained) -> Plain:
         """The best of a kind of `PLAIN`; arguments as of `explained`."""
         each = [(self.explained(m, radiance, beside), m) for m in _surfaces(name)]
         best, material = max(each, key=lambda one: one[0].evidence)

@@ -22,6 +22,7 @@ from scripts.cycles.lights import light_path, studio_lights, true_lighting
 from scripts.studies import ROOT, parser
 
 WHITE = "reference/white-diffuse"
+PLAIN = "plain"  # folder in one of photographs of the library's materials, for those of others: no study meets them
 MATERIALS = ("white", "leather/brown-grain", "fabric/denim-twill", "wood/walnut-lacquered")
 OBJECTS = ("suzanne", "blob", "vase", "cloth")
 LIGHTS = ("courtyard", "sunset", "city", "interior")

@@ -246,7 +246,7 @@ def main(arguments) -> int:
     given = options.parse_args(arguments)
     library, settings = open_library(), choose(given.preset)
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
-    of_plain = shots(given.folder.resolve(), SHOWN_PLAIN)
+    of_plain = shots(given.folder.resolve() / photos.PLAIN, SHOWN_PLAIN)
     if given.take:
         photos.take([*wanted, *of_plain], resolution=RESOLUTION, samples=SAMPLES, denoise=True)
     found, plain = (cues.seen_in(given.folder, some) for some in (wanted, of_plain))

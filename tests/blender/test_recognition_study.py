@@ -27,7 +27,7 @@ def test_nothing_that_was_learned_on_is_judged_by(tmp_path):
     assert {s.object for s in shots} == set(recognition.OBJECTS) and {s.light for s in shots} == set(recognition.LIGHTS)
     assert not set(recognition.OBJECTS) & set(learn.OBJECTS) and not set(recognition.LIGHTS) & set(learn.LIGHTS)
     assert {s.variation for s in shots} == {1} and learn.VARIATION not in (0, 1)
-    plain = recognition.shots(tmp_path, recognition.SHOWN_PLAIN)
+    plain = recognition.shots(tmp_path / photos.PLAIN, recognition.SHOWN_PLAIN)
     assert len(plain) == 80 and {s.light for s in plain} == set(recognition.LIGHTS)
     assert not set(recognition.SHOWN_PLAIN) & set(learn.SHOWN_PLAIN)
     counts = [sum(photos.library_name(s.material) == m for s in shots) for m in materials]
@@ -42,6 +42,9 @@ def test_each_material_is_learned_on_every_object_and_on_one_of_twice_the_size(t
     assert all(len(some) == 15 for some in meshes)
     assert set.union(*meshes) == {(name, material) for name in learn.OBJECTS for material in materials}
     assert {s.material for s in plain} == set(learn.SHOWN_PLAIN) and {s.object for s in plain} == set(learn.OBJECTS)
+    # what other studies are given has the library's materials alone
+    assert {Path(s.folder).parent for s in plain} == {tmp_path / photos.PLAIN}
+    assert {Path(s.folder).parent for some in by_size for s in some} == {tmp_path}
     lights = [s.light for some in (*by_size, plain) for s in some]
     assert len(set(lights)) == 225 + 80 and not any(light in recognition.LIGHTS for light in lights)
     same = [np.array_equal(read_map(a), read_map(b)) for a, b in zip(lights[:4], lights[225:229], strict=True)]

@@ -124,12 +124,11 @@ class Lights:
 def shots(folder: Path, materials) -> list[list]:
     """The photographs of each of `RESOLUTIONS`, their lights written beside them, and those of plain surfaces; those of
     one object in one material stand together."""
-    out = []
-    lights = Lights(folder, 0)
-    for turn in range(len(RESOLUTIONS)):
-        out.append(of_objects(folder, [photos.studio_name(m) for m in materials], lights, turn))
+    names, lights = [photos.studio_name(m) for m in materials], Lights(folder, 0)
+    out = [of_objects(folder, names, lights, turn) for turn in range(len(RESOLUTIONS))]
     lights = Lights(folder, 1, "plain-")
-    return [*out, [shot for turn in range(PLAIN_TURNS) for shot in of_objects(folder, SHOWN_PLAIN, lights, turn)]]
+    plain = [of_objects(folder / photos.PLAIN, SHOWN_PLAIN, lights, turn) for turn in range(PLAIN_TURNS)]
+    return [*out, list(itertools.chain(*plain))]
 
 
 def of_objects(folder: Path, materials, lights: Lights, turn: int) -> list:
