@@ -135,7 +135,7 @@ class LightSolver:
 
         Parameters
         ----------
-        weights : (p, 3) in [0, 1], 1 over the variance of a channel of a pixel; None: all 1
+        weights : (p, 3) >= 0, 1 over the variance of a channel of a pixel; None: all 1
         start : of an earlier photograph of much the same light: its model, from its light on, and no other is tried
         beside : of the same photograph by another basis, whose evidence is to be compared with this one's
 

@@ -189,7 +189,7 @@ class Photograph:
     ----------
     basis : Basis
     radiance : (p, 3) float, b, linear
-    weights : (p, 3) float in [0, 1], 1 over the variance of each channel of each pixel; None: all 1
+    weights : (p, 3) float >= 0, 1 over the variance of each channel of each pixel; None: all 1
     coarsening : how many times less a pixel counts than it would
     effective : how many independent channels the misfit is taken to have; None: learned from a first fit
     slopes : (p, k, 3) float, what the photo may differ by beside noise, each as large as it usually is: what a camera
@@ -359,6 +359,15 @@ class Photograph:
             for c, (g, m, e) in enumerate(zip(self.grams, self.moments, self.energies, strict=True))
         ]
         return np.maximum(out, 0) / np.maximum(self.count, 1e-300)
+
+    def left_over(self, x, v, discrepancy: float) -> np.ndarray:
+        """b - A x - F a of each pixel, with the most probable a, as of `noise`: (p, 3), in the photo's own unit."""
+        out = np.empty_like(self.b)
+        for c in range(3):
+            w, smooth = 1 / (v[c] * self.coarsening), self._at(discrepancy)[c]
+            a = w * (smooth.of_photo - smooth.of_light @ x[c]) / (1 + w * smooth.squares)
+            out[:, c] = self.b[:, c] - self.basis.rows(c) @ x[c] - self._misfits(c) @ (smooth.own @ a)
+        return out
 
     def noise(self, x, v, discrepancy: float) -> np.ndarray:
         """Mean square of b - A x - F a with the most probable a, at the noise v and a discrepancy: (3,)."""

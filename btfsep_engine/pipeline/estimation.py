@@ -33,6 +33,7 @@ from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows, unlik
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
+from btfsep_engine.pipeline.refine.uneven import uneven_surfaces
 from btfsep_engine.pipeline.refine.veil import veiled
 from btfsep_engine.pipeline.refine.vivid import vivid_light
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
@@ -156,6 +157,7 @@ REFINEMENTS = (
     near_lamps,
     sharp_lamps,
     veiled,
+    uneven_surfaces,
     ground,
     key_lights,
     other_curves,

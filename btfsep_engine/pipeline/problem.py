@@ -26,7 +26,7 @@ class Problem:
     basis : list of (p, terms, 3) float32, their basis images
     transport : how the basis images were made, for ``result.json``
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
-    weights : (p, 3) in [0, 1], 1 over the variance of each value; None: all 1
+    weights : (p, 3) >= 0, 1 over the variance of each value; None: all 1
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     correction : (p, 3), what lamps make of the values beside what the basis images have of them, which is taken off
         (`pipeline.refine.near`, `pipeline.refine.sharp`); or None

@@ -35,14 +35,17 @@ TOLD, SHARED = 0.3, 0.15  # share of bright points that others tell of; of these
 MOST = 0.5  # of the pixels
 
 
-def shining(problem) -> tuple[np.ndarray, np.ndarray]:
+def shining(problem, *, beyond: float = GLOSSY) -> tuple[np.ndarray, np.ndarray]:
     """(p,) bool: points of objects that may show highlights, whose basis images do not fade with the order; and (p,)
-    how little those of each point fade: of several materials one shines and another does not."""
+    how little those of each point fade: of several materials one shines and another does not.
+
+    ``beyond`` : as `GLOSSY`
+    """
     out, each = [], []
     for basis in problem.basis:
         power = np.square(basis.mean(2, dtype=np.float64))
         sharpest, size = sh.term_count(sh.order_of(power.shape[1]) - 1), power.mean(0)
-        out.append(np.full(len(basis), size[sharpest:].mean() > GLOSSY**2 * size[0]))
+        out.append(np.full(len(basis), size[sharpest:].mean() > beyond**2 * size[0]))
         each.append(np.sqrt(power[:, sharpest:].mean(1) / np.maximum(power[:, 0], 1e-300)))
     return np.concatenate(out), np.concatenate(each)
 

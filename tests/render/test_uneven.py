@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfaces that are lighter here and darker there than anybody told: found by the misfit, and what is dark counts."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import gaussian_filter
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
+from btfsep_engine.pipeline.refine.uneven import uneven_surfaces
+from btfsep_engine.pipeline.settings import choose
+from tests.render.scenes import as_mesh, in_white, off_as_seen, scene_of, with_photo
+
+WHITE = "reference/white-diffuse"
+SETTINGS = choose("draft", refine="all", bounces=1, directions=1024)
+VARIES = 0.4  # of the logarithm of the albedo
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    """A ball with another before it, its photo with a camera's noise, and the light."""
+    parts = [trimesh.creation.icosphere(4, radius) for radius in (0.5, 0.25)]
+    parts[1].apply_translation((-0.45, 0.3, 0.4))
+    return in_white(as_mesh(trimesh.util.concatenate(parts)))
+
+
+def blotched(image, seed):
+    """The photo of a surface of blotches as large as two pixels."""
+    blotches = gaussian_filter(np.random.default_rng(seed).standard_normal(image.shape[:2]), 1)
+    return image * np.exp(VARIES * blotches / blotches.std())[..., None].astype(np.float32)
+
+
+def found_of(scene, image, **how):
+    there = scene_of(with_photo(scene.job, image))
+    return estimate(there, open_library(None), SETTINGS, material=WHITE, **how)
+
+
+def test_blotches_are_found_and_the_light_is_better_for_it(photographed):
+    scene, image, truth = photographed
+    without = [refinement for refinement in REFINEMENTS if refinement is not uneven_surfaces]
+    off = []
+    for seed in range(3):
+        photo = blotched(image, seed)
+        found, plain = found_of(scene, photo), found_of(scene, photo, refinements=without)
+        assert "brightness" in found.choice["uneven"] and "uneven" not in plain.choice
+        off.append([off_as_seen(each.fit.coefficients[:9], truth) for each in (found, plain)])
+    with_law, without_law = np.mean(off, 0)
+    assert with_law < 0.95 * without_law
+
+
+def test_the_dark_counts_for_more(photographed):
+    scene, image, _ = photographed
+    problem = found_of(scene, blotched(image, 0)).model.problems[0]
+    seen = problem.radiance().mean(1)
+    dark, bright = seen < np.percentile(seen, 20), seen > np.percentile(seen, 80)
+    assert problem.weights[dark].mean() > 2 * problem.weights[bright].mean()
+    np.testing.assert_allclose(problem.weights.mean(0), 1)
+
+
+def test_an_even_surface_has_none(photographed):
+    scene, image, _ = photographed
+    found = found_of(scene, image)
+    assert "uneven" not in found.choice and found.model.problems[0].weights is None
