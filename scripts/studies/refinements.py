@@ -3,6 +3,8 @@
 
 scripts/study refinements FOLDER [--sets seventh ninth]      plates, as `scripts/study plates FOLDER --make` takes them
 scripts/study refinements --real FOLDER                      jobs with a truth.json, as of `scripts/study real`
+scripts/study refinements --photos FOLDER                    jobs OBJECT_MATERIAL_LIGHT, as of `scripts/study photos`,
+                                                             the right material given
 
 Every photograph is estimated as a user has it, then once more for each refinement that changed something there, with
 that one left out: a refinement that leaves model and light as they are is worth nothing there, and costs what it takes
@@ -24,8 +26,9 @@ from btfsep_engine.pipeline import mending
 from btfsep_engine.pipeline.estimation import REFINEMENTS
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.storage.atomic import write_json
-from scripts.studies import parser, plate_sets, plates, tables
+from scripts.studies import parser, photos, plate_sets, plates, tables
 from scripts.studies.estimates import estimated, scene_of, worth
+from scripts.studies.measures import ERROR_ORDER
 from scripts.studies.real import true_light
 
 CAMERA, NONE, ALL = "camera in line", "none", "all"
@@ -55,7 +58,7 @@ class Watched:
         return watched
 
 
-def study(name: str, opened, judge, only) -> list[dict]:
+def study(name: str, opened, judge, only, material: str | None = None) -> list[dict]:
     """Rows of a photograph: {"name", "way", "ms" of each refinement (of way `ALL`), "order2", "stated2"}.
 
     Parameters
@@ -63,6 +66,7 @@ def study(name: str, opened, judge, only) -> list[dict]:
     opened : () -> PreparedScene, one whose camera nothing was done to
     judge : Estimate -> what it is worth
     only : ways to look at
+    material : of all objects; None: as the job says
     """
     watched, scene = Watched(REFINEMENTS), opened()
     begun = time.process_time()
@@ -70,10 +74,10 @@ def study(name: str, opened, judge, only) -> list[dict]:
     spent = {CAMERA: 1e3 * (time.process_time() - begun)}
 
     def in_line(refinements) -> dict:
-        return judge(estimated(copy.copy(mended), refinements=refinements, align="never"))
+        return judge(estimated(copy.copy(mended), material, refinements=refinements, align="never"))
 
     def as_it_was(**how) -> dict:
-        return judge(estimated(opened(), align="never", **how))
+        return judge(estimated(opened(), material, align="never", **how))
 
     rows = [{"name": name, "way": ALL} | in_line(watched.each)]
     rows[0]["ms"] = spent | watched.milliseconds
@@ -101,6 +105,13 @@ def of_real(folder: Path, only) -> list[dict]:
     """Rows of a job with a truth."""
     truth = true_light(folder)
     return study(folder.name, lambda: scene_of(folder), lambda found: worth(found, truth, free_scale=True), only)
+
+
+def of_photo(shown: photos.Photograph, only) -> list[dict]:
+    """Rows of a photograph by Cycles."""
+    truth = shown.truth(ERROR_ORDER)
+    opened, judge = lambda: scene_of(shown.folder), lambda found: worth(found, truth)
+    return study(shown.folder.name, opened, judge, only, shown.material)
 
 
 HEAD = (
@@ -133,6 +144,7 @@ def main(arguments) -> int:
     options.add_argument("folder", type=Path, nargs="?", help="of plates")
     options.add_argument("--sets", nargs="+", choices=list(plate_sets.SETS), default=SETS)
     options.add_argument("--real", type=Path, metavar="FOLDER", help="jobs with a truth.json")
+    options.add_argument("--photos", type=Path, metavar="FOLDER", help="jobs OBJECT_MATERIAL_LIGHT")
     options.add_argument("--only", nargs="+", choices=WAYS, default=WAYS, metavar="WAY", help="; ".join(WAYS))
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
     given = options.parse_args(arguments)
@@ -142,8 +154,10 @@ def main(arguments) -> int:
             todo += [(of_plate, plate, given.folder.resolve() / name) for plate in plate_sets.of_set(name)]
     if given.real:
         todo += [(of_real, truth.parent) for truth in sorted(given.real.glob("*/truth.json"))]
+    if given.photos:
+        todo += [(of_photo, shown) for shown in photos.photographs_in(given.photos)]
     if not todo:
-        options.error("give a folder of plates, or --real FOLDER")
+        options.error("give a folder of plates, --real FOLDER or --photos FOLDER")
     only = set(given.only)
     todo[0][0](*todo[0][1:], set())  # its kernels are not counted
     rows = [row for rows_of, *what in tqdm(todo) for row in rows_of(*what, only)]
