@@ -10,6 +10,8 @@ shading does not explain the texture. `recognise.judgement` says what all of it 
 
 Beside the library's materials stand surfaces that are alike all over (`PLAIN`): most things of plastic, paint and metal
 are none of the library's, and what they do not have is texture. Their colour is free: no light is unusual for them.
+A mirror shows whatever light is asked of it. It is compared with the photo as it looks under natural lights, one by
+one: sharp as these are, all over, and the sharper the nearer to the outline.
 """
 
 from dataclasses import dataclass, replace
@@ -28,6 +30,7 @@ from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import Solution, solve
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.log_field import coarse_field, even_field
+from btfsep_engine.light.maps import training_lights
 from btfsep_engine.recognise.contrast import Contrast, contrast_of, unlike
 from btfsep_engine.recognise.judgement import judgements, utilities
 from btfsep_engine.recognise.masked import Masked
@@ -218,6 +221,9 @@ class Verification:
         ]
         each = {cue: np.array([s[cue] for s in similar]) for cue in SIMILARITIES}
         cues |= {cue: _of_all(values[: len(likely)], likely, count) for cue, values in each.items()}
+        if mirrors.any():
+            for cue, value in self.similarity_of_mirrors(photo).items():
+                cues[cue][np.flatnonzero(mirrors)] = value
         numbers = np.array(kinds) - last
         of_plain = {cue: _of_all(values[len(likely) :], numbers, len(PLAIN)) for cue, values in each.items()}
         of_plain |= {cue: np.zeros(len(PLAIN)) for cue in (*votes, "tint")} | {"evidence": below[last:]}
@@ -272,6 +278,21 @@ class Verification:
         pixels = np.stack([under[..., c] @ light[:, c] for c in range(3)], 1)
         differences = unlike(contrast_of(pixels[photo.seen.valid[self.region]], photo.seen), photo.contrast)
         return {name: -differences[name] for name in SIMILARITIES}
+
+    def similarity_of_mirrors(self, photo: Photographed) -> dict[str, float]:
+        """`SIMILARITIES` of the photograph and a mirror: of each, that of the natural light that is nearest in it.
+
+        Which light a mirror shows nobody knows: the one that the photo implies is the photo itself, always.
+        """
+
+        def made() -> list[Contrast]:
+            pictures = self.transport.mirrored(training_lights(1))[photo.seen.valid[self.region]]
+            return [contrast_of(picture, photo.seen) for picture in np.moveaxis(pictures, 1, 0)]
+
+        valid = photo.seen.valid
+        natural = kept.recalled("mirrors", [self.transport.key, np.packbits(valid), *valid.shape], made)
+        differences = [unlike(each, photo.contrast) for each in natural]
+        return {name: -min(each[name] for each in differences) for name in SIMILARITIES}
 
 
 @lru_cache(maxsize=len(PLAIN))

@@ -143,9 +143,12 @@ class Transport:
         normal, eye = self.points.normal, self.points.to_eye
         return 2 * (normal * eye).sum(1, keepdims=True) * normal - eye
 
-    def _mirror(self, material: Material, lightings) -> np.ndarray:
+    def mirrored(self, lightings) -> np.ndarray:
+        """What a perfect mirror shows of lightings at the points: (p, M, 3) float32; black where it shows the scene."""
         reflected = self.reflected_directions()
         seen = self.tracer.sees_sky(self.points.position, self.points.flat_normal, reflected)
         light = np.asarray(lightings.radiance(reflected), np.float32)
-        light = np.broadcast_to(light, (*light.shape[:2], 3)) * material.mirror_reflectance.astype(np.float32)
-        return np.where(seen[:, None, None], light, np.float32(0))
+        return np.where(seen[:, None, None], np.broadcast_to(light, (*light.shape[:2], 3)), np.float32(0))
+
+    def _mirror(self, material: Material, lightings) -> np.ndarray:
+        return self.mirrored(lightings) * material.mirror_reflectance.astype(np.float32)

@@ -38,6 +38,7 @@ SHOWN_PLAIN = (  # of which the library has nothing
     *("plain/satin-teal", "plain/satin-white", "plain/gloss-green", "plain/gloss-white"),
     *("plain/metal-yellow", "plain/metal-white", "plain/matte-teal", "plain/matte-yellow"),
 )
+SHOWN_MIRRORS, MIRROR = ("plain/mirror-white", "plain/mirror-grey"), "reference/chrome"
 RESOLUTION, SAMPLES = 256, 64
 BINS = 10  # of the calibration
 PICTURES = ROOT / "docs" / "results" / "images"
@@ -167,6 +168,14 @@ def judge_plain(answers, known) -> None:
     print("of metal said to be metal:", share("surface/metal" in (a["stand_in"], a["answer"]) for a in metal))
 
 
+def judge_mirrors(answers) -> None:
+    """Prints how many of photographs of mirrors are known as such."""
+    right = share(a["answer"] == MIRROR and a["stand_in"] is None for a in answers)
+    held = share(MIRROR in a["likely"] for a in answers)
+    print(f"\n## mirrors: {len(answers)} photos\nright {right}; in the set {held}")
+    print("  taken for", Counter(a["stand_in"] or a["answer"] for a in answers).most_common(6))
+
+
 def confusion_picture(answers, path: Path) -> None:
     """Rows: what is photographed; columns: what it is taken for."""
     names = sorted({a["truth"] for a in answers} | {a["answer"] for a in answers})
@@ -246,11 +255,12 @@ def main(arguments) -> int:
     given = options.parse_args(arguments)
     library, settings = open_library(), choose(given.preset)
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
-    of_plain = shots(given.folder.resolve() / photos.PLAIN, SHOWN_PLAIN)
+    beside = given.folder.resolve() / photos.PLAIN
+    every = wanted, shots(beside, SHOWN_PLAIN), shots(beside, SHOWN_MIRRORS)
     if given.take:
-        photos.take([*wanted, *of_plain], resolution=RESOLUTION, samples=SAMPLES, denoise=True)
-    found, plain = (cues.seen_in(given.folder, some) for some in (wanted, of_plain))
-    for some in (found, plain):
+        photos.take(list(itertools.chain(*every)), resolution=RESOLUTION, samples=SAMPLES, denoise=True)
+    found, plain, mirrors = (cues.seen_in(given.folder, some) for some in every)
+    for some in (found, plain, mirrors):
         some.sort(key=lambda p: OBJECTS.index(p.object))  # an object's training is loaded once
     rows, answers_of = [], {}
     for flaw in given.flaws:
@@ -261,6 +271,8 @@ def main(arguments) -> int:
         rows.append(judge(answers_of[flaw], flaw))
         if plain:
             judge_plain(answers(cues.cues_of(plain, library, settings, flaw=flaw)), answers_of[flaw])
+        if mirrors:
+            judge_mirrors(answers(cues.cues_of(mirrors, library, settings, flaw=flaw)))
         if flaw == "clean":
             rows.append(judge(answers(seen, "votes"), "clean, by the classifier alone"))
     heads = list(rows[0])
