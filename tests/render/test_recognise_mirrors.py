@@ -26,7 +26,9 @@ CHROME = "reference/chrome"
 def natural(seed: int) -> EnvironmentMaps:
     """A light whose logarithm has as much of every size, grey, brighter above: no map of the training."""
     random, shape = np.random.default_rng(seed), (128, 256)
-    octaves = [gaussian_filter(random.standard_normal(shape), s, mode=("nearest", "wrap")) for s in (1, 2, 4, 8, 16, 32)]
+    octaves = [
+        gaussian_filter(random.standard_normal(shape), s, mode=("nearest", "wrap")) for s in (1, 2, 4, 8, 16, 32)
+    ]
     log = sum(0.5 * octave / octave.std() for octave in octaves) + np.linspace(0.7, -0.7, shape[0])[:, None]
     return EnvironmentMaps(np.repeat(np.exp(log)[None, ..., None], 3, 3).astype(np.float32), ("natural",))
 

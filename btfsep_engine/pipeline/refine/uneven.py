@@ -3,10 +3,12 @@
 
 A texture of which only the mean is known, and an albedo that varies and nobody told, change what is bright by more than
 what is dark. Where what is left over goes with the brightness (`fit.noise_law`), once lamps, shapes and materials have
-been looked at, pixels count as that says, if the photo is clearly more probable then. The light's model stays: pieces
-of a surface are larger than pixels, and another election would take them for lamps. Of what has gloss, the brightest is
-what lamps are known by, and counts as before; so does all of a surface that the job gives by numbers or images: who
-knows these, knows where it is light and dark. On plates of such surfaces, alike all over, the misfit is of other kinds.
+been looked at, pixels count as that says, if the photo is clearly more probable then, and the light is not another one:
+what moves it by more than it is expected to be wrong is some other misfit, of a wrong material or of a lamp nearby. The
+light's model stays: pieces of a surface are larger than pixels, and another election would take them for lamps. Of what
+has gloss, the brightest is what lamps are known by, and counts as before; so does all of a surface that the job gives
+by numbers or images: who knows these, knows where it is light and dark. On plates of such surfaces, alike all over, the
+misfit is of other kinds.
 """
 
 from dataclasses import replace
@@ -16,6 +18,7 @@ import numpy as np
 from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.noise_law import precision
 from btfsep_engine.fit.search import FLOOR
+from btfsep_engine.fit.stated import ERROR_ORDERS, Fit, expected_error
 from btfsep_engine.pipeline.refine.in_front import shining
 from btfsep_engine.pipeline.together import all_weights, followed
 
@@ -45,7 +48,7 @@ def uneven_surfaces(model, light):
         weighted = model.changed(lambda p, w: replace(p, weights=w), np.split(given * own, ends))
         fit = followed(weighted.problems, light, replace(model.settings, order=light.order))
     evidence = fit.election.evidence_of_photo + 0.5 * float((given * np.log(own)).sum()) / photo.coarsening
-    if evidence < election.evidence_of_photo + CLEARLY:
+    if evidence < election.evidence_of_photo + CLEARLY or _overthrown(light.fit, fit):
         return model, light, {}
     return weighted, replace(light, fit=fit), {"uneven": UNEVEN}
 
@@ -55,3 +58,10 @@ def _may_be_uneven(problem) -> np.ndarray:
     of_objects = zip(problem.materials, problem.points, strict=True)
     told = np.concatenate([np.full(len(points), material.name == GIVEN) for material, points in of_objects])
     return ~told & ~shining(problem, beyond=HIGHLIGHTS)[0]
+
+
+def _overthrown(before: Fit, now: Fit) -> bool:
+    """Whether a light is farther from the one before than that is expected to be wrong."""
+    of, order = before.all_coefficients, max(ERROR_ORDERS)
+    apart = expected_error(of, now.all_coefficients[None])[f"order_{order}"]["median"]
+    return apart > expected_error(of, before.samples)[f"order_{order}"]["median"]
