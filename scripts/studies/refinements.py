@@ -120,12 +120,12 @@ HEAD = (
 )  # fmt: skip
 
 
-def summary(rows) -> str:
-    """A line for each refinement, the dearest first, and one for all of them left out."""
+def summary(rows, only) -> str:
+    """A line for each way that was looked at, the dearest first, and one for all refinements left out."""
     whole = {r["name"]: r for r in rows if r["way"] == ALL}
     names = sorted(next(iter(whole.values()))["ms"], key=lambda n: -np.mean([r["ms"][n] for r in whole.values()]))
     lines = []
-    for way in [*names, NONE]:
+    for way in [way for way in (*names, NONE) if way in only]:
         without = [r for r in rows if r["way"] == way]
         pairs = without, [whole[r["name"]] for r in without]
         ms = [r["ms"][way] for r in whole.values() if way != NONE]
@@ -163,5 +163,5 @@ def main(arguments) -> int:
     rows = [row for rows_of, *what in tqdm(todo) for row in rows_of(*what, only)]
     if given.numbers:
         write_json(given.numbers, rows)
-    print(summary(rows))
+    print(summary(rows, only))
     return 0

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Surfaces that are lighter here and darker there than anybody told: found by the misfit, and what is dark counts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,7 +12,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
-from btfsep_engine.pipeline.refine.uneven import uneven_surfaces
+from btfsep_engine.pipeline.refine.uneven import _overthrown, uneven_surfaces
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, in_white, off_as_seen, picture, scene_of, with_photo
 
@@ -76,3 +78,13 @@ def test_an_even_surface_has_none(photographed):
     scene, image, _ = photographed
     found = found_of(scene, image)
     assert "uneven" not in found.choice and found.model.problems[0].weights is None
+
+
+def test_a_light_that_would_be_another_one_is_not_taken(photographed):
+    scene, image, _ = photographed
+    before = found_of(scene, blotched(image, 0)).fit
+    turned = before.all_coefficients.copy()
+    turned[[1, 3]] *= -1  # by half a turn about the vertical
+    assert not _overthrown(before, before)
+    assert not _overthrown(before, replace(before, all_coefficients=1.01 * before.all_coefficients))
+    assert _overthrown(before, replace(before, all_coefficients=turned))
