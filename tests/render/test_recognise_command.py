@@ -116,8 +116,8 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
         cues = verification.cues(names, votes, radiance, library.load)
         for cue in SIMILARITIES:
             assert cues[cue][1] > cues[cue][0], cue
-            # a mirror can look like anything: what it looks like counts neither for nor against it
-            assert cues[cue][2] == pytest.approx(cues[cue][:2].mean())
+        # a mirror is as sharp as the lights about it, whatever the photo's own
+        assert cues["contrast"][2] < 2 * cues["contrast"][1] and cues["together"][2] < cues["together"][1]
         assert cues["contrast"][1] > -0.1
         assert cues["evidence"].max() == 0 and cues["tint"][1] > -3
         first, alone = (verification.explained(library.load(name), radiance) for name in (right, wrong))
