@@ -19,6 +19,7 @@ from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.noise_law import precision
 from btfsep_engine.fit.search import FLOOR
 from btfsep_engine.fit.stated import ERROR_ORDERS, Fit, expected_error
+from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.refine.in_front import shining
 from btfsep_engine.pipeline.together import all_weights, followed
 
@@ -33,7 +34,8 @@ UNEVEN = (
 def uneven_surfaces(model, light):
     """The refinement: pixels of surfaces without gloss count by how bright they are, where the misfit does."""
     uneven = [_may_be_uneven(problem) for problem in model.problems]
-    if light.solver is None or not np.any(np.concatenate(uneven)):
+    explained = light.solver is not None and light.fit.residual < THRESHOLDS.residual  # no texture is as much as that
+    if not explained or not np.any(np.concatenate(uneven)):
         return model, light, {}
     with model.reporter.stage("fit"):
         election, given = light.fit.election, all_weights(model.problems)
