@@ -27,6 +27,7 @@ from btfsep_engine.pipeline.refine.mirrored import mirrored
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
+from btfsep_engine.pipeline.refine.painted import painted_surfaces
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.roughness import as_rough_as_seen
 from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows, unlike_surroundings
@@ -157,6 +158,7 @@ REFINEMENTS = (
     near_lamps,
     sharp_lamps,
     veiled,
+    painted_surfaces,
     uneven_surfaces,
     ground,
     key_lights,

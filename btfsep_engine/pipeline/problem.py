@@ -35,6 +35,7 @@ class Problem:
     veil : (3,), light over the photograph that never met the objects, which is taken off (`pipeline.refine.veil`); or
         None
     vivid : whether it shows light of strong colours (`pipeline.refine.vivid`)
+    painted : whether ``slopes`` have pieces of the objects that are lighter or darker (`pipeline.refine.painted`)
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     """
 
@@ -50,6 +51,7 @@ class Problem:
     slopes: np.ndarray | None = None
     veil: np.ndarray | None = None
     vivid: bool = False
+    painted: bool = False
     left_out: int | None = None
 
     @property
@@ -145,6 +147,10 @@ class Problem:
         return replace(
             self, materials=materials, basis=make_problem(self.scene, materials, self.points, settings).basis
         )
+
+    def beside(self, more) -> "Problem":
+        """The same whose photograph may differ by ``more`` (p, k, 3) beside what it may differ by (`slopes`)."""
+        return replace(self, slopes=more if self.slopes is None else np.concatenate([self.slopes, more], 1))
 
     def up_to(self, order: int) -> "Problem":
         """The same with fewer basis lights."""

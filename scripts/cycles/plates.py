@@ -26,10 +26,10 @@ BRIGHT, AT = 98, 0.9  # percentile of the pixels that is exposed so bright
 JPEG = 92
 
 
-def unlike(thing: bpy.types.Object, kind: str, much: float) -> None:
-    """Gives an object what its job does not say: ``kind`` of `scripts.studies.plate_sets.OF_OBJECTS`.
+def unlike(thing: bpy.types.Object, kind: str, much: float, *, paint=None) -> None:
+    """Gives an object what its job does not say: ``kind`` of `scripts.studies.plate_sets.OF_OBJECTS`, or "painted".
 
-    ``much`` : 0 to 1, of what is usual
+    ``much`` : 0 to 1, of what is usual; ``paint`` : (3,), the colour of the half of it that is painted
     """
     material = thing.data.materials[0]
     tree, bsdf = material.node_tree, next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
@@ -38,9 +38,10 @@ def unlike(thing: bpy.types.Object, kind: str, much: float) -> None:
         bsdf.inputs["Subsurface Weight"].default_value = 1
         bsdf.inputs["Subsurface Radius"].default_value = (1, 0.6, 0.4)
         bsdf.inputs["Subsurface Scale"].default_value = size * (0.01 + 0.04 * much)
-    elif kind in ("bumps", "mottled"):
+    elif kind in ("bumps", "mottled", "painted"):
         noise, place = tree.nodes.new("ShaderNodeTexNoise"), tree.nodes.new("ShaderNodeTexCoord")
-        noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = 12 / size, 3
+        scale, detail = (5, 1) if kind == "painted" else (12, 3)
+        noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = scale / size, detail
         tree.links.new(place.outputs["Object"], noise.inputs["Vector"])
     if kind == "bumps":
         bump = tree.nodes.new("ShaderNodeBump")
@@ -56,6 +57,13 @@ def unlike(thing: bpy.types.Object, kind: str, much: float) -> None:
         tree.links.new(noise.outputs["Fac"], shade.inputs["Value"])
         tree.links.new(shade.outputs["Result"], tint.inputs[1])
         tree.links.new(tint.outputs["Vector"], bsdf.inputs["Base Color"])
+    elif kind == "painted":
+        ramp = tree.nodes.new("ShaderNodeValToRGB")
+        low, high = ramp.color_ramp.elements
+        low.position, high.position = 0.48, 0.52
+        low.color, high.color = bsdf.inputs["Base Color"].default_value, (*paint, 1)
+        tree.links.new(noise.outputs["Fac"], ramp.inputs["Fac"])
+        tree.links.new(ramp.outputs["Color"], bsdf.inputs["Base Color"])
 
 
 def through(linear, kind: str, much: float, seed: int) -> np.ndarray:
@@ -116,7 +124,7 @@ def take(plate, folder: Path) -> None:
     if "more" in plate:
         dress(thing.data)
     if "told" in plate:
-        unlike(thing, plate["thing"], plate["much"])
+        unlike(thing, plate["thing"], plate["much"], paint=plate.get("paint"))
     for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
         studio.add_sun(lamp["direction"], lamp["irradiance"], degrees=0.53)
     positions = objects.vertex_positions(thing.data)

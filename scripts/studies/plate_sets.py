@@ -22,6 +22,8 @@ SETS = {
     "ninth": 12,
     "unsaid": 13,
     "unsaid again": 14,
+    "painted": 15,
+    "painted again": 16,
 }  # seeds; what was chosen by which of them, docs/accuracy.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -44,6 +46,7 @@ LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its 
 # irradiance, times what that of the other light would be undimmed
 OF_OBJECTS = ("as said", "subsurface", "bumps", "mottled")
 OF_CAMERAS = ("clean", "vignette", "grain", "soft", "glare")
+PAINT, IN_THE_DARK = (0.3, 0.8), 0.5  # how much of a piece's colour is the paint's; share of plates with lamps alone
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
@@ -108,10 +111,10 @@ def on_stage(plates: list[dict]) -> list[dict]:
         count, usual = int(random.integers(1, LAMPS + 1)), np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
         lamps = []
         for colour in random.choice(list(FILTERS), count, replace=False):
-            azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
-            towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
-            irradiance = random.uniform(*STRONG) * usual * 2 * np.array(FILTERS[colour])
-            lamps.append({"direction": towards, "irradiance": irradiance.tolist()})
+            lamp = lamp_from(random, 1.0)
+            lamps.append(
+                lamp | {"irradiance": (random.uniform(*STRONG) * usual * 2 * np.array(FILTERS[colour])).tolist()}
+            )
         kinds = [*plate["kinds"], f"{count} lamp{'s' if count > 1 else ''}"]
         more = {"lamps": lamps, "dimmed": random.uniform(*DIMMED), "sun": None, "kinds": kinds}
         out.append(plate | more)
@@ -127,12 +130,7 @@ def unsaid(plates: list[dict], seed: int) -> list[dict]:
     random, out = np.random.default_rng(seed), []
     for plate in plates:
         true = plate["surface"]
-        scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
-        told = {
-            "colour": tuple(np.clip(np.multiply(true["colour"], scale), 0, 1).tolist()),
-            "roughness": float(np.clip(true["roughness"] + random.normal(0, BY_EYE["roughness"]), 0, 1)),
-            "metallic": true["metallic"],
-        }
+        told = by_eye(true, random)
         thing = str(random.choice(OF_OBJECTS if not true["metallic"] else [k for k in OF_OBJECTS if k != "subsurface"]))
         camera, much = str(random.choice(OF_CAMERAS)), float(random.uniform())
         more = {"told": told, "thing": thing, "camera": camera, "much": much}
@@ -140,11 +138,52 @@ def unsaid(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def by_eye(true: dict, random) -> dict:
+    """A surface as a user fills it in who looks at the photo."""
+    scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
+    return {
+        "colour": tuple(np.clip(np.multiply(true["colour"], scale), 0, 1).tolist()),
+        "roughness": float(np.clip(true["roughness"] + random.normal(0, BY_EYE["roughness"]), 0, 1)),
+        "metallic": true["metallic"],
+    }
+
+
+def painted(plates: list[dict], seed: int) -> list[dict]:
+    """The plates with objects that are painted in pieces, of which jobs have the mean colour, by eye; none of metal.
+
+    Half of them stand in the dark, under one to three lamps.
+    """
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        own = plate["surface"] if not plate["surface"]["metallic"] else plain.of("satin", "clay")
+        others = [colour for colour in plain.COLOURS.values() if colour != own["colour"]]
+        depth, other = random.uniform(*PAINT), others[random.integers(len(others))]
+        paint = (1 - depth) * np.array(own["colour"]) + depth * np.array(other)
+        mean = own | {"colour": (np.array(own["colour"]) + paint) / 2}
+        more = {"surface": own, "paint": paint.tolist(), "told": by_eye(mean, random), "thing": "painted"}
+        usual = np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
+        lamps = [lamp_from(random, random.uniform(*STRONG) * 2 * usual) for _ in range(random.integers(1, LAMPS + 1))]
+        dark = random.random() < IN_THE_DARK
+        if dark:
+            more |= {"lamps": lamps, "dimmed": random.uniform(0, DIMMED[0]), "sun": None}
+        kinds = [*plate["kinds"], f"{len(lamps)} in the dark" if dark else "natural light"]
+        out.append(plate | more | {"camera": "clean", "much": depth, "kinds": kinds})
+    return out
+
+
+def lamp_from(random, irradiance) -> dict:
+    """A lamp of an irradiance, a number or (3,), at a random place on the camera's side."""
+    azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
+    towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
+    return {"direction": towards, "irradiance": np.broadcast_to(irradiance, 3).tolist()}
+
+
 def of_set(name: str) -> list[dict]:
     """The plates of a set by its name."""
     made = {"several": several, "chrome": mirroring, "stage": on_stage}
-    if name.startswith("unsaid"):
-        return unsaid(drawn(SETS[name]), SETS[name])
+    for kind, made_of in (("unsaid", unsaid), ("painted", painted)):
+        if name.startswith(kind):
+            return made_of(drawn(SETS[name]), SETS[name])
     return made.get(name, list)(drawn(SETS[name]))
 
 

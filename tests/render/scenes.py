@@ -16,6 +16,7 @@ from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.stated import reaching_part
 from btfsep_engine.job.model import Camera, Job, Photo, TriangleMesh
 from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.light.sun import Sun
 from scripts.studies import stage
 from scripts.studies.estimates import scene_of
 from scripts.studies.stage import as_mesh, ball, bowl, plate, positive_light
@@ -56,6 +57,19 @@ def in_white(mesh, *, noise: float = 0.02):
     white = open_library(None).load("reference/white-diffuse")
     image = picture(points, scene.radiance(points, white, SHLighting(truth), directions=4096)[:, 0])
     return scene, image * np.random.default_rng(0).normal(1, noise, image.shape).astype(np.float32), truth
+
+
+def lit_by_a_lamp(scene, seed: int):
+    """A photo (96, 96, 3) of white matte things in the light of a lamp from a side, and little else; and that light."""
+    direction = np.array([np.cos(seed), np.sin(seed), 0.7])
+    sun = Sun(direction / np.linalg.norm(direction), np.full(3, 3.0), np.zeros(3))
+    truth = sun.coefficients(2)
+    truth[0] += 0.2
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    white = open_library(None).load("reference/white-diffuse")
+    even = SHLighting(np.array([[0.2] * 3]))
+    seen = scene.sun_radiance(points, white, sun) + scene.radiance(points, white, even, directions=512)[:, 0]
+    return picture(points, seen, noise=0.01), truth
 
 
 def with_photo(job: Job, image, usable=None, **more) -> Job:

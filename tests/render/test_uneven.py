@@ -9,12 +9,10 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
 from btfsep_engine.pipeline.refine.uneven import _overthrown, uneven_surfaces
 from btfsep_engine.pipeline.settings import choose
-from tests.render.scenes import as_mesh, in_white, off_as_seen, picture, scene_of, with_photo
+from tests.render.scenes import as_mesh, in_white, lit_by_a_lamp, off_as_seen, scene_of, with_photo
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", refine="all", bounces=1, directions=1024)
@@ -38,18 +36,6 @@ def blotched(image, seed):
 def found_of(scene, image, **how):
     there = scene_of(with_photo(scene.job, image))
     return estimate(there, open_library(None), SETTINGS, material=WHITE, **how)
-
-
-def lit_by_a_lamp(scene, seed):
-    """A photo in the light of a lamp from a side, and of little else; and that light."""
-    direction = np.array([np.cos(seed), np.sin(seed), 0.7])
-    sun = Sun(direction / np.linalg.norm(direction), np.full(3, 3.0), np.zeros(3))
-    truth = sun.coefficients(2)
-    truth[0] += 0.2
-    points, white = scene.points(0, region=scene.view.mesh == 0, textured=False), open_library(None).load(WHITE)
-    even = SHLighting(np.array([[0.2] * 3]))
-    seen = scene.sun_radiance(points, white, sun) + scene.radiance(points, white, even, directions=512)[:, 0]
-    return picture(points, seen, noise=0.01), truth
 
 
 def test_blotches_are_found_and_the_light_is_better_for_it(photographed):

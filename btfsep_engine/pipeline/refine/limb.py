@@ -39,7 +39,7 @@ def limb_brightness(model, light):
         wanted = [i for i in _speaking(model.problems, columns, light) if deep[i]]
         if not wanted:
             return model, light, {}
-        free = model.changed(lambda p, c: replace(p, slopes=_beside(p.slopes, USUAL * c[:, wanted])), columns)
+        free = model.changed(lambda p, c: p.beside(USUAL * c[:, wanted]), columns)
         settings = replace(model.settings, order=light.order)
         if followed(free.problems, light, settings).evidence < light.fit.evidence + CLEARLY:
             return model, light, {}
@@ -82,10 +82,6 @@ def _has_depth(material, surface=None) -> bool:
         return False
     surface = material.table.surface or surface
     return surface is None or surface.metallic < METAL
-
-
-def _beside(slopes, more):
-    return more if slopes is None else np.concatenate([slopes, more], 1)
 
 
 def _speaking(problems, columns, light) -> list[int]:

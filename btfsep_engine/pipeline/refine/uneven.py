@@ -7,8 +7,8 @@ been looked at, pixels count as that says, if the photo is clearly more probable
 what moves it by more than it is expected to be wrong is some other misfit, of a wrong material or of a lamp nearby. The
 light's model stays: pieces of a surface are larger than pixels, and another election would take them for lamps. Of what
 has gloss, the brightest is what lamps are known by, and counts as before; so does all of a surface that the job gives
-by numbers or images: who knows these, knows where it is light and dark. On plates of such surfaces, alike all over, the
-misfit is of other kinds.
+by numbers or images: who knows these, knows where it is light and dark, and on plates of such surfaces, alike all over,
+the misfit is of other kinds. What was found to be painted in pieces (`refine.painted`) is known better by these.
 """
 
 from dataclasses import replace
@@ -33,6 +33,8 @@ UNEVEN = (
 
 def uneven_surfaces(model, light):
     """The refinement: pixels of surfaces without gloss count by how bright they are, where the misfit does."""
+    if any(problem.painted for problem in model.problems):
+        return model, light, {}
     uneven = [_may_be_uneven(problem) for problem in model.problems]
     explained = light.solver is not None and light.fit.residual < THRESHOLDS.residual  # no texture is as much as that
     if not explained or not np.any(np.concatenate(uneven)):

@@ -33,7 +33,7 @@ def veiled(model, light):
         even = [np.broadcast_to(m, (len(p.pixels), 3)) for p, m in zip(model.problems, means, strict=True)]
         if _speaks(model.problems, light, np.concatenate(even)) < SPEAKS:
             return model, light, {}
-        free = model.changed(lambda p, m: replace(p, slopes=np.concatenate([*_own(p), USUAL * m[:, None]], 1)), even)
+        free = model.changed(lambda p, m: p.beside(USUAL * m[:, None]), even)
         settings = replace(model.settings, order=light.order)
         answer = fit_together(free.problems, settings, beside=light.fit)
         if answer.fit.evidence < light.fit.evidence + CLEARLY:
@@ -53,10 +53,6 @@ def veiled(model, light):
 def _left(problems, light) -> float:
     """Root mean square of what a light leaves over."""
     return float(np.sqrt(np.square(light.left_over(problems)).mean()))
-
-
-def _own(problem) -> list:
-    return [] if problem.slopes is None else [problem.slopes]
 
 
 def _speaks(problems, light, even) -> float:

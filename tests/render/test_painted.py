@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Painted things under a lamp: the paint is found by evidence, and the lamp is where it is; elsewhere none is found."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import gaussian_filter
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
+from btfsep_engine.pipeline.refine import painted
+from btfsep_engine.pipeline.refine.painted import painted_surfaces, pieces
+from btfsep_engine.pipeline.settings import choose
+from tests.render.scenes import as_mesh, egg_and_pebble, in_white, lit_by_a_lamp, off_as_seen, scene_of, with_photo
+
+WHITE = "reference/white-diffuse"
+SETTINGS = choose("draft", refine="all", bounces=1, directions=1024)
+VARIES, ACROSS = 0.35, 7  # of the logarithm of the albedo; pixels
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    """A ball with another before it, its photo with a camera's noise, and the light."""
+    parts = [trimesh.creation.icosphere(4, radius) for radius in (0.5, 0.25)]
+    parts[1].apply_translation((-0.45, 0.3, 0.4))
+    return in_white(as_mesh(trimesh.util.concatenate(parts)))
+
+
+def painted_over(image, seed):
+    """The photo of a surface that is stained, in pieces of some `ACROSS` pixels."""
+    stains = gaussian_filter(np.random.default_rng(seed).standard_normal(image.shape[:2]), ACROSS)
+    return image * np.exp(VARIES * stains / stains.std())[..., None].astype(np.float32)
+
+
+def found_of(scene, image, **how):
+    return estimate(scene_of(with_photo(scene.job, image)), open_library(None), SETTINGS, material=WHITE, **how)
+
+
+def test_under_a_lamp_paint_is_found_and_the_light_is_better_for_it(photographed):
+    scene, without = photographed[0], [r for r in REFINEMENTS if r is not painted_surfaces]
+    off = []
+    for seed in (1, 2, 5, 8, 9):  # whose stains leave the light one of lamps alone
+        image, truth = lit_by_a_lamp(scene, seed)
+        photo = painted_over(image, seed)
+        found, plain = found_of(scene, photo), found_of(scene, photo, refinements=without)
+        assert "in pieces" in found.choice["paint"] and "paint" not in plain.choice
+        assert "uneven" not in found.choice  # as the pieces say, and not once more
+        off.append([off_as_seen(each.fit.coefficients[:9], truth) for each in (found, plain)])
+    with_paint, without_paint = np.mean(off, 0)
+    assert with_paint < 0.85 * without_paint
+
+
+def test_what_is_as_it_was_told_has_none(photographed):
+    scene = photographed[0]
+    image, _ = lit_by_a_lamp(scene, 1)
+    found = found_of(scene, image)
+    assert "paint" not in found.choice and found.model.problems[0].slopes is None
+
+
+def test_under_a_free_sky_none_is_looked_for(photographed, monkeypatch):
+    scene, image, _ = photographed
+    monkeypatch.setattr(painted, "CLEARLY", -np.inf)
+    monkeypatch.setattr(painted, "MUCH", 0.0)
+    found = found_of(scene, painted_over(image, 1))
+    assert found.fit.election.solution.model.field.order > 0 and "paint" not in found.choice
+
+
+def test_what_explains_little_more_is_not_kept(photographed, monkeypatch):
+    scene = photographed[0]
+    photo = painted_over(lit_by_a_lamp(scene, 1)[0], 1)
+    assert "paint" in found_of(scene, photo).choice
+    monkeypatch.setattr(painted, "CLEARLY", 1e4)
+    assert "paint" not in found_of(scene, photo).choice
+
+
+def test_pieces_cover_each_object_and_no_other():
+    scene, _, _ = in_white(egg_and_pebble())
+    problem = found_of(scene, lit_by_a_lamp(scene, 0)[0]).model.problems[0]
+    share = pieces(problem)
+    assert len(share) == len(problem.pixels) and 20 < share.shape[1] <= (painted.PATCHES + 1) ** 2
+    assert (share >= 0).all() and share.sum(1).max() < 1 + 1e-9 and np.median(share.sum(1)) == pytest.approx(1)
+    where = np.einsum("pk,pa->ka", share, problem.pixels) / share.sum(0)[:, None]  # the pieces' middles
+    assert len(np.unique(where.round(3), axis=0)) == share.shape[1]
+    across = [np.ptp(problem.pixels[s > 0], 0).max() for s in share.T]
+    assert max(across) <= 2 * np.ptp(problem.pixels, 0).max() / painted.PATCHES + 1
