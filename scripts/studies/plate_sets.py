@@ -155,7 +155,9 @@ def painted(plates: list[dict], seed: int) -> list[dict]:
     """
     random, out = np.random.default_rng(seed), []
     for plate in plates:
-        own = plate["surface"] if not plate["surface"]["metallic"] else plain.of("satin", "clay")
+        own, finish = plate["surface"], plate["kinds"][-1]
+        if own["metallic"]:
+            own, finish = plain.of("satin", "clay"), "satin"
         others = [colour for colour in plain.COLOURS.values() if colour != own["colour"]]
         depth, other = random.uniform(*PAINT), others[random.integers(len(others))]
         paint = (1 - depth) * np.array(own["colour"]) + depth * np.array(other)
@@ -166,7 +168,7 @@ def painted(plates: list[dict], seed: int) -> list[dict]:
         dark = random.random() < IN_THE_DARK
         if dark:
             more |= {"lamps": lamps, "dimmed": random.uniform(0, DIMMED[0]), "sun": None}
-        kinds = [*plate["kinds"], f"{len(lamps)} in the dark" if dark else "natural light"]
+        kinds = [*plate["kinds"][:-1], finish, f"{len(lamps)} in the dark" if dark else "natural light"]
         out.append(plate | more | {"camera": "clean", "much": depth, "kinds": kinds})
     return out
 

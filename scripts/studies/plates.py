@@ -13,7 +13,8 @@ with AgX also as if nothing were known of that but what the file says (*not said
 sRGB*). Objects of the set *several* have three such materials, and are estimated with their mean, too (*as their
 mean*). Those of the set *stage* stand in dim light under lamps with filters of strong colours; of the sets *unsaid*,
 jobs say of the object what a user sees by eye, and nothing of what light does below its skin, of its bumps and its
-paint, nor of a lens that darkens corners, is out of focus or has glare, nor of noise. The error of plates with a table
+paint, nor of a lens that darkens corners, is out of focus or has glare, nor of noise; of the sets *painted*, nothing of
+a paint in pieces, half of them in the dark under lamps. The error of plates with a table
 is that of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
 

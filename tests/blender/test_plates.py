@@ -110,3 +110,15 @@ def test_what_a_camera_adds_to_a_plate():
     assert 0.005 < glare[32, 20, 0] < 0.05 and glare.mean() == pytest.approx(0.5, rel=0.01)
     for kind in ("soft", "glare", "clean"):
         assert studio_plates.through(even, kind, 1.0, 0) == pytest.approx(even, abs=1e-6)
+
+
+def test_painted_plates_have_two_colours_and_jobs_their_mean():
+    drawn = plate_sets.of_set("painted")
+    assert drawn == plate_sets.of_set("painted") != plate_sets.of_set("painted again")
+    dark = [plate for plate in drawn if "dimmed" in plate]
+    assert 8 < len(dark) < 24 and all(1 <= len(plate["lamps"]) <= 3 and plate["sun"] is None for plate in dark)
+    for plate in drawn:
+        mean = (np.array(plate["surface"]["colour"]) + plate["paint"]) / 2
+        assert not np.allclose(plate["surface"]["colour"], plate["paint"])
+        assert np.abs(np.log(np.array(plate["told"]["colour"]) / mean)).max() < 0.8  # by eye
+        assert not plate["surface"]["metallic"] and "metal" not in plate["kinds"]
