@@ -111,10 +111,9 @@ def on_stage(plates: list[dict]) -> list[dict]:
         count, usual = int(random.integers(1, LAMPS + 1)), np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
         lamps = []
         for colour in random.choice(list(FILTERS), count, replace=False):
-            lamp = lamp_from(random, 1.0)
-            lamps.append(
-                lamp | {"irradiance": (random.uniform(*STRONG) * usual * 2 * np.array(FILTERS[colour])).tolist()}
-            )
+            towards, strength = from_in_front(random), random.uniform(*STRONG)
+            irradiance = strength * usual * 2 * np.array(FILTERS[colour])
+            lamps.append({"direction": towards, "irradiance": irradiance.tolist()})
         kinds = [*plate["kinds"], f"{count} lamp{'s' if count > 1 else ''}"]
         more = {"lamps": lamps, "dimmed": random.uniform(*DIMMED), "sun": None, "kinds": kinds}
         out.append(plate | more)
@@ -164,7 +163,10 @@ def painted(plates: list[dict], seed: int) -> list[dict]:
         mean = own | {"colour": (np.array(own["colour"]) + paint) / 2}
         more = {"surface": own, "paint": paint.tolist(), "told": by_eye(mean, random), "thing": "painted"}
         usual = np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
-        lamps = [lamp_from(random, random.uniform(*STRONG) * 2 * usual) for _ in range(random.integers(1, LAMPS + 1))]
+        lamps = []
+        for _ in range(random.integers(1, LAMPS + 1)):
+            irradiance = random.uniform(*STRONG) * 2 * usual
+            lamps.append({"direction": from_in_front(random), "irradiance": [irradiance] * 3})
         dark = random.random() < IN_THE_DARK
         if dark:
             more |= {"lamps": lamps, "dimmed": random.uniform(0, DIMMED[0]), "sun": None}
@@ -173,11 +175,10 @@ def painted(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
-def lamp_from(random, irradiance) -> dict:
-    """A lamp of an irradiance, a number or (3,), at a random place on the camera's side."""
+def from_in_front(random) -> list[float]:
+    """A random direction (3,) above the ground, on the camera's side."""
     azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
-    towards = [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
-    return {"direction": towards, "irradiance": np.broadcast_to(irradiance, 3).tolist()}
+    return [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
 
 
 def of_set(name: str) -> list[dict]:

@@ -22,8 +22,8 @@ from scripts.studies.estimates import scene_of
 from scripts.studies.stage import as_mesh, ball, bowl, plate, positive_light
 
 __all__ = (
-    "answer", "as_mesh", "ball", "bowl", "edited", "egg_and_pebble", "in_white", "job_of", "looking_down",
-    "off_as_seen", "picture", "plate", "positive_light", "scene_of", "with_photo",
+    "answer", "as_mesh", "ball", "ball_with_another", "bowl", "edited", "egg_and_pebble", "in_white", "job_of",
+    "looking_down", "off_as_seen", "picture", "plate", "positive_light", "scene_of", "with_photo",
 )  # fmt: skip
 job_of = partial(stage.job_of, metres_per_unit=0.05)
 
@@ -39,6 +39,12 @@ def egg_and_pebble(level: int = 4) -> TriangleMesh:
     egg.apply_scale([0.5, 0.7, 0.45])
     pebble.apply_scale([0.3, 0.25, 0.35]).apply_translation([0.55, 0.4, 0.0])
     return as_mesh(trimesh.util.concatenate([egg, pebble]))
+
+
+def ball_with_another(level: int = 4) -> TriangleMesh:
+    """A ball with a smaller one before it, which casts its shadow on it."""
+    ball, other = trimesh.creation.icosphere(level, 0.5), trimesh.creation.icosphere(level, 0.25)
+    return as_mesh(trimesh.util.concatenate([ball, other.apply_translation((-0.45, 0.3, 0.4))]))
 
 
 def picture(points, values, *, size: int = 96, noise: float = 0.0, seed: int = 0) -> np.ndarray:

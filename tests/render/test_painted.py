@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.ndimage import gaussian_filter
 
 from btfsep_engine.btf.library import open_library
@@ -11,7 +10,15 @@ from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
 from btfsep_engine.pipeline.refine import painted
 from btfsep_engine.pipeline.refine.painted import painted_surfaces, pieces
 from btfsep_engine.pipeline.settings import choose
-from tests.render.scenes import as_mesh, egg_and_pebble, in_white, lit_by_a_lamp, off_as_seen, scene_of, with_photo
+from tests.render.scenes import (
+    ball_with_another,
+    egg_and_pebble,
+    in_white,
+    lit_by_a_lamp,
+    off_as_seen,
+    scene_of,
+    with_photo,
+)
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", refine="all", bounces=1, directions=1024)
@@ -21,9 +28,7 @@ VARIES, ACROSS = 0.35, 7  # of the logarithm of the albedo; pixels
 @pytest.fixture(scope="module")
 def photographed():
     """A ball with another before it, its photo with a camera's noise, and the light."""
-    parts = [trimesh.creation.icosphere(4, radius) for radius in (0.5, 0.25)]
-    parts[1].apply_translation((-0.45, 0.3, 0.4))
-    return in_white(as_mesh(trimesh.util.concatenate(parts)))
+    return in_white(ball_with_another())
 
 
 def painted_over(image, seed):

@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.ndimage import gaussian_filter
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
 from btfsep_engine.pipeline.refine.uneven import _overthrown, uneven_surfaces
 from btfsep_engine.pipeline.settings import choose
-from tests.render.scenes import as_mesh, in_white, lit_by_a_lamp, off_as_seen, scene_of, with_photo
+from tests.render.scenes import ball_with_another, in_white, lit_by_a_lamp, off_as_seen, scene_of, with_photo
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", refine="all", bounces=1, directions=1024)
@@ -22,9 +21,7 @@ VARIES = 0.4  # of the logarithm of the albedo
 @pytest.fixture(scope="module")
 def photographed():
     """A ball with another before it, its photo with a camera's noise, and the light."""
-    parts = [trimesh.creation.icosphere(4, radius) for radius in (0.5, 0.25)]
-    parts[1].apply_translation((-0.45, 0.3, 0.4))
-    return in_white(as_mesh(trimesh.util.concatenate(parts)))
+    return in_white(ball_with_another())
 
 
 def blotched(image, seed):

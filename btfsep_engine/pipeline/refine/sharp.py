@@ -154,19 +154,13 @@ def with_its_lamp(light, direction):
 
 def model_beside(model, light, found):
     """The model whose photos are less what sharp lamps make of them, as well as that is known."""
-    excess, departures = found.excess, found.departures
-    changes, start = [], 0
-    for problem, exposure in zip(model.problems, light.exposures, strict=True):
-        part = slice(start, start := start + len(problem.pixels))
-        own = [] if problem.slopes is None else [problem.slopes]
-        changes.append(
-            {
-                "correction": exposure * excess[part],
-                "weights": found.weights[part],
-                "slopes": np.concatenate([*own, departures[part]], 1),
-            }
-        )
-    return model.changed(lambda p, change: replace(p, **change), changes)
+    ends = np.cumsum([len(problem.pixels) for problem in model.problems])[:-1]
+    parts = [np.split(values, ends) for values in (found.excess, found.weights, found.departures)]
+
+    def without(problem, exposure, excess, weights, departures):
+        return replace(problem.beside(departures), correction=exposure * excess, weights=weights)
+
+    return model.changed(without, light.exposures, *parts)
 
 
 def irradiance_around(fit, direction) -> np.ndarray:
