@@ -8,12 +8,24 @@ import pytest
 import trimesh
 
 from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.refine import limb
-from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED, lean, misshapen, patch_misfit
+from btfsep_engine.pipeline.refine.misshapen import OF_ALL, UNEXPLAINED, lean, misshapen, patch_misfit
 from btfsep_engine.pipeline.settings import choose
-from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
+from btfsep_engine.render.homogeneous import homogeneous
+from tests.render.scenes import (
+    as_mesh,
+    egg_and_pebble,
+    job_of,
+    looking_down,
+    picture,
+    positive_light,
+    scene_of,
+    with_photo,
+)
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=256, key_light="never")
@@ -77,3 +89,26 @@ def test_a_coarse_mesh_that_is_shaded_smoothly_is_said_and_counted(monkeypatch):
     assert "the mesh is coarse" in bad.choice[UNEXPLAINED] and bad.choice[UNEXPLAINED] in bad.scene.reporter.warnings
     assert lean(good.model.problems) < 0.06 < 0.15 < lean(bad.model.problems)
     assert bad.lighting.stddev.mean() > 1.25 * good.lighting.stddev.mean()
+
+
+def test_of_what_is_alike_all_over_nothing_else_is_to_be_left_over():
+    """Dark squares on gloss, smaller than patches: over these little of them stays, of the photo a half does."""
+    scene = scene_of(job_of([egg_and_pebble()], looking_down()))
+    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    gloss = Surface((0.5, 0.4, 0.3), roughness=0.25)
+    seen = scene.radiance(points, homogeneous(gloss, GIVEN), SHLighting(positive_light(4)), directions=1024)[:, 0]
+    squares = np.where((points.pixels // 7).sum(1) % 2, 1.0, 0.25)[:, None]
+    jobs = [with_photo(scene.job, picture(points, values, noise=0.02)) for values in (seen, squares * seen)]
+    of_gloss = [replace(job, objects=(replace(job.objects[0], surface=gloss),)) for job in jobs]
+    without = [r for r in estimation.REFINEMENTS if r is not misshapen]
+
+    def answered(job, **how):
+        return estimation.estimate(scene_of(job), open_library(None), SETTINGS, **how)
+
+    good, bad, plain = answered(of_gloss[0]), answered(of_gloss[1]), answered(of_gloss[1], refinements=without)
+    assert UNEXPLAINED not in good.choice
+    assert "alike all over" in bad.choice[UNEXPLAINED] and bad.choice[UNEXPLAINED] in bad.scene.reporter.warnings
+    assert patch_misfit(bad.model.problems, bad.light) < 0.1 < bad.fit.residual
+    stated = expected_error(bad.fit.all_coefficients, bad.fit.samples)["order_2"]["median"]
+    assert stated == pytest.approx(OF_ALL * bad.fit.residual, rel=0.05)
+    assert stated > 1.25 * expected_error(plain.fit.all_coefficients, plain.fit.samples)["order_2"]["median"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Painted things under a lamp: the paint is found by evidence, and the lamp is where it is; elsewhere none is found."""
+"""Painted things: the paint is found by evidence, and the light is better for it; elsewhere none is found."""
 
 import numpy as np
 import pytest
@@ -41,18 +41,19 @@ def found_of(scene, image, **how):
     return estimate(scene_of(with_photo(scene.job, image)), open_library(None), SETTINGS, material=WHITE, **how)
 
 
-def test_under_a_lamp_paint_is_found_and_the_light_is_better_for_it(photographed):
+@pytest.mark.parametrize("light", ["a lamp", "a sky"])
+def test_paint_is_found_and_the_light_is_better_for_it(photographed, light):
     scene, without = photographed[0], [r for r in REFINEMENTS if r is not painted_surfaces]
     off = []
-    for seed in (1, 2, 5, 8, 9):  # whose stains leave the light one of lamps alone
-        image, truth = lit_by_a_lamp(scene, seed)
+    for seed in range(4):
+        image, truth = lit_by_a_lamp(scene, seed) if light == "a lamp" else photographed[1:]
         photo = painted_over(image, seed)
         found, plain = found_of(scene, photo), found_of(scene, photo, refinements=without)
         assert "in pieces" in found.choice["paint"] and "paint" not in plain.choice
         assert "uneven" not in found.choice  # as the pieces say, and not once more
         off.append([off_as_seen(each.fit.coefficients[:9], truth) for each in (found, plain)])
     with_paint, without_paint = np.mean(off, 0)
-    assert with_paint < 0.85 * without_paint
+    assert with_paint < 0.9 * without_paint
 
 
 def test_what_is_as_it_was_told_has_none(photographed):
@@ -60,14 +61,6 @@ def test_what_is_as_it_was_told_has_none(photographed):
     image, _ = lit_by_a_lamp(scene, 1)
     found = found_of(scene, image)
     assert "paint" not in found.choice and found.model.problems[0].slopes is None
-
-
-def test_under_a_free_sky_none_is_looked_for(photographed, monkeypatch):
-    scene, image, _ = photographed
-    monkeypatch.setattr(painted, "CLEARLY", -np.inf)
-    monkeypatch.setattr(painted, "MUCH", 0.0)
-    found = found_of(scene, painted_over(image, 1))
-    assert found.fit.election.solution.model.field.order > 0 and "paint" not in found.choice
 
 
 def test_what_explains_little_more_is_not_kept(photographed, monkeypatch):

@@ -6,12 +6,15 @@ mesh of another shape, another pose of a limb or paint that nobody told of leave
 misfit how much of it light has imitated; on photographs of which the truth is known, the light errs by twice the size
 of what is left over patches, or by a little more. Of a mesh of few faces that is shaded smoothly the normals themselves
 are a guess: the light errs by about as much as the faces lean from them, and hides much of that from the misfit.
+Of objects of which the job says by numbers that they are alike all over, no texture leaves anything: what is left over
+is of another surface than that, and where gloss lets the light imitate it, hardly any of it stays over patches.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.stated import expected_error, widened
 
 PATCHES = 8  # along the longer side of an object in the picture
@@ -20,9 +23,16 @@ MUCH = 0.1  # relative misfit of patches: 0.01 to 0.04 where the geometry is rig
 ERROR = 2.0  # that is stated at least, over that misfit
 COARSE = 0.03  # misfit of patches with which a coarse mesh counts: one that is as the object is leaves 0.01 to 0.02
 OF_LEAN = 0.8  # the error that is stated at least, over the faces' lean in radians: 0.4 to 1.4 on six decimated meshes
+OF_ALL = (
+    0.7  # the error that is stated at least, over all that is left over of what is alike all over: of 72 plates that
+)
+# leave over a tenth and more the error is 0.8 times that in the median, of one in ten more than 1.7 times
 WORTH, WIDEST = 1.25, 4.0  # times what the fit states
 UNEXPLAINED = "unexplained"  # its name among what is chosen
+OTHERWISE, SHADED = "brighter or darker than the light makes them", "the normals that shade them"
+ALIKE = "the brightness of objects that are said to be alike all over"
 SHAPE = "the mesh's shape or pose may be wrong, or there is paint that the job does not say"
+SURFACE = "they may be painted, or of another finish than the job says"
 FINER = "give a finer mesh, or shade it flat if the object has facets"
 
 
@@ -51,18 +61,23 @@ def lean(problems) -> float:
     return float(np.sqrt(np.square(np.arccos(np.clip(np.concatenate(cosines), -1, 1))).mean()))
 
 
+def alike_all_over(problems) -> bool:
+    """Whether jobs say by numbers of what surface all objects are, and that it is the same in every place."""
+    return all(m.name == GIVEN and not m.has_texture for p in problems for m in p.materials)
+
+
 def misshapen(model, light):
     """The refinement: wider ranges where parts of the objects are not explained, as wide as such lights err."""
     if light.fit.samples is None or (misfit := patch_misfit(model.problems, light)) < COARSE:
         return model, light, {}
+    angle, left = lean(model.problems), light.fit.residual * alike_all_over(model.problems)
+    shape = ERROR * misfit * (misfit >= MUCH), f"whole parts of the objects are {100 * misfit:.0f} % {OTHERWISE}", SHAPE
+    coarse = OF_LEAN * angle, f"the mesh is coarse: its faces lean {np.degrees(angle):.0f}° from {SHADED}", FINER
+    surface = OF_ALL * left * (left >= MUCH), f"the light leaves over {100 * left:.0f} % of {ALIKE}", SURFACE
+    error, what, why = max(shape, coarse, surface)
     stated = expected_error(light.fit.all_coefficients, light.fit.samples)["order_2"]["median"]
-    angle = lean(model.problems)
-    left, coarse = ERROR * misfit * (misfit >= MUCH), OF_LEAN * angle
-    factor = min(max(left, coarse) / max(stated, 1e-9), WIDEST)
+    factor = min(error / max(stated, 1e-9), WIDEST)
     if factor < WORTH:
         return model, light, {}
-    why = f"whole parts of the objects are {100 * misfit:.0f} % brighter or darker than the light makes them", SHAPE
-    if coarse > left:
-        why = f"the mesh is coarse: its faces lean {np.degrees(angle):.0f}° from the normals that shade them", FINER
-    words = f"; what is known of the light is stated {factor:.1f} times as wide; ".join(why)
+    words = f"{what}; what is known of the light is stated {factor:.1f} times as wide; {why}"
     return model, replace(light, fit=widened(light.fit, factor)), {UNEXPLAINED: words}

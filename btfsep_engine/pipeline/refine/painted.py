@@ -2,11 +2,10 @@
 """Whether surfaces are painted or stained: lighter here and darker there, in pieces that are larger than pixels.
 
 Of a plaster cat that is stained, or an owl that is painted, one knows a mean colour. Pieces that are darker look like
-shade, lighter ones like light, and the brightest lamp is moved to where they are. Of a light of lamps alone, which a
-handful of numbers describe, the photo tells that apart: the same lamps are fitted anew with a brightness free that goes
-by the place in the picture (`fit.products`, ``slopes``), each piece and each channel by a part of what the light makes
-it. It is kept where that explains the photo clearly better. Where the sky is free, pieces and sky imitate each other:
-on 11 plates so painted, under natural light, the light erred 1.2 times as much with them.
+shade, lighter ones like light, and the brightest lamp is moved to where they are. But light goes by the normals, and
+pieces go by the place: the light is fitted anew, by its own model, with a brightness free that goes by the place in the
+picture (`fit.products`, ``slopes``), each piece and each channel by a part of what the light makes it. It is kept where
+that explains the photo clearly better.
 
 Asked only where whole parts of the objects are brighter or darker than the light makes them (`refine.misshapen`), by as
 much as that is doubted for. What is stated of the light stays as wide as that asks for: it may be their shape.
@@ -26,8 +25,8 @@ FOUND = "the objects are lighter here and darker there than was told, in pieces,
 
 
 def painted_surfaces(model, light):
-    """The refinement: a brightness that goes by the place, under lamps alone."""
-    if light.solver is None or not _of_lamps_alone(light.fit) or patch_misfit(model.problems, light) < MUCH:
+    """The refinement: a brightness that goes by the place."""
+    if light.solver is None or patch_misfit(model.problems, light) < MUCH:
         return model, light, {}
     with model.reporter.stage("fit"):
         seen = [pieces(p)[:, :, None] * p.predicted(light.fit.shown)[:, None] for p in model.problems]
@@ -38,12 +37,6 @@ def painted_surfaces(model, light):
     if fit.evidence < light.fit.evidence + CLEARLY:
         return model, light, {}
     return painted, replace(light, fit=fit), {"paint": FOUND}
-
-
-def _of_lamps_alone(fit) -> bool:
-    """Whether a light is of lamps, and of even light beside them."""
-    model = fit.election.solution.model
-    return bool(model.lamps) and model.field.order == 0
 
 
 def pieces(problem) -> np.ndarray:
