@@ -64,6 +64,12 @@ KNOWN = (
         level="AMBER",
     ),
     Advice(
+        "says to be alike all over",
+        "There may be paint on {0}, or another finish than its material has",
+        "SELECT",
+        "AMBER",
+    ),
+    Advice(
         "which it was taken to reflect",
         "The photo shows {0} in another colour than Blender has; the light goes by the photo's",
         "SELECT",
@@ -112,7 +118,7 @@ def advice(sentence: str) -> Advice:
         return Advice(pixels[0], "")
     for known in KNOWN:
         if known.phrase in sentence:
-            named = tuple(dict.fromkeys(re.findall(r"(?:object|occluder) '(.+?)'(?= |:|;|$)", sentence)))
+            named = tuple(dict.fromkeys(re.findall(r"(?:object|occluder) '(.+?)'(?=[ ,:;]|$)", sentence)))
             called, mend = ", ".join(named), known.mend
             if not named:  # of what has no name, nothing can be selected
                 called, mend = ("what stands around", "") if mend == "SELECT" else ("the object", mend)

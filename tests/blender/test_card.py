@@ -208,6 +208,19 @@ def test_a_roughness_that_the_photo_does_not_show_is_said_with_the_one_that_it_s
     }
 
 
+def test_paint_that_the_job_does_not_know_is_said_with_the_way_to_its_material():
+    told = (
+        "the light leaves over 26 % of object 'Jug, old', object 'Lid', which the job says to be alike all over; what "
+        "is known of the light is stated 2.0 times as wide; there may be paint, or another finish than the job says"
+    )
+    (shown,) = card.card_of({}, lighting(), FRONT, warnings=[told])["warnings"]
+    assert shown == {
+        "short": "There may be paint on Jug, old, Lid, or another finish than its material has",
+        "mend": "SELECT",
+        "object": "Jug, old\nLid",
+    }
+
+
 def test_surfaces_that_are_not_as_the_light_makes_them_are_said_by_name_with_the_way_to_their_material():
     between = "is said to reflect 0.08, 0.08, 0.08 (red, green, blue), and the photo shows about 0.79, 0.74, 0.70 of it"
     otherwise = (

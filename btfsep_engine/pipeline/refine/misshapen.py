@@ -30,9 +30,9 @@ OF_ALL = (
 WORTH, WIDEST = 1.25, 4.0  # times what the fit states
 UNEXPLAINED = "unexplained"  # its name among what is chosen
 OTHERWISE, SHADED = "brighter or darker than the light makes them", "the normals that shade them"
-ALIKE = "the brightness of objects that are said to be alike all over"
+ALIKE = "which the job says to be alike all over"
 SHAPE = "the mesh's shape or pose may be wrong, or there is paint that the job does not say"
-SURFACE = "they may be painted, or of another finish than the job says"
+SURFACE = "there may be paint, or another finish than the job says"
 FINER = "give a finer mesh, or shade it flat if the object has facets"
 
 
@@ -73,7 +73,8 @@ def misshapen(model, light):
     angle, left = lean(model.problems), light.fit.residual * alike_all_over(model.problems)
     shape = ERROR * misfit * (misfit >= MUCH), f"whole parts of the objects are {100 * misfit:.0f} % {OTHERWISE}", SHAPE
     coarse = OF_LEAN * angle, f"the mesh is coarse: its faces lean {np.degrees(angle):.0f}° from {SHADED}", FINER
-    surface = OF_ALL * left * (left >= MUCH), f"the light leaves over {100 * left:.0f} % of {ALIKE}", SURFACE
+    named = ", ".join(dict.fromkeys(f"object '{o.name}'" for p in model.problems for o in p.scene.job.objects))
+    surface = OF_ALL * left * (left >= MUCH), f"the light leaves over {100 * left:.0f} % of {named}, {ALIKE}", SURFACE
     error, what, why = max(shape, coarse, surface)
     stated = expected_error(light.fit.all_coefficients, light.fit.samples)["order_2"]["median"]
     factor = min(error / max(stated, 1e-9), WIDEST)
