@@ -20,6 +20,7 @@ from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
+from btfsep_engine.pipeline.refine import curves
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
@@ -175,6 +176,18 @@ def test_a_curve_that_explains_far_less_than_another_is_doubted(ball, said, true
     scene = seen(ball, true, said)
     estimate(scene, Grey(), SETTINGS, material="grey")
     assert any("tone curve is doubtful" in each for each in scene.reporter.warnings) == doubted
+
+
+@pytest.mark.parametrize(("said", "less", "doubted"), [
+    ("linear", 1.0, True), ("linear", 3.0, False), ("auto", 1.0, False),
+])  # fmt: skip
+def test_that_eight_bits_are_linear_is_believed_where_they_look_it(ball, monkeypatch, said, less, doubted):
+    read, others = iter([0.0, -less, -less, -less]), []
+    monkeypatch.setattr(curves, "log_probability", lambda *_: others.append(next(read)) or others[-1])
+    scene = seen(ball, LINEAR if said == "linear" else SRGB, said)
+    estimate(scene, Grey(), SETTINGS, material="grey")
+    warned = [each for each in scene.reporter.warnings if "tone curve is doubtful" in each]
+    assert len(others) == 4 and [("hardly ever linear" in each) for each in warned] == [True] * doubted
 
 
 def looks_like(scene, index, library, settings):

@@ -16,6 +16,9 @@ NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, **VIEWS}
 OTHERS = {LINEAR: (SRGB, AGX, CAMERA), SRGB: (LINEAR, AGX, CAMERA), CAMERA: (SRGB,)}
 STATED_AS = {AGX: "a render that was saved with that view", CAMERA: "a camera's own picture"}
 FAR = 2.25  # of the logarithm of the probability: how much more another curve has to explain before it is said
+SELDOM = 4.25  # of it: how much less probable it is, before any light is known, that 8 bits a channel are linear,
+# whatever the job says. Of 30 real photographs of 8 bits that are linear, as is said, others explain 2.1 to 20 less and
+# none is doubted; of the same by sRGB, said to be linear, from 9.7 more to 4.4 less: 29 are doubted, where 10 were
 
 
 def _read_by(curve: ToneCurve, problem, codes):
@@ -97,11 +100,13 @@ def curve_doubts(problems, light) -> list[str]:
         read = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
         answer = light.solver.solve(light.radiance(read), weights=weights, start=light.of_objects)
         logs.append(log_probability(answer, curve.log_slope(codes) - np.log(unit), weights))
-    best = int(np.argmax(logs))
-    if logs[best] - logs[0] < FAR:
+    best = 1 + int(np.argmax(logs[1:]))
+    gain = logs[best] - logs[0]
+    if gain < FAR - SELDOM * (read_by is LINEAR):
         return []
     read, other = read_by.description, curves[best]
-    than = f"it was read as {read}, and as {other.description} the light would explain it far better"
+    how_much = "far better" if gain >= FAR else "about as well, and what has 8 bits a channel is hardly ever linear"
+    than = f"it was read as {read}, and as {other.description} the light would explain it {how_much}"
     if other in STATED_AS:
         name = "agx" if other is AGX else "camera"
         mend = f"if it is {STATED_AS[other]}, state it (image_colorspace, --colorspace {name})"
