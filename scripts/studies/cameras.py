@@ -53,6 +53,14 @@ def response(name: str):
     return PchipInterpolator(radiance, shown)
 
 
+def save_jpeg(path: Path, linear, coded: str, *, bright: float) -> None:
+    """Saves a picture (h, w, 3), linear, as a camera of `MEASURED` does, or by `SRGB`; ``bright`` is nearly white."""
+    shown, radiance = response(coded) if coded in MEASURED else (lambda r: r), np.linspace(0, 1, 4097)
+    exposure = np.interp(AT, shown(radiance), radiance) / bright
+    codes = np.round(255 * linear_to_srgb(shown(np.clip(exposure * linear, 0, 1)))).astype(np.uint8)
+    cv2.imwrite(str(path), codes[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG])
+
+
 def take(plate, folder: Path, coded: str) -> Path:
     """The job folder of a plate, coded by a camera's curve, by `SRGB`, or as `FLOATS`; what is there already stays."""
     source, out = folder / plate["name"] / "in line", folder / plate["name"] / coded
@@ -64,10 +72,7 @@ def take(plate, folder: Path, coded: str) -> Path:
         photo = "photo.exr"
         write_exr(out / photo, linear)
     else:
-        shown, radiance = response(coded) if coded in MEASURED else (lambda r: r), np.linspace(0, 1, 4097)
-        exposure = np.interp(AT, shown(radiance), radiance) / np.percentile(linear.max(-1), BRIGHT)
-        codes = np.round(255 * linear_to_srgb(shown(np.clip(exposure * linear, 0, 1)))).astype(np.uint8)
-        cv2.imwrite(str(out / photo), codes[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG])
+        save_jpeg(out / photo, linear, coded, bright=np.percentile(linear.max(-1), BRIGHT))
     for mesh in source.glob("*.ply"):
         (out / mesh.name).write_bytes(mesh.read_bytes())
     told = json.loads((source / "job.json").read_text()) | {"image": photo, "image_colorspace": "auto"}

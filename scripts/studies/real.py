@@ -2,6 +2,7 @@
 """Photographs of real objects whose light is known, beside three plain fits of the same pixels.
 
 scripts/study real FOLDER [--only GLOB] [--chart FILE]
+scripts/study real FOLDER --saved "by sRGB alone" --read linear     as JPEGs, read so; without --read as a user's are
 
 FOLDER: job folders, each with a `truth.json`: {"coefficients": (order + 1)^2 rows of 1 or 3 numbers}, order 2 or more,
 the light's spherical harmonics in the world of the job, in any scale (docs/conventions.md has axes and signs). The
@@ -19,6 +20,8 @@ Lambert's and no prior. They get the normals of the engine's surface points that
 
 import json
 import re
+import shutil
+import tempfile
 from collections import Counter
 from pathlib import Path
 
@@ -27,14 +30,19 @@ from tqdm import tqdm
 
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
+from btfsep_engine.job.load import load_job
+from btfsep_engine.job.model import Job
 from btfsep_engine.pipeline.scene import PreparedScene
-from scripts.studies import ROOT, parser, tables
+from btfsep_engine.storage.atomic import write_json
+from scripts.studies import ROOT, cameras, parser, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.measures import ERROR_ORDER, TERMS, errors
 
 CHART = ROOT / "docs" / "images" / "accuracy-real.png"
 FACING = 0.15  # cosine to the camera: beyond, a pixel holds too many normals
+SHOWN, BRIGHT = 0.02, 98  # of a photo's largest value: what is above is no background; percentile of that, nearly white
 LIT = 0.15  # of the 99th percentile of the object's brightness
+READ = ("srgb", "camera", "linear", "unknown")
 PLAIN = {"lamp": "one lamp", "order1": "order 1", "order2": "order 2"}
 LOOKS = {"ours": ("o", 46), "lamp": ("v", 26), "order1": ("s", 20), "order2": ("^", 26)}  # marker, size
 
@@ -73,9 +81,24 @@ def plain_fits(normal, b) -> dict:
     return fits
 
 
-def study(folder: Path) -> dict:
-    """One photograph: ours and the plain fits against the truth."""
-    truth, scene = true_light(folder), scene_of(folder)
+def as_jpeg(folder: Path, coded: str, read: str | None) -> Job:
+    """A folder's job with its photograph saved as `cameras.save_jpeg` does, and read by a curve; None: as files are."""
+    linear = load_job(folder).photo.radiance
+    values = linear.max(-1)
+    with tempfile.TemporaryDirectory() as where:
+        out = Path(where) / folder.name
+        shutil.copytree(folder, out)
+        bright = np.percentile(values[values > SHOWN * values.max()], BRIGHT)
+        cameras.save_jpeg(out / "coded.jpg", linear, coded, bright=bright)
+        told = {"image": "coded.jpg", "image_colorspace": "auto"}
+        write_json(out / "job.json", json.loads((folder / "job.json").read_text()) | told)
+        return load_job(out, colorspace=read)
+
+
+def study(folder: Path, *, saved: str | None = None, read: str | None = None) -> dict:
+    """One photograph: ours and the plain fits against the truth; ``saved`` and ``read`` : as of `as_jpeg`."""
+    job = as_jpeg(folder, saved, read) if saved else load_job(folder, colorspace=read)
+    truth, scene = true_light(folder), scene_of(job)
     ours, warnings = worth(estimated(scene), truth, free_scale=True), scene.reporter.warnings
     row = {
         "job": folder.name,
@@ -160,19 +183,23 @@ def main(arguments) -> int:
     options = parser("real", __doc__)
     options.add_argument("folder", type=Path, help="of jobs, each with a truth.json")
     options.add_argument("--only", default="*", metavar="GLOB", help="of the jobs' names")
-    options.add_argument("--chart", type=Path, help="where to draw, else that of docs/accuracy.md, unless --only")
+    saved = (cameras.SRGB, *cameras.MEASURED)
+    options.add_argument("--saved", choices=saved, metavar="HOW", help=f"as JPEGs: {', '.join(saved)}")
+    options.add_argument("--read", choices=READ, metavar="CURVE", help="as --colorspace of btfsep estimate")
+    options.add_argument("--chart", type=Path, help="where to draw, else that of docs/accuracy.md, if all is as it is")
     given = options.parse_args(arguments)
     truths = given.folder.glob(f"{given.only}/truth.json")
     folders = sorted(p.parent for p in truths if (p.parent / "job.json").exists())
     if not folders:
         options.error(f"{given.folder} has no jobs with a truth.json")
-    rows = [study(folder) for folder in tqdm(folders)]
+    rows = [study(folder, saved=given.saved, read=given.read) for folder in tqdm(folders)]
     print(by_job(rows) + "\n\nMedians (worst); of shares means (least):\n\n" + summary(rows))
     said = Counter(words for r in rows for words in {kind(w) for w in r["warnings"]})
     print("\nWarned of, numbers left out:\n")
     for words, count in said.most_common():
         print(f"- {count} of {len(rows)}: {words}")
-    chart = given.chart or (CHART if given.only == "*" else None)
+    as_it_is = given.only == "*" and not given.saved and not given.read
+    chart = given.chart or (CHART if as_it_is else None)
     if chart:
         draw(chart, rows)
     return 0

@@ -9,7 +9,9 @@ import pytest
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.errors import InputError
-from scripts.studies import real
+from btfsep_engine.imaging.srgb import linear_to_srgb
+from btfsep_engine.job.load import load_job
+from scripts.studies import cameras, real
 from scripts.studies.measures import covered, errors
 
 NORMALS = fibonacci_sphere(800)
@@ -51,3 +53,18 @@ def test_a_truth_of_one_number_a_row_is_grey_and_one_of_few_rows_is_refused(tmp_
     (tmp_path / "truth.json").write_text(json.dumps({"coefficients": [[1.0]] * 4}))
     with pytest.raises(InputError, match="9 rows or more"):
         real.true_light(tmp_path)
+
+
+def test_a_job_saved_as_a_jpeg_is_read_by_the_curve_that_is_said_and_its_folder_stays(job):
+    job.exr("photo.exr", np.full((8, 12, 3), 0.5, np.float32) * np.linspace(0.3, 1, 12, dtype=np.float32)[:, None])
+    before = {path: path.read_bytes() for path in job.write().iterdir()}
+    linear = load_job(job.folder).photo.radiance
+    saved = {read: real.as_jpeg(job.folder, cameras.SRGB, read) for read in (None, "linear")}
+    assert {path: path.read_bytes() for path in job.folder.iterdir()} == before
+    assert [saved[read].image_colorspace for read in saved] == ["auto", "linear"]
+    radiance, codes = (each.photo.radiance for each in saved.values())
+    ratio = radiance / linear
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.05)
+    np.testing.assert_allclose(codes, linear_to_srgb(radiance), atol=0.004)
+    by_canon = real.as_jpeg(job.folder, "Canon EOS 6D", "camera").photo.radiance
+    np.testing.assert_allclose(by_canon / by_canon.mean(), linear / linear.mean(), rtol=0.25)
