@@ -127,6 +127,19 @@ def test_the_turn_of_a_ball_stays(tmp_path):
     assert np.linalg.norm(found.camera.project(np.zeros((1, 3))) - ball.job.camera.width / 2) < 0.7
 
 
+@pytest.mark.parametrize("barer", [True, False])
+def test_no_move_leaves_more_of_the_outlines_without_an_edge(potatoes, monkeypatch, barer):
+    """However much better the shading goes: of what is overexposed there is none."""
+    start = off_by(potatoes, (0, 0, 0, 8, 5, 0, 0))
+    before = Aligner(start).left(np.zeros(7))
+    q, after = Aligner(start).search(before)
+    after = replace(after, outline=before.outline + (0.05 if barer else -0.05))
+    monkeypatch.setattr(Aligner, "search", lambda *_: (q, after))
+    monkeypatch.setattr(Aligner, "nearby", lambda _: None)
+    found = align(start)
+    assert found.gain.outline > 0 and found.gain.significance > 3 and found.aligned == (not barer)
+
+
 def test_no_outline_in_the_picture(tmp_path):
     """An object that fills the picture."""
     full = photographed(tmp_path, trimesh.creation.icosphere(5), focal=900.0)
