@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
@@ -13,6 +14,7 @@ from btfsep_engine.job.load import load_job
 from scripts.cycles import materials, objects, studio
 from scripts.cycles import plates as studio_plates
 from scripts.studies import cameras, measures, plate_sets, plates
+from scripts.studies.estimates import scene_of
 
 
 def test_plates_are_drawn_alike_and_of_all_kinds():
@@ -122,3 +124,19 @@ def test_painted_plates_have_two_colours_and_jobs_their_mean():
         assert not np.allclose(plate["surface"]["colour"], plate["paint"])
         assert np.abs(np.log(np.array(plate["told"]["colour"]) / mean)).max() < 0.8  # by eye
         assert not plate["surface"]["metallic"] and "metal" not in plate["kinds"]
+
+
+def test_a_painted_plate_shows_both_colours_in_pieces(tmp_path, monkeypatch):
+    monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
+    monkeypatch.setattr(studio_plates, "SAMPLES", 16)
+    white = {"colour": (0.8, 0.8, 0.8), "roughness": 0.9, "metallic": 0}
+    plate = plate_sets.of_set("painted")[0] | {"surface": white, "paint": [0.2] * 3, "told": white, "table": None}
+    plate |= {"curve": "floats", "off": [0, 0], "lamps": [], "dimmed": 1.0, "much": 0.5}
+    pictures = []
+    for thing in ("as said", "painted"):
+        studio_plates.take(plate | {"thing": thing}, tmp_path / thing)
+        pictures.append(images.read_linear(tmp_path / thing / "linear.exr").pixels.mean(-1))
+    seen = scene_of(tmp_path / "painted" / "job").regions[0]
+    darker = (pictures[1] / pictures[0])[ndimage.binary_erosion(seen, iterations=2)]
+    assert 0.25 < (darker < 0.5).mean() < 0.75  # half of it is painted,
+    assert ((darker < 0.4) | (darker > 0.75)).mean() > 0.85  # and hardly anything is between
