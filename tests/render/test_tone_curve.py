@@ -3,6 +3,7 @@
 
 import json
 from dataclasses import replace
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.commands.record import result_record
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, OF_RENDERS, SRGB, ToneCurve, log_prior_of_render
 from btfsep_engine.imaging.colour_profile import of_primaries
 from btfsep_engine.job.model import Photo
@@ -182,12 +184,17 @@ def test_a_curve_that_explains_far_less_than_another_is_doubted(ball, said, true
     ("linear", 1.0, True), ("linear", 3.0, False), ("auto", 1.0, False),
 ])  # fmt: skip
 def test_that_eight_bits_are_linear_is_believed_where_they_look_it(ball, monkeypatch, said, less, doubted):
-    read, others = iter([0.0, -less, -less, -less]), []
-    monkeypatch.setattr(curves, "log_probability", lambda *_: others.append(next(read)) or others[-1])
-    scene = seen(ball, LINEAR if said == "linear" else SRGB, said)
-    estimate(scene, Grey(), SETTINGS, material="grey")
-    warned = [each for each in scene.reporter.warnings if "tone curve is doubtful" in each]
-    assert len(others) == 4 and [("hardly ever linear" in each) for each in warned] == [True] * doubted
+    """Where it is not, what is stated is of the light by the curve that they may have."""
+    logs = cycle([0.0, -less, -less - 1, -less - 1])
+    scenes = [seen(ball, LINEAR if said == "linear" else SRGB, said) for _ in range(2)]
+    plain = estimate(scenes[0], Grey(), SETTINGS, material="grey")
+    monkeypatch.setattr(curves, "log_probability", lambda *_: next(logs))
+    found = estimate(scenes[1], Grey(), SETTINGS, material="grey")
+    warned = [each for each in scenes[1].reporter.warnings if "tone curve is doubtful" in each]
+    assert [("as sRGB" in each and "hardly ever linear" in each) for each in warned] == [True] * doubted
+    np.testing.assert_array_equal(found.fit.coefficients, plain.fit.coefficients)
+    stated, usual = (expected_error(e.fit.all_coefficients, e.fit.samples)["order_2"]["median"] for e in (found, plain))
+    assert stated > 1.8 * usual if doubted else stated == usual
 
 
 def looks_like(scene, index, library, settings):

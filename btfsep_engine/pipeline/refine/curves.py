@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What other tone curves make of the light: samples of those nearly as probable, a doubt where one is far more so."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import expit
 
 from btfsep_engine.fit.stated import restated
 from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, SRGB, VIEWS, ToneCurve, importance, log_probability
@@ -19,6 +20,7 @@ FAR = 2.25  # of the logarithm of the probability: how much more another curve h
 SELDOM = 4.25  # of it: how much less probable it is, before any light is known, that 8 bits a channel are linear,
 # whatever the job says. Of 30 real photographs of 8 bits that are linear, as is said, others explain 2.1 to 20 less and
 # none is doubted; of the same by sRGB, said to be linear, from 9.7 more to 4.4 less: 29 are doubted, where 10 were
+HARDLY_EVER = "and what has 8 bits a channel is hardly ever linear"
 
 
 def _read_by(curve: ToneCurve, problem, codes):
@@ -30,25 +32,43 @@ def _read_by(curve: ToneCurve, problem, codes):
 
 def other_curves(model, light):
     """The refinement: samples of the light in proportion to the curves' probabilities, each in the fit's own scale."""
-    problems, fit, choice = model.problems, light.fit, {"curve": curve_words(model.problems)}
+    problems, choice = model.problems, {"curve": curve_words(model.problems)}
     known = next((p.scene.curves for p in problems if p.scene.curves is not None), None)
     if known is None:
-        return model, light, choice
-    kept = known.shares > PLAUSIBLE
-    counts = np.floor(known.shares * kept / known.shares[kept].sum() * len(fit.samples)).astype(int)
-    samples, x = [fit.samples[: len(fit.samples) - counts[1:].sum()]], fit.all_coefficients
-    for curve, count in zip(known.curves[1:], counts[1:], strict=True):
-        if not count:
-            continue
-        read = [
+        return model, _believed(problems, light), choice
+
+    def read_by(curve):
+        return [
             p if p.scene.curves is None else _read_by(curve, p, p.values_of(p.scene.curves.codes)) for p in problems
         ]
-        other = light.solver.solve(light.radiance(read), weights=all_weights(problems))
-        y = other.all_coefficients
-        samples.append(float((y * x).sum() / max(np.square(y).sum(), 1e-300)) * other.samples[:count])
-    if len(samples) > 1:
-        light = replace(light, fit=restated(fit, np.concatenate(samples)))
-    return model, light, choice
+
+    total, each = known.shares[known.shares > PLAUSIBLE].sum(), zip(known.curves, known.shares, strict=True)
+    others = [(read_by(curve), share / total) for curve, share in list(each)[1:] if share > PLAUSIBLE]
+    return model, _mixed(problems, light, others), choice
+
+
+def _mixed(problems, light, others):
+    """The light with samples of others; ``others`` : of each the problems as its curve reads them, and its share."""
+    fit = light.fit
+    samples, x = [], fit.all_coefficients
+    for read, share in others:
+        count = int(share * len(fit.samples))
+        if count:
+            other = light.solver.solve(light.radiance(read), weights=all_weights(problems))
+            y = other.all_coefficients
+            samples.append(float((y * x).sum() / max(np.square(y).sum(), 1e-300)) * other.samples[:count])
+    if not samples:
+        return light
+    own = len(fit.samples) - sum(map(len, samples))
+    return replace(light, fit=restated(fit, np.concatenate([fit.samples[:own], *samples])))
+
+
+def _believed(problems, light):
+    """The light with samples of another curve's, where 8 bits that are said to be linear are doubted, as many as that
+    is probable."""
+    if any(curve_read_by(p.scene.job) is not LINEAR for p in problems) or (doubt := _doubt(problems, light)) is None:
+        return light
+    return _mixed(problems, light, [(doubt.read, expit(doubt.gain + SELDOM))])
 
 
 def curve_words(problems) -> str:
@@ -82,30 +102,49 @@ def curve_words(problems) -> str:
     return words + (f"; its colours were converted from {', '.join(names)}" if names else "")
 
 
-def curve_doubts(problems, light) -> list[str]:
-    """That the curve by which an 8-bit photo was read explains it far worse than another would."""
+@dataclass(frozen=True)
+class Doubt:
+    """That a photo of 8 bits may have an ``other`` curve than it was ``read_by``: what that explains more, ``gain`` of
+    the logarithm of the probability, and the problems ``read`` by it."""
+
+    read_by: ToneCurve
+    other: ToneCurve
+    gain: float
+    read: list
+
+
+def _doubt(problems, light) -> Doubt | None:
+    """Whether another curve is as probable as that by which an 8-bit photo was read; None where it is not, or nothing
+    is asked."""
     jobs = [p.scene.job for p in problems]
     if light.solver is None or any(j.photo.bits != 8 or sought(j) or j.image_colorspace in VIEWS for j in jobs):
-        return []
+        return None
     read_by, *more = {curve_read_by(j) for j in jobs}
     if more:
-        return []
+        return None
     each = [codes_of(p.scene.job, p.values_of(p.scene.job.photo.radiance)) for p in problems]  # not of all of a picture
     codes = np.concatenate(each)
     unit = np.concatenate([np.full((len(p.pixels), 1), e) for p, e in zip(problems, light.exposures, strict=True)])
     own, clipped = all_weights(problems), np.concatenate([p.clipped for p in problems])
     weights = importance(codes, clipped) * (1.0 if own is None else own)
-    logs, curves = [], (read_by, *OTHERS[read_by])
-    for curve in curves:
-        read = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
-        answer = light.solver.solve(light.radiance(read), weights=weights, start=light.of_objects)
-        logs.append(log_probability(answer, curve.log_slope(codes) - np.log(unit), weights))
-    best = 1 + int(np.argmax(logs[1:]))
-    gain = logs[best] - logs[0]
-    if gain < FAR - SELDOM * (read_by is LINEAR):
+    logs, read = {}, {}
+    for curve in (read_by, *OTHERS[read_by]):
+        read[curve] = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
+        answer = light.solver.solve(light.radiance(read[curve]), weights=weights, start=light.of_objects)
+        logs[curve] = log_probability(answer, curve.log_slope(codes) - np.log(unit), weights)
+    other = max(OTHERS[read_by], key=logs.get)
+    gain = logs[other] - logs[read_by]
+    enough = FAR - SELDOM * (read_by is LINEAR)
+    return Doubt(read_by, other, gain, read[other]) if gain >= enough else None
+
+
+def curve_doubts(problems, light) -> list[str]:
+    """That the curve by which an 8-bit photo was read explains it far worse than another would."""
+    doubt = _doubt(problems, light)
+    if doubt is None:
         return []
-    read, other = read_by.description, curves[best]
-    how_much = "far better" if gain >= FAR else "about as well, and what has 8 bits a channel is hardly ever linear"
+    read, other = doubt.read_by.description, doubt.other
+    how_much = "far better" if doubt.gain >= FAR else f"about as well, {HARDLY_EVER}"
     than = f"it was read as {read}, and as {other.description} the light would explain it {how_much}"
     if other in STATED_AS:
         name = "agx" if other is AGX else "camera"
