@@ -120,6 +120,7 @@ class Estimate:
         return lighting_map(self.lighting, *MAP_SIZE, radiance=self.radiance)
 
     @cached_property
+    @one_thread()
     def photos(self) -> list[PhotoFit]:
         """How each photograph is explained."""
         out = []
