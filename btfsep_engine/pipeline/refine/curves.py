@@ -17,7 +17,7 @@ NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, **VIEWS}
 OTHERS = {LINEAR: (SRGB, AGX, CAMERA), SRGB: (LINEAR, AGX, CAMERA), CAMERA: (SRGB,)}
 STATED_AS = {AGX: "a render that was saved with that view", CAMERA: "a camera's own picture"}
 FAR = 2.25  # of the logarithm of the probability: how much more another curve has to explain before it is said
-# Of it: how much less probable it is, before any light is known, that 8 bits a channel are linear, whatever the job says.
+# Of it: how much less probable it is, before any light is known, that 8 bits a channel are linear, whatever a job says.
 # Of 30 real photographs in 8 bits that are linear, others explain 2.1 to 20 less, and none is doubted; of the same by
 # sRGB and said to be linear 28 or 29 are, by their exposure, where 10 were.
 SELDOM = 4.25

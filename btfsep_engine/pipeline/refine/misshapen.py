@@ -23,8 +23,8 @@ MUCH = 0.1  # relative misfit of patches: 0.01 to 0.04 where the geometry is rig
 ERROR = 2.0  # that is stated at least, over that misfit
 COARSE = 0.03  # misfit of patches with which a coarse mesh counts: one that is as the object is leaves 0.01 to 0.02
 OF_LEAN = 0.8  # the error that is stated at least, over the faces' lean in radians: 0.4 to 1.4 on six decimated meshes
-# The error that is stated at least, over all that is left over of what is alike all over. Of 72 plates of which that is a
-# tenth and more, the error is 0.8 times as much in the median, of one in ten more than 1.7 times.
+# The error that is stated at least, over all that is left over of what is alike all over. Of 72 plates of which that is
+# a tenth and more, the error is 0.8 times as much in the median, of one in ten more than 1.7 times.
 OF_ALL = 0.7
 WORTH, WIDEST = 1.25, 4.0  # times what the fit states
 UNEXPLAINED = "unexplained"  # its name among what is chosen
