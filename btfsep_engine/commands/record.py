@@ -21,13 +21,19 @@ PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "opencv-contrib-python-headles
 @lru_cache(maxsize=1)
 def versions() -> dict:
     """Versions of everything that can change a result; looked up once, which reads files of every package."""
-    import importlib.metadata  # slow to import, and the light is there before anybody asks
+    from importlib.metadata import PackageNotFoundError, version  # slow, and the light is there before anybody asks
+
+    def of(name):
+        try:
+            return version(name)
+        except PackageNotFoundError:  # the same module out of a package of another name, as OpenCV's
+            return "unknown"
 
     backend = choose_backend()
     return {
         "btfsep": __version__,
         "python": platform.python_version(),
-        **{name: importlib.metadata.version(name) for name in PACKAGES},
+        **{name: of(name) for name in PACKAGES},
         "variant": backend.variant,
         "llvm": backend.llvm,
     }

@@ -11,9 +11,11 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import OpenEXR
 
+from btfsep_engine import MAX_PIXELS
 from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import blender_views, camera_curve, colour_profile, image_headers
@@ -22,10 +24,6 @@ from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 from btfsep_engine.storage import atomic
 
 MAX_SIDE = 20000  # pixels; more than any camera has, and a guard against files that claim absurd sizes
-MAX_PIXELS = 2**27  # decoded: 4 GB
-os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MAX_PIXELS))  # it is read when the library is loaded
-import cv2  # noqa: E402
-
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
 COLORSPACES = ("auto", "srgb", "camera", "linear", *blender_views.VIEWS)
@@ -33,8 +31,6 @@ SUFFIXES = (".exr", ".hdr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")  
 _EXR = b"\x76\x2f\x31\x01"
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"RIFF", b"#?")
 _KINDS = "save it as EXR, HDR, PNG, JPEG, TIFF or WebP"
-
-cv2.setLogLevel(0)  # its own complaints, on stderr, would stand beside ours
 
 
 @dataclass(frozen=True)

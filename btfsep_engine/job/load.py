@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from btfsep_engine import MAX_PIXELS
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import direction_of_angles
 from btfsep_engine.errors import InputError
@@ -193,9 +194,9 @@ def _schema(reader: _Folder) -> JobSchema:
 
 def camera_of(schema: CameraSchema, *, name: str = "job.json: camera") -> Camera:
     """The camera that a file says, checked; ``name`` : what to call it in an error. Raises InputError."""
-    if schema.width * schema.height > images.MAX_PIXELS:
+    if schema.width * schema.height > MAX_PIXELS:
         got = f"{schema.width} x {schema.height} pixels"
-        raise InputError(name, got, f"at most {images.MAX_PIXELS // 10**6} million are taken")
+        raise InputError(name, got, f"at most {MAX_PIXELS // 10**6} million are taken")
     to_world = np.array(schema.to_world, np.float64)
     what = f"{name}.to_world"
     if not np.array_equal(to_world[3], [0, 0, 0, 1]):

@@ -10,7 +10,6 @@ import glob
 import importlib.util
 import json
 import os
-import platform
 import re
 import shutil
 import subprocess
@@ -148,8 +147,10 @@ def kernel_home() -> str:
 
 
 def has_cuda_driver() -> bool:
-    """True where an NVIDIA driver's library and device are present."""
-    return os.path.exists("/dev/nvidiactl") or (platform.system() == "Windows" and bool(os.environ.get("CUDA_PATH")))
+    """True where an NVIDIA driver's library or device is present; on Windows the toolkit, CUDA_PATH, is not needed."""
+    system = Path(os.environ.get("SystemRoot", "C:/Windows")) / "System32"
+    signs = {"win32": [system / "nvcuda.dll"], "linux": ["/dev/nvidiactl", "/usr/lib/wsl/lib/libcuda.so.1"]}
+    return any(os.path.exists(sign) for sign in signs.get(sys.platform, ()))
 
 
 def _fingerprint() -> str:
@@ -163,7 +164,10 @@ def _fingerprint() -> str:
 
 @lru_cache(maxsize=1)
 def choose_backend() -> Backend:
-    """The newest libLLVM that renders (or CUDA, where a driver is present and BTFSEP_VARIANT does not say otherwise).
+    """The newest libLLVM that renders; where there is none, or BTFSEP_VARIANT asks for it, CUDA.
+
+    A processor of many cores is as fast (``docs/results/speed.md``), and does not share its memory with what else
+    renders: where a graphics card's is full, Dr.Jit ends the process.
 
     Raises InputError when nothing on this machine can render; it names what was tried and how to mend it.
     """
@@ -185,18 +189,20 @@ def remembered() -> Path:
 
 def _try_all() -> Backend:
     wanted = os.environ.get("BTFSEP_VARIANT", "")
+    if wanted not in ("", LLVM_VARIANT, CUDA_VARIANT):
+        raise InputError("BTFSEP_VARIANT", wanted, f"set it to {LLVM_VARIANT} or {CUDA_VARIANT}, or unset it")
     failures = []
-    if wanted == CUDA_VARIANT or (not wanted and has_cuda_driver()):
-        failure = try_backend(CUDA_VARIANT)
-        if not failure:
-            return Backend(CUDA_VARIANT, "", "")
-        failures.append(f"{CUDA_VARIANT} ({failure})")
     if wanted in ("", LLVM_VARIANT):
         for library in candidates():
             failure = try_backend(LLVM_VARIANT, library)
             if not failure:
                 return Backend(LLVM_VARIANT, library, ".".join(map(str, llvm_version(library))))
             failures.append(f"{library} ({failure})")
+    if wanted == CUDA_VARIANT or (not wanted and has_cuda_driver()):
+        failure = try_backend(CUDA_VARIANT)
+        if not failure:
+            return Backend(CUDA_VARIANT, "", "")
+        failures.append(f"{CUDA_VARIANT} ({failure})")
     missing = next((word.rstrip(":") for f in failures for word in f.split() if "libatomic" in word), None)
     if missing:
         remedy = "install it (Debian, Ubuntu: apt-get install libatomic1)"

@@ -8,6 +8,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.fit import compare
 from btfsep_engine.fit.stated import expected_error
+from btfsep_engine.storage import kept
 
 ERROR_ORDER = 2
 TERMS = sh.term_count(ERROR_ORDER)
@@ -74,16 +75,21 @@ def judged(light, samples, truth, *, free_scale: bool = False) -> dict:
     return out | covered(scale * x[:n], scale * light.stddev[:n], truth[:n], interval=ends)
 
 
-def timed(function):
-    """Seconds of a call, by the clock and of all processors together: (2,), and its result."""
+def timed(function, *, afresh: bool = False):
+    """Seconds of a call, by the clock and of all processors together: (2,), and its result.
+
+    ``afresh`` : with nothing kept of what the process has traced and looked up before
+    """
+    if afresh:
+        kept.STORE.forget()
     clock, work = time.perf_counter(), time.process_time()
     result = function()
     return np.array([time.perf_counter() - clock, time.process_time() - work]), result
 
 
-def seconds_of(function, repeats: int, *, of=np.median):
+def seconds_of(function, repeats: int, *, of=np.median, afresh: bool = False):
     """Medians (or the least, ``of=np.min``) of what :func:`timed` says of a few calls after one that is not counted,
     and the last result."""
     function()
-    seconds, results = zip(*(timed(function) for _ in range(repeats)), strict=True)
+    seconds, results = zip(*(timed(function, afresh=afresh) for _ in range(repeats)), strict=True)
     return of(seconds, axis=0), results[-1]

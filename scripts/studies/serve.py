@@ -25,6 +25,7 @@ import psutil
 from tqdm import tqdm
 
 from btfsep_engine.light.files import read_lighting
+from btfsep_engine.render.backend import choose_backend
 from scripts.studies import ROOT, parser, tables
 from scripts.studies.measures import order2
 from scripts.studies.photos import WHITE, photographs_in, views
@@ -133,7 +134,8 @@ def page(rows, more) -> str:
         cells.append([name, *seconds, error])
     head = ["estimate", "seconds to the light", "to the end", "of the processor", "error"]
     count = sum(r["kind"] == "alone" for r in rows)
-    told = f"{count} scenes, medians (and the worst), {os.cpu_count()} cores, options `{' '.join(more) or 'none'}`."
+    machine = f"{os.cpu_count()} cores, {choose_backend().variant}"
+    told = f"{count} scenes, medians (and the worst), {machine}, options `{' '.join(more) or 'none'}`."
     return f"{told}\n\n{tables.table(head, cells)}"
 
 

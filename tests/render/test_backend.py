@@ -79,6 +79,35 @@ def test_no_library_at_all_is_told(monkeypatch):
     assert "unset" not in str(caught.value)
 
 
+def test_a_graphics_card_is_asked_where_no_library_renders(monkeypatch):
+    """Here there is none: that it was tried is told. Where a library renders, it is not asked."""
+    monkeypatch.delenv("BTFSEP_VARIANT", raising=False)
+    monkeypatch.setattr(backend, "has_cuda_driver", lambda: True)
+    assert backend.choose_backend().variant == backend.LLVM_VARIANT
+    backend.choose_backend.cache_clear()
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(backend, "LIBRARY_PATTERNS", ())
+    monkeypatch.setattr(backend, "try_backend", lambda variant, library="": f"{variant} was tried")
+    with pytest.raises(InputError, match=r"tried cuda_ad_rgb \(cuda_ad_rgb was tried\); install one that works"):
+        backend.choose_backend()
+
+
+def test_an_unknown_variant_is_refused(monkeypatch):
+    monkeypatch.setenv("BTFSEP_VARIANT", "scalar_rgb")
+    with pytest.raises(InputError, match="BTFSEP_VARIANT; scalar_rgb; set it to llvm_ad_rgb or cuda_ad_rgb"):
+        backend.choose_backend()
+
+
+def test_on_windows_a_driver_is_seen_by_its_library(tmp_path, monkeypatch):
+    """Its users have no toolkit, and so no CUDA_PATH."""
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setenv("SystemRoot", str(tmp_path))
+    assert not backend.has_cuda_driver()
+    (tmp_path / "System32").mkdir()
+    (tmp_path / "System32" / "nvcuda.dll").touch()
+    assert backend.has_cuda_driver()
+
+
 def test_a_damaged_memory_is_ignored():
     remembered = backend.remembered()
     remembered.parent.mkdir(parents=True)

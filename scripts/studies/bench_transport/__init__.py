@@ -29,6 +29,7 @@ QUICK = {
 
 
 def main(arguments) -> None:
+    from btfsep_engine.render.backend import choose_backend
     from scripts.studies.bench_transport import cold, equal_error, growth, rates, traced
     from scripts.studies.stage import MATERIALS
 
@@ -57,7 +58,8 @@ def main(arguments) -> None:
     for name in given.only:
         load = os.getloadavg()[0]
         print(f"{name} …", flush=True)
-        machine = f"{os.cpu_count()} processors ({platform.machine()}), load {load:.1f} when it began"
+        processors = f"{os.cpu_count()} processors ({platform.machine()}), {choose_backend().variant}"
+        machine = f"{processors}, load {load:.1f} when it began"
         seconds, text = timed(lambda name=name: parts[name](given))
         text = f"{text}\n\n{machine}; `scripts/study bench-transport --only {name}`."
         print(f"\n{text}\n\n{name} took {seconds[0]:.0f} s\n", flush=True)

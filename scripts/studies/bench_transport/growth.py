@@ -77,7 +77,7 @@ def _measured(call, repeats: int):
         with suppress(OSError):  # not Linux: no memory is told
             Path("/proc/self/clear_refs").write_text("5")  # forgets the peak so far
             before = memory("VmRSS")
-        seconds, _ = timed(call)
+        seconds, _ = timed(call, afresh=True)
         found.append((*seconds, memory("VmHWM") - before if np.isfinite(before) else np.nan))
     clock, work, grown = zip(*found, strict=True)
     return min(clock), min(work), max(grown)

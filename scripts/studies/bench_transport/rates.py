@@ -17,6 +17,7 @@ from btfsep_engine.render.arrays import dr, mi, vector
 from btfsep_engine.render.tracer import OFFSET, Tracer
 from btfsep_engine.render.transport import Transport
 from btfsep_engine.render.weights import Weights
+from btfsep_engine.storage import kept
 from scripts.studies.measures import seconds_of, timed
 from scripts.studies.stage import MATERIALS, Stage
 from scripts.studies.tables import table
@@ -26,7 +27,7 @@ TRUE = 8192  # directions of the truth
 READ = 22  # floats and integers that one evaluation gathers: grid, 9 of the weights, 3 corners, 3 x 3 values
 STEPS = (  # of the transport, and where each is called; the innermost counts
     ("rays", Tracer, "visible_lanes"),
-    ("light", Transport, "_light"),
+    ("light", Transport, "_lights"),
     ("pixels' tables", LightTables, "tables_at"),
     ("look-ups and weights", Weights, "of_all"),
 )
@@ -55,7 +56,7 @@ def rays(options) -> str:
             return stage.transport(points, DIRECTIONS).radiance(used, lights)
 
         bare(), kernel()
-        pairs = np.array([[timed(f)[0] for f in (bare, kernel)] for _ in range(options.pairs)])
+        pairs = np.array([[timed(f, afresh=True)[0] for f in (bare, kernel)] for _ in range(options.pairs)])
         rate = np.median(len(point) / pairs / 1e6, 0)
         share = np.median(pairs[:, 0] / pairs[:, 1], 0)
         rows.append(
@@ -106,7 +107,7 @@ def warm(options) -> str:
             def run(directions=directions, used=used):
                 return stage.transport(points, directions).radiance(used, lights)
 
-            seconds, got = seconds_of(run, options.repeats)
+            seconds, got = seconds_of(run, options.repeats, afresh=True)
             rows.append(
                 (
                     f"{label}, {directions} directions",
@@ -115,19 +116,25 @@ def warm(options) -> str:
                 )
             )
             with steps(dr) as spent:
-                whole = sum(timed(run)[0][1] for _ in range(options.repeats))
+                whole = sum(timed(run, afresh=True)[0][1] for _ in range(options.repeats))
             named = [spent[name] for name, _, _ in STEPS]
             shown = [f"{1000 * s / options.repeats:.0f}" for s in (whole, *named, whole - sum(named))]
             parts.append((f"{label}, {directions}", *shown))
 
-    def reflected(kept):
-        if not kept:
-            radiosity._networks.clear()
-        indirect = radiosity.Indirect(stage.tracer, albedo, lights, bounces=3)
-        return indirect.reflected(stage.transport(points, 128), material.mean_material())
+    def first():
+        return radiosity.Indirect(stage.tracer, albedo, lights, bounces=3).reflected(some, material.mean_material())
 
-    for kept, label in ((False, "first in a scene"), (True, "geometry known")):
-        seconds, got = seconds_of(lambda k=kept: reflected(k), options.repeats)
+    def again():  # in a scene whose geometry is known
+        kept.STORE.forget()
+        radiosity.network(stage.tracer, samples=radiosity.SAMPLES, seed=0)
+        return timed(first)
+
+    some = stage.transport(points, 128)
+    known = np.median([again()[0] for _ in range(options.repeats)], 0)
+    for label, (seconds, got) in (
+        ("first in a scene", seconds_of(first, options.repeats, afresh=True)),
+        ("geometry known", (known, again()[1])),
+    ):
         share = np.linalg.norm(got) / np.linalg.norm(truth)
         rows.append((f"light between surfaces ({share:.1%} of the radiance), {label}", *_both(seconds), ""))
     return (
@@ -150,10 +157,9 @@ def between(options) -> str:
     direct = np.linalg.norm(stage.transport(points, 512).radiance(white, lights))
 
     def run(samples, gathered, directions):
-        radiosity._networks.clear()
         with mock.patch.object(radiosity, "DIRECTIONS", gathered):
             indirect = radiosity.Indirect(stage.tracer, [white.albedo], lights, bounces=3, samples=samples)
-            return timed(lambda: indirect.reflected(stage.transport(points, directions), white))
+            return timed(lambda: indirect.reflected(stage.transport(points, directions), white), afresh=True)
 
     truth, rows = run(*options.between_truth)[1], []
     for setting in ((3000, 256, 128), (3000, 64, 128), (6000, 64, 128), (1500, 64, 128), (3000, 64, 512)):
