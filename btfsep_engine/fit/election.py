@@ -111,18 +111,9 @@ def exact_if_so(photo: Photograph, best: Solution, *, place=None) -> Solution:
     return max(best, with_lamps(photo, exact, place=place) if place else exact, key=lambda s: s.evidence)
 
 
-def follow(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
-    """The light of the models of an earlier election, from its lights on: what `elect` gives."""
-    photo.learn_from(before.x)
-    return onward(photo, before, rival)
-
-
-def onward(photo: Photograph, before: Solution, rival: Solution | None) -> tuple[Solution, Solution | None]:
-    """The light of the models of earlier solutions, from their lights on."""
-    best, rival = (
-        s and solve(photo, s.model, white=s.white, v=s.v, discrepancy=s.discrepancy) for s in (before, rival)
-    )
-    return best, rival
+def onward(photo: Photograph, before: Solution) -> Solution:
+    """The light of an earlier solution's model, from its light on."""
+    return solve(photo, before.model, white=before.white, v=before.v, discrepancy=before.discrepancy)
 
 
 def with_lamps(photo: Photograph, best: Solution, *, place) -> Solution:

@@ -20,7 +20,7 @@ the photo does not show what it says of those that it does, and nobody knows tha
 
 import copy
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -29,7 +29,6 @@ from btfsep_engine import sh
 from btfsep_engine.fit import colour
 from btfsep_engine.fit.election import (
     elect,
-    follow,
     from_elsewhere,
     natural_light,
     next_lamp,
@@ -146,9 +145,10 @@ class LightSolver:
         """
         with one_thread():
             photo = self._photograph(radiance, weights, beside)
-            if start is not None:
-                return self._fit(photo, *follow(photo, start.election.solution, start.election.rival))
-            return self._fit(photo, *elect(photo, **self._held))
+            if start is None:
+                return self._fit(photo, *elect(photo, **self._held))
+            photo.learn_from(start.election.solution.x)
+            return self._onward(photo, start.election)
 
     def follow(self, radiance, before: Fit, *, weights=None, beside: Fit | None = None) -> Fit:
         """As `solve`, of much the same light as ``before``: its model, from its light on, where `solve` would elect it.
@@ -159,7 +159,7 @@ class LightSolver:
         with one_thread():
             photo = self._photograph(radiance, weights, beside)
             rough_light(photo, **self._held)
-            return self._fit(photo, *onward(photo, before.election.solution, before.election.rival))
+            return self._onward(photo, before.election)
 
     def again(self, radiance, elected: Fit, last: Fit) -> Fit:
         """As `solve`, of a photograph that differs from that of ``elected`` by little more than noise.
@@ -182,7 +182,7 @@ class LightSolver:
                 best, rival = elect(photo, **self._held)
                 if photo.learn_ground(best.x) < SAME_GROUND:
                     break
-            return self._fit(photo, *onward(photo, best, rival))
+            return self._fit(photo, onward(photo, best), rival and onward(photo, rival))
 
     def first_look(self, radiance, *, weights=None) -> Fit:
         """The rough fit of a field with which `solve` begins: what a fit by another basis stands `beside`."""
@@ -200,31 +200,43 @@ class LightSolver:
         how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes, "field": self.field}
         return kind(self.basis, radiance, weights=weights, **how)
 
-    def _fit(self, photo: Photograph, best: Solution, rival: Solution | None, *, like: Fit | None = None) -> Fit:
-        """The Fit of a solution; ``like`` : of nearly the same light by its model, which decides as many unknowns."""
+    def _onward(self, photo: Photograph, before: "Election") -> Fit:
+        """The light of an earlier election's models, from their lights on; of the rival's when it is asked for."""
+        return self._fit(photo, onward(photo, before.solution), before.latest_rival, open_rival=True)
+
+    def _fit(
+        self, photo: Photograph, best: Solution, rival: Solution | None, *, open_rival=False, like: Fit | None = None
+    ) -> Fit:
+        """The Fit of a solution.
+
+        ``rival``, ``open_rival`` : `Election.known_rival` and `Election.is_open`
+        ``like`` : of nearly the same light by its model, which decides as many unknowns
+        """
         tint = colour.split(best.x[:, 0] * photo.level, self.dye, stated=self.stated_colour, vivid=self.field.vivid)
         unit = photo.level * tint.gain
+        election = Election(best, rival, photo, unit, open_rival)
         left = photo.misfit(best.x) * photo.level**2 * self.basis.response**2
         energy = photo.mean_square * photo.level**2 * self.basis.response**2
         return Fit(
             order=self.order,
             all_coefficients=best.whole.T[: self.basis.terms] * unit,
             seen=None if best.model.field.hidden is None else best.x.T[: self.basis.terms] * photo.level,
-            state=cache(lambda: self._stated(best, rival, unit, tint, photo)),
+            state=cache(lambda: self._stated(best, election.rival, unit, tint, photo)),
             residual=float(np.sqrt(left.sum() / energy.sum())),
             residual_per_channel=np.sqrt(left / np.maximum(energy, 1e-300)),
             condition=like.condition if like else self.basis.condition(self.order),
             effective_degrees_of_freedom=like.effective_degrees_of_freedom if like else decided_unknowns(best.factor),
             noise=float(np.sqrt(best.v[:3].sum() / photo.mean_square.sum())),
             tint=tint,
-            election=Election(best, rival, photo, unit),
+            election=election,
         )
 
     def with_lamp(self, fit: Fit) -> Fit:
         """The light of the same photograph by the same model and one lamp more, whatever its evidence says."""
         with one_thread():
-            best, photo = fit.election.solution, fit.election.photo
-            return self._fit(photo, one_lamp_more(photo, best, place=next_lamp(best)), fit.election.rival)
+            known = fit.election
+            best = one_lamp_more(known.photo, known.solution, place=next_lamp(known.solution))
+            return self._fit(known.photo, best, known.latest_rival, open_rival=known.is_open)
 
     def brightest_direction(self, fit: Fit) -> np.ndarray:
         """The direction (3,) of the brightest lamp that was found; where none was, that in which one would be put."""
@@ -344,18 +356,33 @@ def moved(before: Fit, now: Fit) -> Stated:
     return replace(stated, samples=stated.samples + step, lamps=tuple(lamps), **ranges)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Election:
     """Which model was elected, of which photo.
 
-    ``solution``; ``rival``, as of `election.decided`, or None; the ``photo`` (its products);
-    the ``unit`` (3,) of its light.
+    ``solution``; ``known_rival``, as of `election.decided`, or None; the ``photo`` (its products); the ``unit`` (3,) of
+    its light; ``is_open`` : whether the rival is that of an earlier photograph, or basis, from whose light the search
+    goes on when it is first asked for: most fits of a search are compared, and nothing is stated of them.
     """
 
     solution: Solution
-    rival: Solution | None
+    known_rival: Solution | None
     photo: Photograph
     unit: np.ndarray
+    is_open: bool = False
+
+    @cached_property
+    def rival(self) -> Solution | None:
+        """The model that nearly stood, or that might, at its most probable light."""
+        if not self.is_open or self.known_rival is None:
+            return self.known_rival
+        with one_thread():
+            return onward(self.photo, self.known_rival)
+
+    @property
+    def latest_rival(self) -> Solution | None:
+        """The same as far as it is known: where it has not been asked for, of an earlier photograph."""
+        return vars(self).get("rival", self.known_rival)
 
     @property
     def sky(self) -> np.ndarray:

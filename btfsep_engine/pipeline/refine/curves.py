@@ -2,6 +2,8 @@
 """What other tone curves make of the light: samples of those nearly as probable, a doubt where one is far more so."""
 
 from dataclasses import dataclass, replace
+from operator import is_
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.special import expit
@@ -114,6 +116,11 @@ class Doubt:
     read: list
 
 
+# Election -> (problems, exposures, Doubt): it is asked before lamps nearby are, for what is stated and for what is
+# said, of the same light as a rule
+_asked: WeakKeyDictionary = WeakKeyDictionary()
+
+
 def _doubt(problems, light) -> Doubt | None:
     """Whether another curve is as probable as that by which an 8-bit photo was read; None where it is not, or nothing
     is asked."""
@@ -123,6 +130,17 @@ def _doubt(problems, light) -> Doubt | None:
     read_by, *more = {curve_read_by(j) for j in jobs}
     if more:
         return None
+    election = light.of_objects.election
+    before, exposures, doubt = _asked.get(election, ((), (), None))
+    alike = len(before) == len(problems) and all(map(is_, before, problems)) and exposures == tuple(light.exposures)
+    if not alike:
+        doubt = _found(problems, light, read_by)
+        _asked[election] = tuple(problems), tuple(light.exposures), doubt
+    return doubt
+
+
+def _found(problems, light, read_by: ToneCurve) -> Doubt | None:
+    """`_doubt` of photos that were read by a curve, asked anew."""
     each = [codes_of(p.scene.job, p.values_of(p.scene.job.photo.radiance)) for p in problems]  # not of all of a picture
     codes = np.concatenate(each)
     unit = np.concatenate([np.full((len(p.pixels), 1), e) for p, e in zip(problems, light.exposures, strict=True)])

@@ -37,7 +37,8 @@ GREY = 0.05  # as such
 # library's own materials, rightly recognised, none gains more than 1.2; of plates of others, taken for one of a
 # library or for a surface as it stands there, most gain 11 to 150. Painted objects of which a job says that they are
 # white references gain up to 8.5, and plain ones as a rule 50 to 200.
-FAR, FAR_FROM_REFERENCE = 12.0, 30.0
+# And by how much on a few of the pixels, before all are asked: of references those gain up to 11, these 30 and more.
+FAR, FROM_REFERENCE = 12.0, (30.0, 15.0)
 PLASTIC, MATTE = "surface/plastic", "surface/matte"
 
 
@@ -71,9 +72,9 @@ def finished(model, light):
             seen, every = None, [replace(of_family, roughness=roughness) for roughness in OF_METAL]
         else:
             every = _dielectrics(seen)
-        best = _best(model.problems, light, seen, every, replace(model.modelled, order=light.order))
-    of_library = recognised and not of_family
-    needed = FAR if of_library or of_family else FAR_FROM_REFERENCE
+        of_library = recognised and not of_family
+        needed, hopeful = (FAR, HOPEFUL) if of_library or of_family else FROM_REFERENCE
+        best = _best(model.problems, light, seen, every, hopeful, replace(model.modelled, order=light.order))
     if best is None or best.light.fit.evidence < light.fit.evidence + needed:
         return model, light, {"finish": "as it is in the library: no plain surface explains the photo better"}
     words = f"a roughness of {best.surface.roughness:g}"
@@ -106,15 +107,16 @@ def _dielectrics(tint) -> list[Surface]:
     return [Surface(tuple(b * colour), roughness) for roughness in ROUGHNESSES for b in BRIGHTEST]
 
 
-def _best(problems, light, tint, every: list[Surface], settings) -> Finished | None:
-    """The surface of the largest evidence; None where a look at a few pixels leaves no hope.
+def _best(problems, light, tint, every: list[Surface], hopeful: float, settings) -> Finished | None:
+    """The surface of the largest evidence; None where none gains as much as is ``hopeful`` on a few of the pixels.
 
     ``tint`` : (2,) of the object's colour, as far as it is seen; None: it is grey, or all of it is the light's
     """
     few, name = fewer(problems, FEW, settings.seed), problems[0].materials[0].name
     made = [with_material(few, 0, homogeneous(surface, name), settings) for surface in every]
-    evidence = np.array([field_alone(trial, light, settings).evidence for trial in made])
-    if evidence.max() < field_alone(few, light, settings).evidence + HOPEFUL:
+    own = field_alone(few, light, settings)
+    evidence = np.array([field_alone(trial, light, settings, start=own).evidence for trial in made])
+    if evidence.max() < own.evidence + hopeful:
         return None
     tried = [every[i] for i in np.argsort(evidence)[-ON_ALL:]]
     each = [_by_turns(problems, light, surface, tint, settings) for surface in tried]

@@ -203,14 +203,16 @@ def lamp_towards(fit: Fit, away) -> int | None:
 
 
 def search(scene: Photographed, lamp: int, start: Fit, others) -> Place:
-    """The most probable place of a lamp, from the best of a few distances on."""
+    """The most probable place of a lamp, from the best of a few distances on, if one is better than afar."""
     tried, fit = [], start
     for radii in RADII:
         tried.append(scene.place(lamp, radii * fit.election.lamps[lamp][0], MORE, fit, others))
         fit = tried[-1].fit
         if len(tried) > 1 and tried[-1].evidence < tried[-2].evidence:
             break
-    return followed(scene, max(tried, key=lambda p: p.evidence), others)
+    best = max(tried, key=lambda p: p.evidence)
+    # where a lamp is believed, the best of these explains the photo clearly better already
+    return best if best.evidence < start.election.evidence_of_photo else followed(scene, best, others)
 
 
 def followed(scene: Photographed, at: Place, others) -> Place:
