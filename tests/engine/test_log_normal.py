@@ -9,13 +9,14 @@ import pytest
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit import log_normal, posterior
-from btfsep_engine.fit.election import decided, even_share
+from btfsep_engine.fit.election import decided, even_share, onward
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.posterior import hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import NEARLY_RIGHT
 from btfsep_engine.fit.search import EXACT
 from btfsep_engine.light.log_field import natural_field, natural_spread
+from btfsep_engine.threads import one_thread
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, off, project, shown, side_light
 
 
@@ -256,6 +257,25 @@ def test_what_light_can_imitate_is_the_fits_derivative(rng, light, tint):
     numerical = solver.basis.predicted((up.shown - down.shown) / 0.02)
     imitated = change - solver.smoother(fit)(change)
     assert np.linalg.norm(imitated - numerical) < 0.08 * np.linalg.norm(numerical)
+
+
+def test_of_a_fit_that_goes_on_from_another_the_rival_is_looked_for_when_it_is_asked_for(rng, monkeypatch):
+    """From the latest one that is known, to its most probable light for this photograph."""
+    fit, solver, b = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0] * 3))
+    asked = []
+    monkeypatch.setattr(log_normal, "onward", lambda photo, s: asked.append(s.model) or onward(photo, s))
+    first = solver.solve(1.1 * b, start=fit)
+    last = solver.follow(1.2 * b, first)
+    assert asked == [fit.election.solution.model] * 2  # of both, and of no rival
+    assert last.election.latest_rival is fit.election.rival
+    with one_thread():
+        by_hand = onward(last.election.photo, fit.election.rival)
+    np.testing.assert_array_equal(last.election.rival.white, by_hand.white)
+    assert last.election.latest_rival is last.election.rival is not fit.election.rival
+    _ = last.samples, last.stddev
+    assert asked[2:] == [fit.election.rival.model]  # once
+    elected = solver.solve(1.2 * b)
+    np.testing.assert_allclose(last.stddev, elected.stddev, rtol=0.25, atol=0.05 * elected.stddev.max())
 
 
 @pytest.mark.parametrize("bright", [0.0, 1e-9, 1e3])

@@ -18,6 +18,7 @@ from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import make_problem
+from btfsep_engine.pipeline.refine import finish
 from btfsep_engine.pipeline.refine.finish import finished
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
@@ -58,6 +59,16 @@ def test_what_is_red_and_glossy_is_found_to_be_and_the_light_with_it(name):
     (material,) = changed.problems[0].materials
     assert changed.departed == {0: material} and material.name == name
     np.testing.assert_allclose(base_colour(material.dye) @ [1, -1, 0], 1 - RED[1] / RED[0], atol=0.06)
+
+
+@pytest.mark.parametrize(("name", "is_asked"), [("reference/white-diffuse", False), ("surface/matte", True)])
+def test_a_reference_is_asked_of_all_pixels_where_a_few_promise_enough(name, is_asked, monkeypatch):
+    model, light, _ = of_ball(Surface(RED, roughness=0.4), name)
+    needed, _ = finish.FROM_REFERENCE
+    monkeypatch.setattr(finish, "FROM_REFERENCE", (needed, np.inf))
+    _, found, words = finished(model, light)
+    assert (found is not light) is is_asked
+    assert ("no plain surface explains" in words["finish"]) is not is_asked
 
 
 def test_that_the_colour_is_not_known_stays_said_and_stated():

@@ -109,6 +109,20 @@ def test_what_was_found_before_stays_taken_off_and_no_more_is_than_the_lamp_send
     np.testing.assert_allclose(alone, np.exp(0.1) * irradiance * scene.nearness(4 * direction))
 
 
+@pytest.mark.parametrize(("less", "is_followed"), [(0.0, True), (0.2, False)])
+def test_a_place_that_explains_less_than_afar_is_not_followed(far_answer, monkeypatch, less, is_followed):
+    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    fit = fit if fit.election.found else far_answer.light.solver.with_lamp(fit)
+
+    def place(self, lamp, away, more, start, others):  # all explain as much, or less by what a place may be brighter
+        return near.Place(lamp, away, more + less, start, np.zeros_like(scene.photo))
+
+    monkeypatch.setattr(near.Photographed, "place", place)
+    monkeypatch.setattr(near, "followed", lambda scene, at, others: "followed")
+    found = near.search(scene, fit.election.found[0], fit, 0.0)
+    assert (found == "followed") is is_followed
+
+
 def test_a_place_is_believed_where_the_evidence_is_clear_and_of_a_depth_clearer(far_answer, monkeypatch):
     assert near.Photographed(far_answer.model, far_answer.light).clearly == near.CLEARLY
     (problem,) = far_answer.model.problems

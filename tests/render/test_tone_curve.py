@@ -197,6 +197,21 @@ def test_that_eight_bits_are_linear_is_believed_where_they_look_it(ball, monkeyp
     assert stated > 1.8 * usual if doubted else stated == usual
 
 
+def test_a_curve_is_asked_once_of_a_light(ball, monkeypatch):
+    """And anew of a light of other exposures, or where the photo is another."""
+    answer = estimate(seen(ball, SRGB, "linear"), Grey(), SETTINGS, material="grey")
+    problems, found, asked = answer.model.problems, answer.light, []
+    probability = curves.log_probability
+    monkeypatch.setattr(curves, "log_probability", lambda *about: asked.append(1) or probability(*about))
+    said = curves.curve_doubts(problems, found)
+    assert len(said) == 1 and not asked  # the estimate has asked
+    assert curves.curve_doubts(problems, replace(found, suns=())) == said and not asked
+    curves.curve_doubts([replace(p) for p in problems], found)
+    assert len(asked) == 4  # the curve that it was read by, and three others
+    curves.curve_doubts(problems, replace(found, exposures=[1.1]))
+    assert len(asked) == 8
+
+
 def looks_like(scene, index, library, settings):
     """A stand-in for recognition: by how dark the photo's darker half is, as by any feature that a curve changes."""
     shown = scene.job.photo.radiance[scene.regions[index]]

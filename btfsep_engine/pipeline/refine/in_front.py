@@ -20,7 +20,8 @@ from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_eac
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 
-TAILS = 1.3  # root mean square of what is left over, over what its median would be of noise: 1 of noise
+TAILS = 1.4  # root mean square of what is left over, over what its median would be of noise: 1 of noise, 1.2 to 1.4
+# of textures, 1.6 and more of photographs of which something in front was left out
 NORMAL = 1.126  # of three channels of noise: root mean square over median of a pixel's size
 POOR = 0.1  # relative misfit of all pixels: one explained better needs no such help
 EXPLAINED = 0.4  # of the misfit, that is left without them: of things in front 0.1 to 0.35, of crevices 0.5
