@@ -6,8 +6,10 @@ import subprocess
 import sys
 import tempfile
 
+import numpy
 import pytest
 
+from btfsep_engine.commands import record
 from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
 from btfsep_engine.storage import cache
@@ -122,6 +124,17 @@ def test_a_damaged_memory_is_ignored():
 )
 def test_versions_are_read_from_names(name, version):
     assert backend.llvm_version(f"/usr/lib/{name}") == version
+
+
+def test_a_package_that_has_another_name_is_no_crash(monkeypatch):
+    """As OpenCV's, of which there are four."""
+    monkeypatch.setattr(record, "PACKAGES", ("numpy", "opencv-of-another-name"))
+    record.versions.cache_clear()
+    try:
+        found = record.versions()
+    finally:
+        record.versions.cache_clear()
+    assert found["numpy"] == numpy.__version__ and found["opencv-of-another-name"] == "unknown"
 
 
 @pytest.mark.parametrize("home", [None, "", "relative", "/nonexistent/home", "a file"])
