@@ -26,8 +26,11 @@ from btfsep_engine.pipeline.together import fit_together
 TURNS = 3
 STEP, LEAST = 0.15, 0.1  # of a roughness; smoother ones are sharper than tables are
 USUAL = 0.2  # by how much who says a roughness may be off: a standard deviation
-HOPEFUL, CLEARLY = -4.0, 10.0  # of the logarithm of the evidence, the prior counted: of a few pixels, of all ...
-FURTHER = 3.0  # ... where what is said is given up already
+# Of the logarithm of the evidence, the prior counted: of a few pixels, of all; and the same where what is said is given
+# up already. Where 21 objects were taken for rougher or smoother, a few pixels gain 6 and more; of ten that were asked
+# of all pixels in vain, eight gain less than 2. Further steps are of the size of what a few pixels can tell.
+HOPEFUL, CLEARLY = 2.0, 10.0
+STILL_HOPEFUL, FURTHER = -4.0, 3.0
 ROUGHNESS, OTHERWISE = (
     "roughness",
     "said_roughness",
@@ -107,7 +110,7 @@ def _hopeful(model, light, i: int, rough: float) -> float | None:
         seen = field_alone(trial, light, settings, start=start)
         return seen.evidence - start.evidence + _log_prior(other, said) - _log_prior(rough, said)
 
-    best, most = None, HOPEFUL
+    best, most = None, HOPEFUL if rough == said.roughness else STILL_HOPEFUL
     for way in (STEP, -STEP):
         before, other = rough, _clipped(rough + way)
         while other != before and (found := gain(other)) > most:
