@@ -77,6 +77,11 @@ def size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
+def is_jpeg(data: bytes) -> bool:
+    """Whether a file that begins so is a JPEG."""
+    return data[:2] == _JPEG
+
+
 def has_coarse_chroma(data: bytes) -> bool:
     """Whether a file stores colours at less resolution than brightness; a PNG, whether EXIF says that of its source."""
     with contextlib.suppress(struct.error, IndexError):

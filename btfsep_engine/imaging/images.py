@@ -49,6 +49,7 @@ class Image:
     profile : what its colours were taken to mean; None: what files of its kind mean, of Rec.709's primaries
     orientation : how the file says that its pixels, which are as stored, are to be turned (EXIF, 1 to 8; 1: not)
     is_render : whether a file of integers says that Blender rendered it
+    is_jpeg : whether the file is a JPEG
     """
 
     pixels: np.ndarray
@@ -61,6 +62,7 @@ class Image:
     profile: Profile | None = None
     orientation: int = 1
     is_render: bool = False
+    is_jpeg: bool = False
 
 
 def luminance(pixels) -> np.ndarray:
@@ -127,7 +129,7 @@ def read_linear(
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
     bits = None if peak is None else peak.bit_length()
     said = image_headers.has_coarse_chroma(header), camera, profile, image_headers.orientation(header)
-    said += (peak is not None and image_headers.is_render(header),)
+    said += peak is not None and image_headers.is_render(header), image_headers.is_jpeg(header)
     return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, *said)
 
 

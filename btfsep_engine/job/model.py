@@ -89,6 +89,7 @@ class Photo:
     camera : maker and model of the camera that the file says it is from; empty: it says none
     profile : what its colours were taken to mean; None: what files of its kind mean, of Rec.709's primaries
     is_render : whether the file says that Blender rendered it
+    is_jpeg : whether it is a JPEG
     """
 
     radiance: np.ndarray
@@ -100,6 +101,7 @@ class Photo:
     camera: str = ""
     profile: Profile | None = None
     is_render: bool = False
+    is_jpeg: bool = False
 
 
 @dataclass(frozen=True)

@@ -326,7 +326,8 @@ def test_unreadable(tmp_path):
 def test_a_file_says_whether_its_colours_are_coarse(tmp_path, name, how, coarse):
     pixels = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
     assert cv2.imwrite(str(tmp_path / name), pixels, how)
-    assert images.read_linear(tmp_path / name).coarse_chroma is coarse
+    found = images.read_linear(tmp_path / name)
+    assert found.coarse_chroma is coarse and found.is_jpeg is (name == "a.jpg")
 
 
 def test_a_grey_jpeg_has_no_chroma(tmp_path):

@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from itertools import cycle
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -15,8 +16,10 @@ from btfsep_engine.commands.record import result_record
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, OF_RENDERS, SRGB, ToneCurve, log_prior_of_render
+from btfsep_engine.imaging import images
 from btfsep_engine.imaging.colour_profile import of_primaries
 from btfsep_engine.job.model import Photo
+from btfsep_engine.job.photograph import read_photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.estimation import estimate
@@ -195,6 +198,19 @@ def test_that_eight_bits_are_linear_is_believed_where_they_look_it(ball, monkeyp
     np.testing.assert_array_equal(found.fit.coefficients, plain.fit.coefficients)
     stated, usual = (expected_error(e.fit.all_coefficients, e.fit.samples)["order_2"]["median"] for e in (found, plain))
     assert stated > 1.8 * usual if doubted else stated == usual
+
+
+def test_no_jpeg_is_said_to_be_linear(ball, tmp_path):
+    """However much it looks like it; and a file says that it is one."""
+    scene = seen(ball, LINEAR, "auto")
+    scene.job = replace(scene.job, photo=replace(scene.job.photo, is_jpeg=True))
+    estimate(scene, Grey(), SETTINGS, material="grey")
+    assert not any("as linear" in each for each in scene.reporter.warnings)
+    images.write_png(tmp_path / "a.png", scene.job.photo.radiance)
+    coded = cv2.imread(str(tmp_path / "a.png"))
+    assert cv2.imwrite(str(tmp_path / "a.jpg"), coded)
+    camera = scene.job.camera
+    assert [read_photo(tmp_path / name, camera).is_jpeg for name in ("a.png", "a.jpg")] == [False, True]
 
 
 def test_a_curve_is_asked_once_of_a_light(ball, monkeypatch):

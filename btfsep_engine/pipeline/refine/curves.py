@@ -15,7 +15,8 @@ from btfsep_engine.pipeline.tone import OF_BLENDER, codes_of, curve_read_by, rad
 
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
 NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, **VIEWS}
-# curves that may be said to explain a photo better, by that which it was read by
+# Curves that may be said to explain a photo better, by that which it was read by. That a JPEG is linear, which none is,
+# is not said: three of 35 of painted plates, read rightly, look like it.
 OTHERS = {LINEAR: (SRGB, AGX, CAMERA), SRGB: (LINEAR, AGX, CAMERA), CAMERA: (SRGB,)}
 STATED_AS = {AGX: "a render that was saved with that view", CAMERA: "a camera's own picture"}
 FAR = 2.25  # of the logarithm of the probability: how much more another curve has to explain before it is said
@@ -147,11 +148,12 @@ def _found(problems, light, read_by: ToneCurve) -> Doubt | None:
     own, clipped = all_weights(problems), np.concatenate([p.clipped for p in problems])
     weights = importance(codes, clipped) * (1.0 if own is None else own)
     logs, read = {}, {}
-    for curve in (read_by, *OTHERS[read_by]):
+    others = [c for c in OTHERS[read_by] if c is not LINEAR or not any(p.scene.job.photo.is_jpeg for p in problems)]
+    for curve in (read_by, *others):
         read[curve] = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
         answer = light.solver.solve(light.radiance(read[curve]), weights=weights, start=light.of_objects)
         logs[curve] = log_probability(answer, curve.log_slope(codes) - np.log(unit), weights)
-    before = {curve: SELDOM * (read_by is LINEAR and curve is SRGB) for curve in OTHERS[read_by]}
+    before = {curve: SELDOM * (read_by is LINEAR and curve is SRGB) for curve in others}
     other = max(before, key=lambda curve: logs[curve] + before[curve])
     gain = logs[other] - logs[read_by]
     odds = gain + before[other]
