@@ -16,7 +16,7 @@ from btfsep_engine.pipeline.tone import OF_BLENDER, codes_of, curve_read_by, rad
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
 NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, **VIEWS}
 # Curves that may be said to explain a photo better, by that which it was read by. That a JPEG is linear, which none is,
-# is not said: three of 35 of painted plates, read rightly, look like it.
+# is not said: three of 29 of painted plates, read rightly, look like it.
 OTHERS = {LINEAR: (SRGB, AGX, CAMERA), SRGB: (LINEAR, AGX, CAMERA), CAMERA: (SRGB,)}
 STATED_AS = {AGX: "a render that was saved with that view", CAMERA: "a camera's own picture"}
 FAR = 2.25  # of the logarithm of the probability: how much more another curve has to explain before it is said
