@@ -143,27 +143,32 @@ def _owned(array: np.ndarray) -> bool:
 
 def bytes_of(thing) -> int:
     """Of the arrays in a thing, its attributes and items."""
-    return sum(a.nbytes for a in _arrays(thing, set()))
+    return sum(a.nbytes for a in _arrays(thing, {}))
 
 
 def _freeze(thing) -> None:
-    for array in _arrays(thing, set()):
+    for array in _arrays(thing, {}):
         while isinstance(array, np.ndarray):  # through a view, what is under it could be changed
             array.flags.writeable = False
             array = array.base
 
 
-def _arrays(thing, seen: set):
-    """Every array in a thing, once."""
+def _arrays(thing, seen: dict):
+    """Every array in a thing, once. ``seen`` : what was met, by its number; it is held, or another would get that."""
     if id(thing) in seen:
         return
-    seen.add(id(thing))
     if isinstance(thing, np.ndarray):
+        seen[id(thing)] = thing
         yield thing
-    elif isinstance(thing, list | tuple):
-        for item in thing:
-            yield from _arrays(item, seen)
+        return
+    if isinstance(thing, list | tuple):
+        inside = thing
     elif isinstance(thing, dict):
-        yield from _arrays(list(thing.values()), seen)
+        inside = thing.values()
     elif hasattr(thing, "__dict__") and not isinstance(thing, type):
-        yield from _arrays(list(vars(thing).values()), seen)
+        inside = vars(thing).values()
+    else:
+        return
+    seen[id(thing)] = thing
+    for item in inside:
+        yield from _arrays(item, seen)

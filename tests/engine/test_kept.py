@@ -65,6 +65,23 @@ def test_what_has_no_content_is_made_each_time():
     assert made[0] is not made[1] and made[0].flags.writeable
 
 
+@dataclass
+class Thing:
+    own: np.ndarray
+    others: dict
+
+
+def test_all_that_is_in_a_thing_is_counted_and_frozen():
+    """However much of it there is, and whatever is short-lived on the way there."""
+    thing = Thing(block(1), {i: Thing(block(1), {"one": [block(1), (block(1),)]}) for i in range(100)})
+    thing.others["twice"] = thing
+    thing.others["again"] = thing.own
+    assert bytes_of(thing) == 301 * 1024
+    Store(1 << 30).get(("thing",), lambda: thing)
+    inner = [each for i in range(100) for each in (thing.others[i].own, thing.others[i].others["one"][0])]
+    assert not any(array.flags.writeable for array in (thing.own, *inner))
+
+
 def test_what_was_unused_for_longest_goes():
     store = Store(10 * (1024 + SMALL))
     for i in range(10):

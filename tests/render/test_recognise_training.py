@@ -263,11 +263,18 @@ def test_a_training_leaves_room_for_all_else(monkeypatch, scene, library, settin
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path))
     pixels = recognition.training_region(scene.regions[0], settings.training_pixels).sum()
     each = 12 * CELLS.count * pixels
+    kinds, get = [], STORE.get
+
+    def asked(key, make, *, size=None):
+        return get(key, lambda: kinds.append(key[0]) or make(), size=size)
+
+    monkeypatch.setattr(STORE, "get", asked)
     for room, left in ((1.5, 2), (10.0, 4)):  # three materials, and white; chrome is never rendered under cells
         monkeypatch.setattr(STORE, "most_bytes", int(room * each / recognition.KEPT))
         STORE.forget()
+        kinds.clear()
         trained_recogniser(scene, 0, library, replace(settings, seed=left))
-        assert sum(size > each for _, size in STORE._things.values()) == left
+        assert kinds.count("basis") == left
 
 
 def test_what_is_far_behind_is_not_rendered(monkeypatch, scene, library, settings):
