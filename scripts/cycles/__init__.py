@@ -5,3 +5,5 @@ Imported as ``scripts.cycles`` (the name ``cycles`` alone is Blender's). Nothing
 or its material tables: the photographs and the estimates come from two different renderers and two different
 models of a material.
 """
+
+COVERAGE = "coverage.npy"  # beside a photograph: (h, w), how much of each pixel shows the object

@@ -20,9 +20,8 @@ from tqdm import tqdm
 from blender_btfsep.scene.export import export_job
 from btfsep_engine.btf import procedural
 from btfsep_engine.errors import InputError
-from scripts.cycles import objects, plain, studio
+from scripts.cycles import COVERAGE, objects, plain, studio
 
-COVERAGE = "coverage.npy"  # (h, w), how much of each pixel shows the object
 STANDING = ("object", "material", "seed", "variation", "thickness", "fill")  # the same of all that one scene shows
 
 

@@ -2,6 +2,7 @@
 """How well a camera, or a photo beside its depth, comes back by `btfsep align`, and what that is worth to the light.
 
 scripts/study alignment PHOTOS --lights courtyard forest --every 4
+scripts/study alignment PHOTOS --cluttered        things with edges of their own behind the objects
 scripts/study alignment PHOTOS --depth [holes]    a photo that is shifted against its depth
 scripts/study alignment FOLDER --depth            jobs with a depth and a truth.json, as scripts/study real takes them
 
@@ -32,11 +33,14 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine.fit.pose import Frame
+from btfsep_engine.job.model import Job
 from btfsep_engine.pipeline.alignment import align, with_camera
 from btfsep_engine.pipeline.checks import shift_doubt
 from btfsep_engine.pipeline.mending import mends
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
+from scripts.cycles import COVERAGE
 from scripts.studies import parser, photos, tables
+from scripts.studies.clutter import cluttered
 from scripts.studies.depth import VARIANTS, with_depth, z_depth
 from scripts.studies.estimates import estimated, kept, scene_of
 from scripts.studies.measures import order2, timed
@@ -81,6 +85,8 @@ def off(scene: PreparedScene, camera) -> tuple[float, float]:
 def study(folder: Path, truth, material, given) -> list[dict]:
     """One photograph, a dict for each start."""
     scene = of_depth(folder, given.depth) if given.depth else scene_of(folder)
+    if given.cluttered:
+        scene = scene_of(among_things(scene.job))
 
     def error(camera):
         if given.pose:
@@ -105,6 +111,13 @@ def study(folder: Path, truth, material, given) -> list[dict]:
         row |= {"moved": found.aligned, "farther": row["rest_px"] > row["from_px"], "mended": mended}
         out.append(row | {"doubted": shift_doubt(moved) is not None, "mended worse": bool(worse and mended)})
     return out
+
+
+def among_things(job: Job) -> Job:
+    """A photograph's job with other things behind its object."""
+    photo, random = job.photo, np.random.default_rng([*job.folder.name.encode()])
+    radiance = cluttered(photo.radiance, np.load(job.folder / COVERAGE), random)
+    return replace(job, photo=replace(photo, radiance=radiance))
 
 
 def of_depth(folder: Path, variant: str) -> PreparedScene:
@@ -151,6 +164,7 @@ def main(arguments) -> int:
     options.add_argument("--lights", nargs="+", help="some of the lights")
     options.add_argument("--every", type=int, default=1, help="only every so many of the photographs")
     options.add_argument("--pose", action="store_true", help="without the errors of the light")
+    options.add_argument("--cluttered", action="store_true", help="with other things behind the objects")
     options.add_argument("--depth", nargs="?", const="depth", choices=[k for k, v in VARIANTS.items() if v])
     options.add_argument("--work", type=Path, help="folder for each photo's numbers: what is there is not done again")
     given = options.parse_args(arguments)

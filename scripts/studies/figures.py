@@ -20,7 +20,7 @@ from btfsep_engine import sh
 from btfsep_engine.btf import thumbnail
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.imaging import images
-from scripts.cycles import engine
+from scripts.cycles import COVERAGE, engine
 from scripts.cycles.figure import display, exposure, on_white, write_rows
 from scripts.cycles.lights import true_lighting
 from scripts.studies import ROOT, parser, photos
@@ -53,7 +53,7 @@ def row_of(shot, given) -> list:
     engine.run("relight", folder, "--lighting", found["lighting"], "--material", name, "--out", again)
     estimate, truth = engine.coefficients(found["lighting"]), true_lighting(shot.light, ORDER)
     photo, rendered = (images.read_linear(folder / p).pixels[..., :3] for p in (shot.name, "again.exr"))
-    inside = np.load(folder / "coverage.npy")
+    inside = np.load(folder / COVERAGE)
     shown = exposure(photo[inside > 0.5])
     maps = [sh.to_map(x, 96, 192) for x in (estimate, truth)]
     bright = exposure(np.maximum(maps[1], 0))

@@ -14,7 +14,7 @@ from trimesh.graph import edges_to_coo
 
 from btfsep_engine.conventions import REC709_LUMINANCE
 from scripts.cycles.lights import true_lighting
-from scripts.studies.stability import scenes
+from scripts.studies.stability import scenes, wall
 from scripts.studies.stability.cases import Case, photograph, shape, undisturbed
 
 # what a material is taken for: another of its class, and one of another
@@ -79,6 +79,7 @@ class Axis:
     concerns : Scene -> bool
     changes : "photo" (or the geometry), "material" or "uv": what differs from the case at zero
     geometry : value -> which of the scene's geometries was photographed
+    reaching : None, or (light, value) -> the light at the object's middle, where that is not the truth
     """
 
     label: str
@@ -89,6 +90,7 @@ class Axis:
     concerns: Callable = lambda scene: True
     changes: str = "photo"
     geometry: Callable = lambda value: scenes.AS_IS
+    reaching: Callable | None = None
 
     def make(self, setting: Setting, value) -> Case:
         case = undisturbed(setting.work, setting.scene, setting.light, geometry=self.geometry(value))
@@ -253,7 +255,7 @@ def _near(case, setting, value):
     with_lamps(case, setting, [(value, scenes.LAMP_FROM)], 0.5)
 
 
-@axis("second object", "distance, object radii", scenes.WALL)
+@axis("second object", "distance, object radii", scenes.WALL, reaching=wall.coefficients)
 def _second_object(case, setting, value):
     """A large red surface, which nobody tells of, stands beside the object; the truth is the light without it."""
     case.image = case.clean = setting.photograph(f"wall-{value:g}-{scenes.light_name(setting.light)}")

@@ -3,7 +3,9 @@
 
 import numpy as np
 
+from scripts.cycles.lights import true_lighting
 from scripts.studies import tables
+from scripts.studies.measures import order2
 from scripts.studies.stability import charts, scenes
 from scripts.studies.stability.answers import HIDDEN, POOR, Answers
 from scripts.studies.stability.axes import AXES
@@ -11,6 +13,7 @@ from scripts.studies.stability.methods import BLIND, NAMES
 from scripts.studies.stability.run import UNDISTURBED
 
 NEVER = 0
+REACHING = "the light at the object's middle"  # as a method of its own
 WORSE = 1.5  # times the undisturbed error: from here on a disturbance is felt
 
 
@@ -163,9 +166,17 @@ def _section(answers, name: str) -> str:
             (count, total), (anew, _) = (answers.warned(name, i, "ours", anew=a) for a in (False, True))
             said.append(f"{count} of {total}, {anew} anew")
         rows.append(("warned", *said))
+    if axis.reaching is not None:
+        rows.append((f"*{REACHING}*", _number(0.0), *(_number(_of_reaching(answers, axis, v)) for v in axis.values)))
     table = tables.table((axis.label, "none", *(f"{v:g}" for v in axis.values)), rows)
     words = f"{axis.words}. {_words(answers, name)}"
     return f"### {name[0].upper()}{name[1:]}\n\n{words}\n\n{table}"
+
+
+def _of_reaching(answers, axis, value) -> float:
+    """The median error of who knows the light that reaches the object, and nothing of the one that is asked for."""
+    asked = [light for _, light in answers.pairs]
+    return float(np.median([order2(axis.reaching(l, value), true_lighting(l, scenes.ORDER)) for l in asked]))
 
 
 def _words(answers, name: str) -> str:
