@@ -20,6 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
+from btfsep_engine.linear_algebra import product
+
 CLIP = 2.0
 KEPT_ROWS = 1024  # of Y
 FLOOR = 0.5  # of the mean of the first block: below this a column's mean is not made 1
@@ -77,7 +79,7 @@ class StreamingFactoriser:
         self.total += float(np.einsum("ij,ij,j->", block, block, scale**2, dtype=np.float64, optimize=False))
         self.means.append(mean)
         self.scales.append(scale)
-        self.w.append(np.clip((block - mean) * scale, -CLIP, CLIP) @ psi)
+        self.w.append(product(np.clip((block - mean) * scale, -CLIP, CLIP), psi))
         self.y.append(self.omega @ block - np.outer(self.omega_sum, mean))
 
     def state(self, start: int = 0) -> dict:
@@ -121,8 +123,8 @@ class StreamingFactoriser:
         qt, back = np.ascontiguousarray(q.T, np.float32), np.linalg.pinv(r).T  # patterns may be fewer than k
         u, residual, at = np.empty((len(mean), k), np.float32), 0.0, 0
         for y in self.y:  # block by block: all of them are hundreds of megabytes
-            end, along = at + y.shape[1], qt @ y
-            u[at:end] = along.T @ back
+            end, along = at + y.shape[1], product(qt, y)
+            u[at:end] = product(along.T, back)
             left = np.einsum("ij,ij->j", y, y) - np.einsum("ij,ij->j", along, along)  # least squares: Pythagoras
             left = np.maximum(left, 0)  # of exact rank only rounding is left, of either sign
             residual, at = residual + float(left @ scale[at:end].astype(np.float64) ** 2), end
@@ -136,8 +138,8 @@ class StreamingFactoriser:
 
 def _leading_patterns(w, k: int, rng) -> np.ndarray:
     """The k leading left singular vectors of w, (rows, k) float64, by subspace iteration."""
-    q = w @ rng.standard_normal((w.shape[1], min(k + 12, *w.shape))).astype(np.float32)
+    q = product(w, rng.standard_normal((w.shape[1], min(k + 12, *w.shape))).astype(np.float32))
     for _ in range(4):
-        q = np.linalg.qr(w @ (w.T @ np.linalg.qr(q)[0]))[0]
-    u, _, _ = np.linalg.svd(q.T @ w, full_matrices=False)
-    return (q @ u)[:, :k].astype(np.float64)
+        q = np.linalg.qr(product(w, product(w.T, np.linalg.qr(q)[0])))[0]
+    u, _, _ = np.linalg.svd(product(q.T, w), full_matrices=False)
+    return product(q, u)[:, :k].astype(np.float64)

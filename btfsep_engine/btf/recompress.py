@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.progress import Reporter
 
 SAMPLED_TEXELS = 2048
@@ -73,7 +74,7 @@ def recompress(decode, texels: int, pairs: int, *, components: int, reporter: Re
         block = decode(chosen, part)
         scale[part] = 1 / (np.abs(block.mean(0)) + floor)
         block = (block * scale[part]).reshape(len(chosen), -1)
-        sketch += block @ rng.standard_normal((block.shape[1], rank)).astype(np.float32)
+        sketch += product(block, rng.standard_normal((block.shape[1], rank)).astype(np.float32))
         tell(block.size // 3)
     basis = np.linalg.qr(sketch)[0].astype(np.float32)
 
@@ -83,7 +84,7 @@ def recompress(decode, texels: int, pairs: int, *, components: int, reporter: Re
         block = decode(chosen, part) * scale[part]
         projected[part] = np.einsum("tnc,tr->ncr", block, basis, optimize=True)
         flat = projected[part].reshape(-1, rank).astype(np.float64)
-        gram += flat.T @ flat
+        gram += product(flat.T, flat)
         tell(block.size // 3)
     values, vectors = np.linalg.eigh(gram)
     k = max(1, min(components, int((values > values.max() * 1e-12).sum())))
@@ -101,7 +102,7 @@ def recompress(decode, texels: int, pairs: int, *, components: int, reporter: Re
     for start in range(0, texels, rows):
         part = slice(start, min(start + rows, texels))
         block = (decode(part, some) * scale[some]).reshape(-1, 3 * len(some))
-        spatial[part] = block @ solve.T
+        spatial[part] = product(block, solve.T)
         tell(len(block) * len(some))
     size = np.maximum(np.sqrt(np.einsum("tk,tk->k", spatial, spatial, dtype=np.float64) / texels), 1e-30)
     spatial /= size.astype(np.float32)

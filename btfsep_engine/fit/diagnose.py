@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.linear_algebra import product
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def effect(residual, columns, blocks) -> Effect:
     labels = labels.reshape(-1)
     k = len(columns)
     flat, r = columns.reshape(k, -1), np.ravel(residual)
-    gram, score = flat @ flat.T, flat @ r
+    gram, score = product(flat, flat.T), product(flat, r)
     if not np.trace(gram) > 0 or not r.any():
         return Effect(np.zeros(k), 0.0)
     size = np.linalg.solve(gram + 1e-9 * np.trace(gram) / k * np.eye(k), score)

@@ -15,6 +15,7 @@ from scipy.linalg import solve_triangular
 from btfsep_engine.fit.light_model import BRIGHTNESS, LightModel
 from btfsep_engine.fit.products import Photograph
 from btfsep_engine.fit.search import EXACT, EXACT_COST, FLOOR, LONGEST, ROUNDS, Solution, solve
+from btfsep_engine.linear_algebra import product
 
 MOST_LAMPS = 3
 HOPELESS = 30.0  # of the logarithm of the evidence: so far below a rich model, nothing more is tried of a plain one
@@ -161,10 +162,10 @@ def most_explained(best: Solution, photo: Photograph) -> np.ndarray:
     jacobian = np.split(best.model.jacobian(best.white, best.radiance, best.rows.root), ends)
     score, own, beside = 0.0, 0.0, 0.0
     for root, left, j in zip(best.rows.root, np.split(r, ends), jacobian, strict=True):
-        seen = root @ candidates.T  # (rows, n)
-        score = score + left @ seen
+        seen = product(root, candidates.T)  # (rows, n)
+        score = score + product(left, seen)
         own = own + np.square(seen).sum(0)
-        beside = beside + j.T @ seen
+        beside = beside + product(j.T, seen)
     imitated = solve_triangular(best.factor, beside, lower=True)
     rest = np.maximum(own - np.square(imitated).sum(0), 1e-6 * own + 1e-300)
     gain = np.where(score > 0, score**2 / rest, 0.0)

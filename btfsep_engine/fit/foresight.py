@@ -19,6 +19,7 @@ from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
 from btfsep_engine.fit.stated import DETERMINED, REFLECTANCE, decided_unknowns, expected_error
 from btfsep_engine.light.log_field import natural_field
+from btfsep_engine.linear_algebra import cholesky, product
 from btfsep_engine.threads import one_thread
 
 LIGHTS = 24  # drawn from the prior, for the expected error
@@ -78,7 +79,7 @@ def foresee(basis, *, normals, order: int, noise: float, seed: int = 0) -> Fores
         variance = np.square(root).sum(1).reshape(all_terms, 3)
         natural = np.square(by_coefficient).sum(1).reshape(all_terms, 3)
         unknowns = decided_unknowns(factor)
-        prior = by_coefficient[: 3 * terms] @ by_coefficient[: 3 * terms].T
+        prior = product(by_coefficient[: 3 * terms], by_coefficient[: 3 * terms].T)
         expected = [_expected(ready, model, even, noise, random) for _ in range(LIGHTS)]
     varies = natural.mean(1)
     varies[0] = 4 * np.pi  # of the level squared
@@ -90,7 +91,7 @@ def foresee(basis, *, normals, order: int, noise: float, seed: int = 0) -> Fores
         np.clip(share, 0, 1)[:terms],
         (share < DETERMINED**2)[:terms],
         share < DETERMINED**2,
-        root[: 3 * terms] @ root[: 3 * terms].T,
+        product(root[: 3 * terms], root[: 3 * terms].T),
         prior,
         unknowns,
         ready.condition(order),
@@ -112,7 +113,7 @@ def _about(ready: Basis, model: LightModel, white, noise: float):
     j = model.jacobian(white, radiance / photo.level[:, None], rows.root)
     j_x = model.jacobian(white, radiance, [np.eye(ready.terms)] * 3)
     j_x = j_x.reshape(3, ready.terms, -1).transpose(1, 0, 2).reshape(3 * ready.terms, -1)
-    return np.linalg.cholesky(np.eye(model.unknowns) + j.T @ j), j_x
+    return cholesky(np.eye(model.unknowns) + product(j.T, j)), j_x
 
 
 def _expected(ready: Basis, model: LightModel, even, noise: float, random) -> dict:

@@ -26,6 +26,7 @@ from scipy.linalg import block_diag, lapack, solve_triangular
 from btfsep_engine.fit.products import NEGLIGIBLE, SEEN, Photograph, Rows
 from btfsep_engine.fit.search import FLOOR, Solution
 from btfsep_engine.light.lightings import bilinear
+from btfsep_engine.linear_algebra import cholesky, product
 
 SKY = (30, 60)  # pixels of the map of beams: 6 degrees
 DIRECTIONS = 800  # of a field: 7 degrees apart
@@ -139,9 +140,9 @@ class WithGround:
         root, target, rest, log_determinant = [], [], own.rest, own.log_determinant
         for c, columns in enumerate(self._columns):
             w, f, t = 1 / (v[3 + c] * self._stiffness), self._departures[c], self._seen[c]
-            lower = np.linalg.cholesky(np.eye(f.shape[1]) + w * (f.T @ f))
-            fa, fb = (w * solve_triangular(lower, f.T @ values, lower=True) for values in (columns, t))
-            gram, moment = w * (columns.T @ columns) - fa.T @ fa, w * (columns.T @ t) - fa.T @ fb
+            lower = cholesky(np.eye(f.shape[1]) + w * product(f.T, f))
+            fa, fb = (w * solve_triangular(lower, product(f.T, values), lower=True) for values in (columns, t))
+            gram, moment = w * product(columns.T, columns) - product(fa.T, fa), w * product(columns.T, t) - fa.T @ fb
             log_determinant += float(np.log(np.diag(lower)).sum())
             half, order, rank, _ = lapack.dpstrf(gram, lower=1, tol=NEGLIGIBLE)
             half, order = np.tril(half)[:, :rank], order - 1
@@ -157,8 +158,8 @@ class WithGround:
         for c, columns in enumerate(self._columns):
             w, f = 1 / (v[3 + c] * self._stiffness), self._departures[c]
             left = self._seen[c] - columns @ x[c, self.basis.terms :]
-            a = np.linalg.solve(np.eye(f.shape[1]) + w * (f.T @ f), w * (f.T @ left))
-            out.append(np.square(left - f @ a).mean())
+            a = np.linalg.solve(np.eye(f.shape[1]) + w * product(f.T, f), w * product(f.T, left))
+            out.append(np.square(left - product(f, a)).mean())
         return np.concatenate([self.photo.noise(x[:, : self.basis.terms], v[:3], discrepancy), out])
 
     def misfit(self, x) -> np.ndarray:

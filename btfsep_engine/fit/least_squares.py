@@ -15,6 +15,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.stated import Fit, Stated, determined
+from btfsep_engine.linear_algebra import eigh, product
 
 BLOCK = 16  # edge in pixels of the blocks whose residuals are taken to be one piece of evidence
 WORST_CONDITION = 1e10
@@ -59,8 +60,8 @@ def solve(basis, radiance, *, blocks) -> Fit:
     condition = 0.0
     for c in range(3):
         a, b = basis[:, :, c].astype(np.float64), radiance[:, c].astype(np.float64)
-        gram = a.T @ a
-        eigenvalues, vectors = np.linalg.eigh(gram)
+        gram = product(a.T, a)
+        eigenvalues, vectors = eigh(gram)
         if not eigenvalues[-1] > 0:
             raise InputError(
                 "the fit",
@@ -75,12 +76,12 @@ def solve(basis, radiance, *, blocks) -> Fit:
                 "use a lower --order or show more of the object",
             )
         condition = max(condition, worst)
-        inverse = (vectors / eigenvalues) @ vectors.T
-        x[:, c] = inverse @ (a.T @ b)
-        residual[:, c] = b - a @ x[:, c]
+        inverse = product(vectors / eigenvalues, vectors.T)
+        x[:, c] = inverse @ product(a.T, b)
+        residual[:, c] = b - product(a, x[:, c])
         scores = np.add.reduceat((a * residual[:, c, None])[by_block], starts, 0)
         count = len(scores)
-        spread = inverse @ (scores.T @ scores) @ inverse * (count / max(count - 1, 1))
+        spread = product(product(inverse, product(scores.T, scores)), inverse) * (count / max(count - 1, 1))
         # few blocks cannot show a spread in many unknowns: never less than pixel noise alone would give
         white = inverse * (residual[:, c] @ residual[:, c] / max(p - terms, 1))
         stddev[:, c] = np.sqrt(np.maximum(np.diag(spread), np.diag(white)))

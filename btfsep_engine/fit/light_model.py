@@ -18,6 +18,7 @@ import numpy as np
 from btfsep_engine.conventions import across
 from btfsep_engine.light.hidden_light import hidden_share
 from btfsep_engine.light.log_field import CHROMA, LARGEST_LOG, VIVID, LogField
+from btfsep_engine.linear_algebra import product
 
 OF_LAMP = 5  # unknowns
 DIRECTION = np.radians(10)  # s
@@ -124,7 +125,7 @@ class LightModel:
         """
         of_field, of_lamps = self.parts(white)
         radiance = self.field.radiance(of_field)
-        out = np.concatenate([radiance[..., c, :] @ r.T for c, r in enumerate(by_direction)], -1)
+        out = np.concatenate([product(radiance[..., c, :], r.T) for c, r in enumerate(by_direction)], -1)
         if self.lamps:
             x = self._of_lamps(of_lamps).astype(out.dtype)
             out += np.concatenate([x[..., c, :] @ r.astype(out.dtype).T for c, r in enumerate(rows)], -1)
@@ -148,7 +149,7 @@ class LightModel:
         out = self.field.jacobian(by_direction, radiance, beside=len(white) - k)
         start = 0
         for r, columns in zip(rows, self._lamp_slopes(white), strict=True):
-            out[start : start + len(r), k:] = r @ columns.T
+            out[start : start + len(r), k:] = product(r, columns.T)
             start += len(r)
         return out
 
@@ -156,8 +157,8 @@ class LightModel:
         """J^T r, (unknowns,), of `jacobian`'s J without making it; ``residual`` : r of each channel."""
         kind = by_direction[0].dtype
         of_field = self.field.gradient(by_direction, radiance, [r.astype(kind) for r in residual])
-        columns = self._lamp_slopes(white)
-        return np.concatenate([of_field, sum(c @ (r @ y) for c, r, y in zip(columns, residual, rows, strict=True))])
+        each = zip(self._lamp_slopes(white), residual, rows, strict=True)
+        return np.concatenate([of_field, sum(columns @ product(left, of) for columns, left, of in each)])
 
     def _lamp_slopes(self, white) -> np.ndarray:
         """Derivatives of the lamps' coefficients by their unknowns: (3, unknowns of lamps, terms)."""

@@ -9,6 +9,7 @@ from btfsep_engine.fit.light_model import BRIGHTNESS
 from btfsep_engine.fit.products import Basis
 from btfsep_engine.fit.search import LONGEST, Solution
 from btfsep_engine.light.log_field import natural_field
+from btfsep_engine.linear_algebra import product
 
 WIDER = 1.4  # than Laplace's: one model was elected, and real materials misfit in more ways than it has
 HIDDEN = 0.04  # of the largest mean response of the pixels: a lamp that the photo could not know of
@@ -31,12 +32,12 @@ def posterior_samples(best: Solution, count: int, random, *, model=None) -> tupl
     delta = WIDER * solve_triangular(best.factor.T, random.standard_normal((len(best.white), count)), lower=False).T
     asked = (best.white + delta).astype(np.float32)
     # of the photo's own values y nothing is left but what they differ by from R x: small numbers, as single ones want
-    shown = np.concatenate([r @ x for r, x in zip(best.rows.root, best.x, strict=True)])
-    wanted = (shown + delta @ best.jacobian.T).astype(np.float32)
+    shown = np.concatenate([product(r, x) for r, x in zip(best.rows.root, best.x, strict=True)])
+    wanted = (shown + product(delta, best.jacobian.T)).astype(np.float32)
     whites, left, moving = asked.copy(), model.seen(asked, root, by_direction) - wanted, np.arange(count)
     for _ in range(CENTRINGS):
-        slope = left[moving] @ jacobian + whites[moving] - asked[moving]
-        step = slope @ inverse
+        slope = product(left[moving], jacobian) + whites[moving] - asked[moving]
+        step = product(slope, inverse)
         worth = np.einsum("ij,ij->i", slope, step) > CENTRED  # what a whole step would gain of linear images
         moving, step = moving[worth], step[worth]
         if not len(moving):

@@ -35,6 +35,7 @@ from scipy.linalg import lapack
 from btfsep_engine import sh
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.log_field import LogField, as_vivid, even_field, natural_field
+from btfsep_engine.linear_algebra import eigh, product
 
 CHANNELS = ("red", "green", "blue")
 EVIDENCE = 500  # pixels: alpha of the coarsened posterior
@@ -91,7 +92,7 @@ class Basis:
     @cached_property
     def axes(self) -> list:
         """Eigenvalues and eigenvectors of them."""
-        return [np.linalg.eigh(gram) for gram in self.grams]
+        return [eigh(gram) for gram in self.grams]
 
     def with_images(self, images) -> "Basis":
         """The same with more basis images (p, k, 3), after the others."""
@@ -116,7 +117,7 @@ class Basis:
         gram = np.zeros((self.terms, self.terms))
         for part in self._parts():
             rows = self.rows(c, part)
-            gram += rows.T @ (rows if weights is None else rows * weights[part, c, None])
+            gram += product(rows.T, rows if weights is None else rows * weights[part, c, None])
         return gram
 
     def weighted_grams(self, weights) -> list:
@@ -128,7 +129,7 @@ class Basis:
         out = np.empty((self.pixels, 3))
         unit = float(np.abs(x).max()) or 1.0  # so that no photo's unit is too large or too small for single precision
         for c in range(3):
-            out[:, c] = self.images[:, : len(x), c] @ (x[:, c] / unit).astype(self.images.dtype)
+            out[:, c] = product(self.images[:, : len(x), c], (x[:, c] / unit).astype(self.images.dtype))
         return out * unit
 
     def condition(self, order: int) -> float:
@@ -157,7 +158,8 @@ class Rows:
 
     def residual(self, x) -> np.ndarray:
         """R x - y of all channels, of coefficients (3, terms)."""
-        return np.concatenate([r @ x[c] - y for c, (r, y) in enumerate(zip(self.root, self.target, strict=True))])
+        each = zip(self.root, self.target, strict=True)
+        return np.concatenate([product(r, x[c]) - y for c, (r, y) in enumerate(each)])
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,7 @@ class Photograph:
         self.level = np.maximum(level, 1e-3 * level.max())  # (3,), the unit of each channel
         self.b = b / self.level
         self.grams = basis.weighted_grams(weights)
-        self._axes = basis.axes if weights is None else [np.linalg.eigh(gram) for gram in self.grams]
+        self._axes = basis.axes if weights is None else [eigh(gram) for gram in self.grams]
         self.count = weight.sum(0)
         self._weight, self._smooth = weight, None
         self._slopes = None if slopes is None else slopes / (basis.response * self.level)
@@ -226,7 +228,7 @@ class Photograph:
 
     def _take_in(self) -> None:
         """The products of the photograph's own values, `b`."""
-        self.moments = [self.basis.rows(c).T @ (self._weight[:, c] * self.b[:, c]) for c in range(3)]
+        self.moments = [product(self._weight[:, c] * self.b[:, c], self.basis.rows(c)) for c in range(3)]
         self.energies = (self._weight * self.b**2).sum(0)
         # at least 1 where the unit is the channel's mean; a channel that is black has no less noise for that
         self.mean_square = np.maximum(self.energies / np.maximum(self.count, 1e-300), 1.0)
@@ -265,7 +267,7 @@ class Photograph:
         `effective`, how many independent channels the misfit has: 1, all alike, to 3. Evidences can be compared where
         it is the same: it says how much of a photo's evidence counts, and a few per cent of that decide anything.
         """
-        predicted = np.stack([self.basis.rows(c) @ x[c] for c in range(3)], 1)
+        predicted = np.stack([product(self.basis.rows(c), x[c]) for c in range(3)], 1)
         left = (self.b - predicted) * np.sqrt(self._weight)
         together = left.T @ left
         if self._effective is None:
@@ -274,7 +276,8 @@ class Photograph:
         for c in range(3):
             f = self._misfits(c)
             weighted = f * self._weight[:, c, None]
-            self._products.append((weighted.T @ f, weighted.T @ self.basis.rows(c), weighted.T @ self.b[:, c]))
+            each = (f, self.basis.rows(c), self.b[:, c])
+            self._products.append(tuple(product(weighted.T, values) for values in each))
 
     def again(self, radiance) -> "Photograph":
         """The products of another photograph ``radiance`` (p, 3) of much the same light.
@@ -284,7 +287,7 @@ class Photograph:
         out = copy.copy(self)
         out.b = np.asarray(radiance, np.float64) / (self.basis.response * self.level)
         out._take_in()
-        misfits = [self._misfits(c).T @ (self._weight[:, c] * out.b[:, c]) for c in range(3)]
+        misfits = [product(self._weight[:, c] * out.b[:, c], self._misfits(c)) for c in range(3)]
         out._products = [(*of_f, f) for (*of_f, _), f in zip(self._products, misfits, strict=True)]
         out._smooth = {
             discrepancy: [replace(own, of_photo=own.own.T @ f) for own, f in zip(each, misfits, strict=True)]
@@ -304,10 +307,10 @@ class Photograph:
             for c, (gram, of_light, of_photo) in enumerate(self._products):
                 unit = np.ones(len(gram))
                 unit[: self.basis.smooth.shape[1]] = discrepancy
-                size, own = np.linalg.eigh(unit[:, None] * gram * unit)
+                size, own = eigh(unit[:, None] * gram * unit)
                 own = unit[:, None] * own
-                light = own.T @ of_light
-                each.append(Smooth(np.maximum(size, 0), own, light, own.T @ of_photo, light @ self._axes[c][1]))
+                light = product(own.T, of_light)
+                each.append(Smooth(np.maximum(size, 0), own, light, own.T @ of_photo, product(light, self._axes[c][1])))
             self._smooth[discrepancy] = each
         return self._smooth[discrepancy]
 
@@ -319,19 +322,19 @@ class Photograph:
             # what is negligible without a discrepancy is so with one
             kept = slice(int(np.searchsorted(w * self._axes[c][0], NEGLIGIBLE / 10, side="right")), None)
             sizes, axes = w * self._axes[c][0][kept], self._axis_rows[c][kept]
-            moment, energy = w * (axes @ self.moments[c]), w * self.energies[c]
+            moment, energy = w * product(axes, self.moments[c]), w * self.energies[c]
             if self._smooth is None:
                 gram = np.diag(sizes)
             else:
                 smooth = self._at(discrepancy)[c]
                 ff, size = smooth.at(w)
                 fa, fb = size[:, None] * smooth.along[:, kept], size * smooth.of_photo
-                gram, moment, energy = -(fa.T @ fa), moment - fa.T @ fb, energy - fb @ fb
+                gram, moment, energy = -product(fa.T, fa), moment - fb @ fa, energy - fb @ fb
                 np.einsum("ii->i", gram)[:] += sizes
                 log_determinant += 0.5 * float(np.log1p(ff).sum())
             lower, order, rank, _ = lapack.dpstrf(gram.T, lower=1, tol=NEGLIGIBLE, overwrite_a=1)
             upper, order = np.triu(lower.T[:rank]), order - 1
-            root.append(upper @ axes[order])
+            root.append(product(upper, axes[order]))
             y = moment[order[:rank]]
             if rank:
                 y, _ = lapack.dtrtrs(lower[:rank, :rank], y, lower=1)
@@ -345,10 +348,10 @@ class Photograph:
         for c in range(3):
             w = 1 / (v[c] * self.coarsening)
             weighted = w * self._weight[:, c] * b[:, c]
-            out.append(self.basis.rows(c).T @ weighted)
+            out.append(product(weighted, self.basis.rows(c)))
             if self._smooth is not None:
                 smooth = self._at(discrepancy)[c]
-                of_f = smooth.own.T @ (self._misfits(c).T @ weighted)
+                of_f = smooth.own.T @ product(weighted, self._misfits(c))
                 out[c] = out[c] - smooth.of_light.T @ (np.square(smooth.at(w)[1]) / w * of_f)
         return np.stack(out)
 
@@ -366,7 +369,7 @@ class Photograph:
         for c in range(3):
             w, smooth = 1 / (v[c] * self.coarsening), self._at(discrepancy)[c]
             a = w * (smooth.of_photo - smooth.of_light @ x[c]) / (1 + w * smooth.squares)
-            out[:, c] = self.b[:, c] - self.basis.rows(c) @ x[c] - self._misfits(c) @ (smooth.own @ a)
+            out[:, c] = self.b[:, c] - product(self.basis.rows(c), x[c]) - product(self._misfits(c), smooth.own @ a)
         return out
 
     def noise(self, x, v, discrepancy: float) -> np.ndarray:

@@ -19,6 +19,7 @@ from scipy.linalg import lapack
 
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Photograph, Rows
+from btfsep_engine.linear_algebra import cholesky, product
 
 STEPS = 40  # of one search; 5 to 15 are usual
 ROUNDS = 6  # of the noise
@@ -80,13 +81,13 @@ class Solution:
     @cached_property
     def factor(self) -> np.ndarray:
         """(unknowns, unknowns), lower Cholesky factor of I + J^T J."""
-        return np.linalg.cholesky(_and_one(self.jacobian.T @ self.jacobian))
+        return cholesky(_and_one(product(self.jacobian.T, self.jacobian)))
 
     @cached_property
     def inverse(self) -> np.ndarray:
         """(unknowns, unknowns), (I + J^T J)^-1, in single precision."""
         root = lapack.dtrtri(self.factor.T, lower=0)[0].astype(np.float32)
-        return root @ root.T
+        return product(root, root.T)
 
     def beside(self, seen) -> tuple[float, float, np.ndarray]:
         """What light of images ``seen`` (rows,) does beside this one, as far as images are linear in the unknowns.
@@ -96,8 +97,8 @@ class Solution:
         slope, curvature : of |r|^2 / 2 + |theta|^2 / 2 by its strength; (unknowns,), theta's answer to strength 1
         """
         r = self.rows.residual(self.x)
-        answer = -_answer(self.slopes, self.small_factor, self.slopes.T @ seen.astype(np.float32))
-        return float(seen @ r), float(seen @ (seen + self.slopes @ answer)), answer
+        answer = -_answer(self.slopes, self.small_factor, product(seen.astype(np.float32), self.slopes))
+        return float(seen @ r), float(seen @ (seen + product(self.slopes, answer))), answer
 
 
 def solve(
@@ -164,7 +165,7 @@ def _and_one(gram, more=0.0) -> np.ndarray:
 
 def _gram(jacobian) -> np.ndarray:
     """J J^T or J^T J, the smaller one."""
-    return jacobian @ jacobian.T if jacobian.shape[0] < jacobian.shape[1] else jacobian.T @ jacobian
+    return product(jacobian, jacobian.T) if jacobian.shape[0] < jacobian.shape[1] else product(jacobian.T, jacobian)
 
 
 def _cholesky(gram, damping: float) -> np.ndarray:
@@ -197,7 +198,7 @@ def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction, kn
             steps += 1
             jacobian = model.jacobian(white, radiance, rows.root, by_direction)
             gram = _gram(jacobian)
-            gradient = jacobian.T @ r.astype(np.float32) + white
+            gradient = product(r.astype(np.float32), jacobian) + white
             lower = _cholesky(gram, damping)
         else:
             gradient = model.gradient(white, radiance, rows.root, by_direction, np.split(r, ends)) + white
@@ -232,5 +233,5 @@ def _answer(jacobian, lower, gradient, damping=0.0) -> np.ndarray:
         return gradient / (1 + damping)
     if len(lower) == len(gradient):
         return lapack.spotrs(lower, gradient.astype(np.float32), lower=1)[0].astype(float)
-    seen, _ = lapack.spotrs(lower, jacobian @ gradient.astype(np.float32), lower=1)
-    return (gradient - jacobian.T @ seen) / (1 + damping)
+    seen, _ = lapack.spotrs(lower, product(jacobian, gradient.astype(np.float32)), lower=1)
+    return (gradient - product(seen, jacobian)) / (1 + damping)

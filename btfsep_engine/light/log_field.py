@@ -28,6 +28,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.hidden_light import hidden_share, usual_brightness
+from btfsep_engine.linear_algebra import product
 
 TABLE = Path(__file__).resolve().parents[1] / "data" / "natural_log_light.json"
 CHROMA = np.array([[1, 1 / 2, -1 / 3], [1, 0, 2 / 3], [1, -1 / 2, -1 / 3]])  # V: channels over (l, c1, c2)
@@ -165,8 +166,8 @@ class LogField:
     def logarithm(self, white) -> np.ndarray:
         """u = log L, (…, 3, n), of white unknowns (…, k), in their precision."""
         kind = white.dtype
-        a, y = white * self.deviation.astype(kind), self._harmonics[kind]
-        fields = np.array([a[..., part] @ y[:, : part.stop - part.start].T for part in self._parts])
+        a, y = white * self.deviation.astype(kind), self._series[kind]
+        fields = np.array([product(a[..., part], own) for part, own in zip(self._parts, y, strict=True)])
         out = CHROMA.astype(kind) @ fields.reshape(3, -1)  # a channel's numbers side by side, however many lights
         out = _channels_last_but_one(out.reshape(fields.shape))
         out += self._mean_logarithm.astype(kind)
@@ -188,9 +189,9 @@ class LogField:
     def _times(self, radiance, by_precision) -> np.ndarray:
         to = by_precision[radiance.dtype].T
         if radiance.ndim == 2:
-            return radiance @ to
+            return product(radiance, to)
         by_channel = np.moveaxis(radiance, -2, 0)
-        out = by_channel.reshape(-1, radiance.shape[-1]) @ to  # one product
+        out = product(by_channel.reshape(-1, radiance.shape[-1]), to)
         return _channels_last_but_one(out.reshape(*by_channel.shape[:-1], -1))
 
     @cached_property
@@ -199,10 +200,16 @@ class LogField:
         y = sh.evaluate(max(self.order, self.chroma_order), self.directions)
         return {np.dtype(kind): y.astype(kind) for kind in (np.float64, np.float32)}
 
+    @cached_property
+    def _series(self) -> dict:
+        """The same of each part of the unknowns: (terms, n)."""
+        sizes = [part.stop - part.start for part in self._parts]
+        return {kind: [np.ascontiguousarray(y[:, :size].T) for size in sizes] for kind, y in self._harmonics.items()}
+
     def by_direction(self, rows, kind=np.float64) -> list:
         """R_c T, (r_c, n), for each channel's rows R_c (r_c, terms), of what is `shown`: for `jacobian`."""
         t = self._to_shown[np.dtype(kind)]
-        return [r.astype(kind, copy=False) @ t for r in rows]
+        return [product(r.astype(kind, copy=False), t) for r in rows]
 
     def jacobian(self, by_direction, radiance, *, beside: int = 0) -> np.ndarray:
         """The derivatives of R_c x_c by the white unknowns: (all rows, k), in the precision of what it is given.
@@ -215,7 +222,7 @@ class LogField:
         kind = by_direction[0].dtype
         out, start = np.empty((sum(map(len, by_direction)), self.unknowns + beside), kind), 0
         for r, light, chroma in zip(by_direction, radiance.astype(kind), CHROMA, strict=True):
-            by_term = (r * light) @ self._harmonics[kind]  # all fields are series of the same harmonics
+            by_term = product(r * light, self._harmonics[kind])  # all fields are series of the same harmonics
             rows = slice(start, start := start + len(r))
             for part, share in zip(self._parts, chroma, strict=True):
                 size = (share * self.deviation[part]).astype(kind)
@@ -225,8 +232,8 @@ class LogField:
     def gradient(self, by_direction, radiance, residual) -> np.ndarray:
         """J^T r, (k,), of `jacobian`'s J without making it; ``residual`` : r of each channel, in the same precision."""
         kind = by_direction[0].dtype
-        each = np.stack([light * (r @ of) for of, light, r in zip(by_direction, radiance, residual, strict=True)])
-        by_term = (CHROMA.T @ each).astype(kind) @ self._harmonics[kind]
+        each = np.stack([light * product(r, of) for of, light, r in zip(by_direction, radiance, residual, strict=True)])
+        by_term = product((CHROMA.T @ each).astype(kind), self._harmonics[kind])
         own = [of_field[: part.stop - part.start] for of_field, part in zip(by_term, self._parts, strict=True)]
         return np.concatenate(own) * self.deviation
 

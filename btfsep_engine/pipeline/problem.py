@@ -7,6 +7,7 @@ import numpy as np
 
 from btfsep_engine.fit.least_squares import block_labels
 from btfsep_engine.light.lightings import SHBasis
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.pipeline.basis import basis_images
 from btfsep_engine.pipeline.settings import Settings
 
@@ -163,7 +164,7 @@ class Problem:
         for a in (a[:, : len(x)] for a in self.basis):
             columns = np.zeros((a.shape[1], 3, 3), np.float32)
             columns[:, np.arange(3), np.arange(3)] = x / unit
-            out.append(np.ascontiguousarray(a).reshape(len(a), -1) @ columns.reshape(-1, 3))
+            out.append(product(np.ascontiguousarray(a).reshape(len(a), -1), columns.reshape(-1, 3)))
         return np.concatenate(out).astype(np.float64) * unit
 
 

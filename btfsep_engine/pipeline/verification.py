@@ -31,6 +31,7 @@ from btfsep_engine.fit.search import Solution, solve
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.log_field import coarse_field, even_field
 from btfsep_engine.light.maps import training_lights
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.recognise.contrast import Contrast, contrast_of, unlike
 from btfsep_engine.recognise.judgement import judgements, utilities
 from btfsep_engine.recognise.masked import Masked
@@ -275,7 +276,7 @@ class Verification:
     def similarity(self, material, light, photo: Photographed) -> dict[str, float]:
         """`SIMILARITIES` of the photograph and a material under a light: how unlike they look, each <= 0."""
         under, light = self.transport.radiance(material, CELLS), light.astype(np.float32)
-        pixels = np.stack([under[..., c] @ light[:, c] for c in range(3)], 1)
+        pixels = np.stack([product(under[..., c], light[:, c]) for c in range(3)], 1)
         differences = unlike(contrast_of(pixels[photo.seen.valid[self.region]], photo.seen), photo.contrast)
         return {name: -differences[name] for name in SIMILARITIES}
 

@@ -16,6 +16,8 @@ from scipy.linalg.blas import ssyrk
 from scipy.optimize import minimize_scalar
 from scipy.special import softmax
 
+from btfsep_engine.linear_algebra import product
+
 C_GRID = (1.0, 10.0, 100.0)
 GAMMA_GRID = (0.25, 0.5, 1.0, 2.0, 4.0)  # in units of 1 / median squared distance
 GRID = tuple((c, gamma) for gamma in GAMMA_GRID for c in C_GRID)
@@ -27,7 +29,7 @@ SVM_CACHE_MB = 500
 def squared_distances(a, b) -> np.ndarray:
     """(n, m) float32, squared L2 distances between the rows of a : (n, d) and b : (m, d), never below 0."""
     a, b = np.asarray(a, np.float32), np.asarray(b, np.float32)
-    return np.maximum((a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * (a @ b.T), 0)
+    return np.maximum((a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * product(a, b.T), 0)
 
 
 def mutual_distances(vectors) -> np.ndarray:
@@ -96,8 +98,8 @@ class Svm:
         """(n, classes) in [-1, 1] for ``vectors : (n, d)``."""
         support, squares, weights = self._support
         vectors = np.asarray(vectors, np.float32)
-        squared = np.square(vectors).sum(1)[:, None] + squares - 2 * (vectors @ support.T)
-        return pair_votes(np.exp(-self.gamma * np.maximum(squared, 0)) @ weights + self.bias, len(self.classes))
+        squared = np.square(vectors).sum(1)[:, None] + squares - 2 * product(vectors, support.T)
+        return pair_votes(product(np.exp(-self.gamma * np.maximum(squared, 0)), weights) + self.bias, len(self.classes))
 
     def without(self, name: str) -> "Svm":
         """The same with a class left out: its pairs' decisions are not asked for."""
@@ -255,7 +257,7 @@ def train_svm(
         for f in range(fold.max() + 1):
             test, rest = fold == f, fold != f
             weights, offset[test] = _fit_pairs(kernel[np.ix_(rest, rest)], labels[rest], c, len(classes))
-            decisions[test] = kernel[np.ix_(test, rest)] @ weights
+            decisions[test] = product(kernel[np.ix_(test, rest)], weights)
         for with_offset in offsets:
             votes = pair_votes(decisions + offset if with_offset else decisions, len(classes))
             own = votes[np.arange(len(labels)), labels]

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from btfsep_engine.linear_algebra import eigh, product
+
 WORDS = Path(__file__).resolve().parents[1] / "data" / "words.npz"
 COLOUR_WORDS = 150
 SIFT_WORDS = 250
@@ -84,7 +86,7 @@ def learn_words(points, count, *, seed=0) -> np.ndarray:
 
 def nearest_word(points, words) -> np.ndarray:
     """(n,) int, the index of the nearest of ``words : (k, d)`` for each of ``points : (n, d)``, by L2."""
-    return ((words * words).sum(1) - 2 * (points @ words.T)).argmin(1)
+    return ((words * words).sum(1) - 2 * product(points, words.T)).argmin(1)
 
 
 def aggregate(points, words, groups, group_count: int) -> np.ndarray:
@@ -160,7 +162,7 @@ class Dictionary:
 
     def projected(self, points) -> np.ndarray:
         """(n, c) float32, of points (n, d)."""
-        return (points - self.mean) @ self.axes
+        return product(points - self.mean, self.axes)
 
 
 @dataclass(frozen=True)
@@ -236,9 +238,9 @@ def learn_dictionary(points, count: int, components: int | None, *, seed=0) -> D
     mean, axes = np.zeros(d, np.float32) if components is None else points.mean(0), np.eye(d, dtype=np.float32)
     if components:
         centred = points - mean
-        _, vectors = np.linalg.eigh(centred.T.astype(np.float64) @ centred)
+        _, vectors = eigh(product(centred.T.astype(np.float64), centred))
         axes = np.ascontiguousarray(vectors[:, ::-1][:, :components], np.float32)
-    return Dictionary(learn_words((points - mean) @ axes, count, seed=seed), mean.astype(np.float32), axes)
+    return Dictionary(learn_words(product(points - mean, axes), count, seed=seed), mean.astype(np.float32), axes)
 
 
 @lru_cache(maxsize=1)

@@ -9,6 +9,7 @@ import numpy as np
 
 from btfsep_engine.btf.directions import interpolator
 from btfsep_engine.btf.model import Tabulated, blended
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.render.arrays import DirectionTaps, aligned, dr, mi
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.threads import one_thread
@@ -133,7 +134,7 @@ class LightTables:
         tables = aligned((len(points), self.lights * 4), np.float32)  # of a report's points 100 MB: not copied again
         for some in np.split(order, ends[:-1]):
             if len(some):
-                tables[some] = rows[some] @ self._angular[taps[some[0]]].reshape(rows.shape[1], -1)
+                tables[some] = product(rows[some], self._angular[taps[some[0]]].reshape(rows.shape[1], -1))
         return mi.Float(tables.ravel())
 
     def _view_taps(self, points):

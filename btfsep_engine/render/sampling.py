@@ -18,6 +18,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.light.maps import natural_amplitude
+from btfsep_engine.linear_algebra import product
 
 NORMAL_WEIGHT = 0.5  # of a normal's difference against a distance in scene radii
 CANDIDATES = 1 << 16  # more pixels than these are thinned evenly first
@@ -159,7 +160,7 @@ def leverage(normal, to_eye) -> np.ndarray:
 
     rows = cheap_basis(mean(normal), mean(to_eye)) * natural_amplitude(LEVERAGE_ORDER)
     rows *= np.sqrt(EVIDENCE) / MISFIT / np.linalg.norm(rows[:, 0] * np.sqrt(share))
-    gram = (rows * share[:, None]).T @ rows + np.eye(rows.shape[1])
+    gram = product((rows * share[:, None]).T, rows) + np.eye(rows.shape[1])
     found = np.square(np.linalg.solve(np.linalg.cholesky(gram), rows.T)).sum(0)
     return found[cell] / (found @ share)
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from btfsep_engine.btf.model import Material
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.render.surface import SurfacePoints
 from btfsep_engine.render.tracer import Tracer
 from btfsep_engine.render.weights import Weights
@@ -128,7 +129,7 @@ class Transport:
                     if c and len(channels) == len(light) == 1:
                         out[c, part] = out[0, part]
                     else:
-                        np.matmul(channels[min(c, len(channels) - 1)], light[min(c, len(light) - 1)], out=out[c, part])
+                        product(channels[min(c, len(channels) - 1)], light[min(c, len(light) - 1)], out=out[c, part])
         for out in outs:
             if (weights.colour != 1).any():
                 out *= weights.colour[:, None, None]

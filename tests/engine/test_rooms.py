@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 OURS = ("btfsep_engine", "blender_btfsep", "scripts", "tests")
-GROUND = 2  # rows that all of the engine may import
+GROUND = 3  # rows that all of the engine may import
 # Mitsuba asks for the plugin where a scene names it, which is long after the backend was chosen
 PLUGIN = ("btfsep_engine/render/backend.py", "btfsep_engine/render/mitsuba_bsdf.py")
 

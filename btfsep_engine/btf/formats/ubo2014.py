@@ -20,6 +20,7 @@ from btfsep_engine.btf.formats.colour import LOG_RGB, MODELS, Colour
 from btfsep_engine.btf.formats.header import Header, read_common
 from btfsep_engine.btf.formats.mapped import EXPORT, Cursor, map_file, sha256
 from btfsep_engine.errors import InputError
+from btfsep_engine.linear_algebra import product
 
 LARGEST = 1e12  # 1/sr; far beyond any material, far within float32
 SCALARS = {2: np.dtype("<f2"), 4: np.dtype("<f4"), 8: np.dtype("<f8")}
@@ -100,7 +101,7 @@ class BtfFile:
             for c in range(3):
                 if spatial is None or not self.shared_spatial:
                     spatial = np.asarray(self.spatial[c][texels], np.float32)
-                planes.append(spatial @ np.asarray(self.angular[c][pairs], np.float32).T)
+                planes.append(product(spatial, np.asarray(self.angular[c][pairs], np.float32).T))
             values = self.colour.decode(np.stack(planes, -1))
         if values.size and not (values.max() < LARGEST and values.min() > -LARGEST):  # NaN fails both
             raise InputError(str(self.path), f"it holds NaN or infinite values, or some beyond {LARGEST:.0e}", EXPORT)

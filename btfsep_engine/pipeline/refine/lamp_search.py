@@ -14,6 +14,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light.sun import cap_around
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.render.beams import beam_radiance
 
 BEAMS = 600  # 8 degrees apart
@@ -67,7 +68,7 @@ class LampSearch:
                 unit = problem.scene.millimetres_per_unit
                 own = beam_radiance(problem.scene.tracer, points, material, directions, millimetres_per_unit=unit)
                 brightness.append(own.mean((0, 2)))
-                lacking.append(own - np.einsum("ptc,dt->pdc", basis, by_order, optimize=True))
+                lacking.append(own - np.stack([product(basis[..., c], by_order.T) for c in range(3)], 2))
         return np.mean(brightness, 0), np.concatenate(lacking)
 
     def likeliest(self, left_over, *, beside) -> LikelyLamp | None:

@@ -18,6 +18,7 @@ from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.fit.near_lamp import nearness
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Near
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
@@ -119,7 +120,7 @@ class Photographed:
         columns = np.stack([(project(brightness * c) * weight).ravel() for c in (*changes, of_one)], 1)
         left = self.residual(at.fit, at.correction).ravel()
         # a number counts as one of so many that are independent (`Photograph.coarsening`)
-        precision = columns.T @ columns / max(float(np.square(left).mean()) * photo.coarsening, 1e-300)
+        precision = product(columns.T, columns) / max(float(np.square(left).mean()) * photo.coarsening, 1e-300)
         wanted = precision @ np.linalg.lstsq(columns, left, rcond=None)[0]
         precision[3, 3] += 1 / MORE_STDDEV**2
         wanted[3] += (MORE - at.more) / MORE_STDDEV**2

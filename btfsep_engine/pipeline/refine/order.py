@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from btfsep_engine.linear_algebra import product
+
 FOLDS = 5
 
 
@@ -46,7 +48,7 @@ def cross_validated_order(basis, radiance, blocks, largest: int, *, seed: int = 
         mine = fold == k
         for c in range(3):
             a = basis[mine, :, c] / response[c]
-            grams[k, c], moments[k, c] = a.T @ a, a.T @ b[mine, c]
+            grams[k, c], moments[k, c] = product(a.T, a), product(a.T, b[mine, c])
     energies = np.array([np.square(b[fold == k]).sum(0) for k in range(FOLDS)])
     errors = np.full((largest + 1, FOLDS), np.inf)
     for order in range(largest + 1):

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Large products, and factors, by SciPy's BLAS and LAPACK, whatever NumPy was built with.
+
+The NumPy inside Blender was built without any: there ``@`` of matrices takes seventy times as long. One that has an old
+OpenBLAS takes four times as long on a processor that this does not know. SciPy's wheels bring their own.
+"""
+
+import numpy as np
+from scipy import linalg
+from scipy.linalg import LinAlgError, blas, lapack
+
+OF_MATRICES = {np.dtype(np.float32): blas.sgemm, np.dtype(np.float64): blas.dgemm}
+OF_A_VECTOR = {np.dtype(np.float32): blas.sgemv, np.dtype(np.float64): blas.dgemv}
+
+
+def product(a, b, out=None) -> np.ndarray:
+    """``a @ b``, its rows one after the other in memory.
+
+    Parameters
+    ----------
+    a, b : arrays (n, k) and (k, m), or a vector (k,) for one of them; of another precision than the other's one is
+        turned into the higher one
+    out : (n, m) of that precision, its rows one after the other, to hold the product; of matrices only
+    """
+    kind = a.dtype
+    if kind != b.dtype:
+        kind = np.result_type(a, b)
+        a, b = a.astype(kind, copy=False), b.astype(kind, copy=False)
+    if kind not in OF_MATRICES or not a.size or not b.size:
+        return np.matmul(a, b, out=out)
+    if b.ndim == 1:
+        own, turned = _by_columns(a)
+        return OF_A_VECTOR[kind](1.0, own, b, trans=not turned)
+    if a.ndim == 1:
+        own, turned = _by_columns(b)
+        return OF_A_VECTOR[kind](1.0, own, a, trans=turned)
+    # BLAS has matrices column by column: to it, ours are b^T and a^T, and what is asked for is b^T a^T
+    (left, turn_left), (right, turn_right) = _by_columns(b), _by_columns(a)
+    how = {} if out is None else {"c": out.T, "overwrite_c": 1}
+    return OF_MATRICES[kind](1.0, left, right, trans_a=turn_left, trans_b=turn_right, **how).T
+
+
+def _by_columns(matrix) -> tuple[np.ndarray, bool]:
+    """A matrix transposed, as BLAS takes it without a copy, and whether BLAS has to turn it for that."""
+    return (matrix.T, False) if matrix.flags.c_contiguous else (matrix, True)
+
+
+def cholesky(matrix) -> np.ndarray:
+    """The lower factor (n, n) of a symmetric positive definite matrix of double precision.
+
+    Raises LinAlgError where it is none.
+    """
+    lower, failed = lapack.dpotrf(matrix, lower=1)
+    if failed:
+        raise LinAlgError("the matrix is not positive definite")
+    return lower
+
+
+def eigh(matrix) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (n,), rising, and eigenvectors (n, n), its columns, of a symmetric matrix of finite numbers."""
+    return linalg.eigh(matrix, driver="evd", check_finite=False)
