@@ -19,14 +19,14 @@ def product(a, b, out=None) -> np.ndarray:
     Parameters
     ----------
     a, b : arrays (n, k) and (k, m), or a vector (k,) for one of them; of another precision than the other's one is
-        turned into the higher one
+        turned into the higher one. Stacks of matrices are NumPy's matter
     out : (n, m) of that precision, its rows one after the other, to hold the product; of matrices only
     """
     kind = a.dtype
     if kind != b.dtype:
         kind = np.result_type(a, b)
         a, b = a.astype(kind, copy=False), b.astype(kind, copy=False)
-    if kind not in OF_MATRICES or not a.size or not b.size:
+    if kind not in OF_MATRICES or not a.size or not b.size or max(a.ndim, b.ndim) > 2:
         return np.matmul(a, b, out=out)
     if b.ndim == 1:
         own, turned = _by_columns(a)

@@ -31,9 +31,11 @@ def test_a_product_is_numpys(rng, kinds, layouts, shapes):
     assert found.ndim == 1 or found.flags.c_contiguous
 
 
-def test_what_has_no_numbers_or_is_whole_is_multiplied_too():
+def test_what_has_no_numbers_or_is_whole_or_a_stack_is_multiplied_too(rng):
     assert product(np.zeros((3, 0)), np.zeros((0, 2))).tolist() == [[0, 0]] * 3
     assert product(np.zeros((0, 3)), np.zeros((3, 2))).shape == (0, 2)
+    a, stack = rng.standard_normal((4, 5)), rng.standard_normal((3, 5, 2))
+    assert np.array_equal(product(a, stack), a @ stack)
     assert product(np.eye(2, dtype=int), np.array([[1, 2], [3, 4]])).tolist() == [[1, 2], [3, 4]]
 
 
