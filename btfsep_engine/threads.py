@@ -1,12 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How many threads the linear algebra uses: one, so that their number changes no digit of what is found."""
 
+import importlib
 from contextlib import contextmanager
 from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
-_controller = lru_cache(maxsize=1)(ThreadpoolController)
+
+@lru_cache(maxsize=1)
+def _controller() -> ThreadpoolController:
+    """Of all libraries that are loaded, that of large products (`linear_algebra`) among them."""
+    importlib.import_module("scipy.linalg")
+    return ThreadpoolController()
+
+
+def at_most(count: int) -> None:
+    """From now on a matrix product takes at most ``count`` threads."""
+    _controller().limit(limits=count)
 
 
 @contextmanager

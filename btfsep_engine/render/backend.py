@@ -23,6 +23,7 @@ from pathlib import Path
 from btfsep_engine.errors import InputError
 from btfsep_engine.loading import loading
 from btfsep_engine.storage import cache
+from btfsep_engine.threads import at_most
 
 LLVM_VARIANT, CUDA_VARIANT = "llvm_ad_rgb", "cuda_ad_rgb"
 TRIAL_SECONDS = 120
@@ -273,7 +274,6 @@ def limit_threads(count: int) -> None:
     """This process uses at most ``count`` threads, in Dr.Jit and in the linear algebra: several share the machine."""
     import_mitsuba()
     import drjit
-    import threadpoolctl
 
-    threadpoolctl.threadpool_limits(count)
+    at_most(count)
     drjit.set_thread_count(count)

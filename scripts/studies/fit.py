@@ -34,6 +34,7 @@ from btfsep_engine.fit.three_spheres import ROWS, three_spheres
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, lighting_map
 from btfsep_engine.light.maps import read_map
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.pipeline import doubts
 from btfsep_engine.pipeline.light_account import sky_radiance
 from btfsep_engine.pipeline.model import stand_ins
@@ -165,7 +166,7 @@ def cost(shown: list, library, repeats: int) -> dict:
         return solver.solve(images[i] * noise[i], start=before[i]).state()
 
     calls = {
-        "floor": lambda: a.T @ a,
+        "floor": lambda: product(a.T, a),
         "preparing": lambda: STORE.forget() or light_solver([view.right], view.settings),
         "photo": lambda: solver.solve(images[next(turn) % len(images)]).state(),
         "further": further,

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Products and factors by SciPy against NumPy's."""
 
+import subprocess
+import sys
 from itertools import product as pairs
 
 import numpy as np
@@ -52,3 +54,16 @@ def test_a_factor_is_numpys_and_what_has_none_is_said(rng):
     assert np.allclose(cholesky(half @ half.T), np.linalg.cholesky(half @ half.T))
     with pytest.raises(np.linalg.LinAlgError):
         cholesky(-np.eye(3))
+
+
+def test_scipys_threads_are_limited_too_wherever_it_is_loaded():
+    """In a process that had not loaded it; a farm's slot has one core."""
+    asked = """if True:
+        from btfsep_engine import threads
+        threads.at_most(1)
+        from threadpoolctl import threadpool_info
+        libraries = [i for i in threadpool_info() if i["user_api"] == "blas"]
+        assert any("scipy" in i["filepath"] for i in libraries), libraries
+        assert all(i["num_threads"] == 1 for i in libraries), libraries
+    """
+    subprocess.run([sys.executable, "-c", asked], check=True)
