@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from btfsep_engine.job.camera import Camera
+from btfsep_engine.linear_algebra import product
 
 DARK = 0.05  # of the object's median luminance: noise in shadows is no edge
 GLARE = 3.0  # of the objects' median colour: what is brighter is a highlight, which no light of a low order makes
@@ -201,7 +202,9 @@ class Misfit:
     def left(self, cameras) -> np.ndarray:
         """What no light explains from each of k cameras, (k, n, 3), over the objects' median colour."""
         b = self.picture.colours(np.stack([camera.project(self.surface) for camera in cameras]))
-        return b - self.plane @ (self.plane.T @ b)
+        by_point = np.moveaxis(b, 1, 0).reshape(b.shape[1], -1)
+        explained = product(self.plane, product(self.plane.T, by_point))
+        return b - np.moveaxis(explained.reshape(b.shape[1], len(b), -1), 0, 1)
 
     def edges(self, cameras) -> np.ndarray:
         """(k, m) `Picture.missing` of the outlines."""
