@@ -202,9 +202,10 @@ class Misfit:
     def left(self, cameras) -> np.ndarray:
         """What no light explains from each of k cameras, (k, n, 3), over the objects' median colour."""
         b = self.picture.colours(np.stack([camera.project(self.surface) for camera in cameras]))
-        by_point = np.moveaxis(b, 1, 0).reshape(b.shape[1], -1)
-        explained = product(self.plane, product(self.plane.T, by_point))
-        return b - np.moveaxis(explained.reshape(b.shape[1], len(b), -1), 0, 1)
+        by_point = np.moveaxis(b, 1, 0)
+        flat = by_point.reshape(b.shape[1], len(b) * b.shape[2])
+        explained = product(self.plane, product(self.plane.T, flat))
+        return b - np.moveaxis(explained.reshape(by_point.shape), 0, 1)
 
     def edges(self, cameras) -> np.ndarray:
         """(k, m) `Picture.missing` of the outlines."""
