@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Large products, and factors, by SciPy's BLAS and LAPACK, whatever NumPy was built with.
 
-The NumPy inside Blender is built from its source, with the reference BLAS or none: there ``@`` of matrices takes seventy
-times as long. One that has an old OpenBLAS takes four times as long on a processor that this does not know. SciPy's
-wheels bring their own.
+The NumPy inside Blender is built from its source, with the reference BLAS or none: there ``@`` of matrices takes
+seventy times as long. One that has an old OpenBLAS takes four times as long on a processor that this does not know.
+SciPy's wheels bring their own.
 """
 
 import numpy as np
