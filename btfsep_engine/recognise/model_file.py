@@ -27,7 +27,7 @@ LOOKED_AT = 3  # trainings of the same view in which materials are looked for: e
 PATIENCE = 900.0  # seconds for which a training by another process is waited for
 ENGINE = Path(__file__).resolve().parents[1]
 # what a training runs through, from the geometry to the classifier
-SOURCES = ("conventions.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
+SOURCES = ("conventions.py", "linear_algebra.py", "pipeline/recognition.py", "pipeline/scene.py", "sh.py")
 ROOMS = ("btf", "imaging", "job", "light", "recognise", "render")
 OF_KIND = {"words": ("words", "axes"), "mean": ("numbers",), "axes": ("numbers", "axes")}  # of a Dictionary
 SHAPES = {"header": cache.TEXT, "model.vectors": ("images", "length")}  # of an entry, see `cache.read`
