@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import pixel_directions
+from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
 from btfsep_engine.light.lightings import shrink
 from btfsep_engine.light.maps import read_map
 from scripts.cycles.lights import light_path
@@ -29,9 +29,7 @@ def coefficients(light: str, distance: float) -> np.ndarray:
     radiance = read_map(light_path(light))
     radiance = np.array(shrink(radiance, max(1, len(radiance) // ROWS)), np.float64)
     directions, towards = pixel_directions(*radiance.shape[:2]), scenes.unit(scenes.WALL_FROM)
-    weights = np.repeat(np.sin(np.pi * (np.arange(len(radiance)) + 0.5) / len(radiance)), radiance.shape[1])
-    weights = 2 * np.pi**2 * weights.reshape(radiance.shape[:2]) / weights.size  # solid angles
-    facing = directions @ towards
+    facing, weights = directions @ towards, pixel_solid_angles(*radiance.shape[:2])[:, None]
     irradiance = np.einsum("hw,hwc->c", weights * np.maximum(-facing, 0), radiance)
     up = scenes.unit(np.array([0, 0, 1]) - towards[2] * towards)
     along = np.stack([directions @ up, directions @ np.cross(towards, up)])
