@@ -6,11 +6,12 @@ own plus that by which the object departs from its material:
 
     t = light + object,    light ~ N(0, LIGHT^2),    object ~ N(0, DYE^2), or with the probability UNKNOWN N(0, ANY^2),
 
-or, of an object whose colour somebody stated, with the probability FILTERED light ~ N(0, VIVID^2) and object ~ N(0,
-DYE^2): a lamp's filter makes colours that no dye does. The posterior of the light's tint is a mixture of Gaussians.
-Where the second has the upper hand, the object's colour is not known, and most of the tint is the object's. LIGHT is
-what the training lights' tints scatter by, and as much again for lamps (their log R/B scatters by 0.13, their green by
-0.07). Where the photo shows lights of strong colours (`pipeline.refine.vivid`), all light is N(0, VIVID^2).
+where of an object whose colour somebody stated the probability is MISSTATED, and with the probability FILTERED light ~
+N(0, VIVID^2) and object ~ N(0, DYE^2): a lamp's filter makes colours that no dye does. The posterior of the light's
+tint is a mixture of Gaussians. Where the second has the upper hand, the object's colour is not known, and most of the
+tint is the object's. LIGHT is what the training lights' tints scatter by, and as much again for lamps (their log R/B
+scatters by 0.13, their green by 0.07). Where the photo shows lights of strong colours (`pipeline.refine.vivid`), all
+light is N(0, VIVID^2).
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,8 @@ LIGHT = np.array([0.30, 0.10])
 VIVID = np.array([1.5, 0.8])  # of light of strong colours, as on a stage
 DYE = np.array([0.05, 0.03])
 ANY = np.array([1.0, 0.6])
-UNKNOWN, FILTERED = 0.05, 0.01
+UNKNOWN = 0.25  # of a material by its name: what people photograph seldom has the colour that a library holds
+MISSTATED, FILTERED = 0.05, 0.01  # of a colour that somebody stated
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,10 @@ def split(level, dye=0.0, *, stated: bool = False, vivid: bool = False) -> Tint:
     left = tint_of(level)
     tint = left + dye
     hypotheses = []
-    filtered = 1 - UNKNOWN if vivid else FILTERED * stated
-    usual, known = VIVID if vivid else LIGHT, 1 - UNKNOWN - filtered
-    for of_light, spread, probability in ((LIGHT, DYE, known), (usual, ANY, UNKNOWN), (VIVID, DYE, filtered)):
+    unknown = MISSTATED if stated else UNKNOWN
+    filtered = 1 - unknown if vivid else FILTERED * stated
+    usual, known = VIVID if vivid else LIGHT, 1 - unknown - filtered
+    for of_light, spread, probability in ((LIGHT, DYE, known), (usual, ANY, unknown), (VIVID, DYE, filtered)):
         total = of_light**2 + spread**2
         log = np.log(max(probability, 1e-300)) - 0.5 * float((tint**2 / total + np.log(total)).sum())
         hypotheses.append((log, tint * of_light**2 / total, of_light**2 * spread**2 / total))

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from btfsep_engine.fit.colour import ANY, DYE, FILTERED, LIGHT, UNKNOWN, VIVID, split, tint_of
+from btfsep_engine.fit.colour import ANY, DYE, FILTERED, LIGHT, MISSTATED, UNKNOWN, VIVID, split, tint_of
 
 
 def integrated(tint, hypotheses):
@@ -31,7 +31,7 @@ def integrated(tint, hypotheses):
 
 
 USUAL = [(1 - UNKNOWN, LIGHT, DYE), (UNKNOWN, LIGHT, ANY)]
-STATED = [(1 - UNKNOWN - FILTERED, LIGHT, DYE), (UNKNOWN, LIGHT, ANY), (FILTERED, VIVID, DYE)]
+STATED = [(1 - MISSTATED - FILTERED, LIGHT, DYE), (MISSTATED, LIGHT, ANY), (FILTERED, VIVID, DYE)]
 ON_STAGE = [(1 - UNKNOWN, VIVID, DYE), (UNKNOWN, VIVID, ANY)]
 
 
@@ -63,6 +63,14 @@ def test_a_filters_colour_is_the_lights_where_the_objects_is_stated_and_a_dyes_i
     assert of_light[0][1] < 0.9 * tint_of(magenta)[1] < 0
     assert np.abs(of_light[1]).max() < 0.35 * np.abs(tint_of(teal)).max()
     assert split(magenta).unknown > 0.99  # of what nobody said of
+
+
+def test_a_tint_that_natural_light_has_is_the_lights_and_one_that_it_never_has_is_the_objects():
+    night, owl = np.array([1.32, 1.09, 0.75]), np.array([1.68, 0.99, 0.54])  # the first as a real map, the second a toy
+    of_light = [(tint_of(c) - split(c).object_tint) / tint_of(c) for c in (night, owl)]
+    assert of_light[0][0] > 0.85 and split(night).unknown < 0.15
+    assert of_light[1][0] < 0.3 and split(owl).unknown > 0.8
+    assert split(owl, stated=True).unknown < split(owl).unknown  # who states a colour by numbers is believed longer
 
 
 def test_factors_are_drawn_with_the_covariance_of_the_lights_tint(rng):
