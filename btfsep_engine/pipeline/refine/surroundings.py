@@ -22,6 +22,7 @@ TEMPER = 20.0  # of the logarithm of the evidence: it takes misfits of a few per
 PLAUSIBLE = 0.05  # probability of a grey whose light is among what is stated
 APART = 0.04  # greys: nearer ones are not both tried
 FINER = 2  # more greys, at most
+UNSURE = 1.0  # of the logarithm of the evidence, by which a colour that is not sure has to be better than greys
 TOO_BRIGHT = 3.0  # times the light of the darkest answer: light that hardly reaches the objects may be of any strength
 
 
@@ -56,7 +57,7 @@ def by_photo(direct, model, light, with_reflections):
     if read.sure:
         return coloured
     greys = with_greys(direct, model, light)
-    return max(coloured, greys, key=lambda each: each[1].fit.evidence)
+    return coloured if coloured[1].fit.evidence > greys[1].fit.evidence + UNSURE else greys
 
 
 def by_grey(model, light, of_grey):
