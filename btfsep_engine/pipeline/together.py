@@ -71,6 +71,10 @@ class SolvedLight:
         """(p, 3) of all photographs, in the first one's exposure: what the light does not explain."""
         return self.radiance(problems) - np.concatenate([p.predicted(self.fit.shown) for p in problems])
 
+    def share_left(self, problems: list[Problem]) -> float:
+        """What the light does not explain, over what is fitted."""
+        return float(np.linalg.norm(self.left_over(problems)) / max(np.linalg.norm(self.radiance(problems)), 1e-300))
+
 
 def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: float = 1.0) -> LightSolver:
     """The basis images of all photos together made ready, for the estimator with a prior."""

@@ -24,6 +24,10 @@ SETS = {
     "unsaid again": 14,
     "painted": 15,
     "painted again": 16,
+    "tenth": 201,
+    "unsaid anew": 202,
+    "stage anew": 203,
+    "painted anew": 204,
 }  # seeds; what was chosen by which of them, docs/accuracy.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -50,10 +54,13 @@ PAINT, IN_THE_DARK = (0.3, 0.8), 0.5  # how much of a piece's colour is the pain
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
-def drawn(seed: int) -> list[dict]:
-    """The plates of a set, as `scripts.cycles.plates` takes them; ``kinds`` in words."""
+def drawn(seed: int, lights=None) -> list[dict]:
+    """The plates of a set, as `scripts.cycles.plates` takes them; ``kinds`` in words.
+
+    ``lights`` : names of Blender's studio lights, or paths of maps; None: all of Blender's
+    """
     random, out = np.random.default_rng(seed), []
-    lights, colours = sorted(studio_lights()), list(plain.COLOURS)
+    lights, colours = sorted(lights or studio_lights()), list(plain.COLOURS)
     for i in range(COUNT):
         kind = random.choice(list(plain.FINISHES), p=OF_SURFACES)
         colour, light, top = random.choice(colours), str(random.choice(lights)), random.choice(colours)
@@ -104,9 +111,9 @@ def mirroring(plates: list[dict]) -> list[dict]:
     return out
 
 
-def on_stage(plates: list[dict]) -> list[dict]:
+def on_stage(plates: list[dict], seed: int) -> list[dict]:
     """The plates under lamps with filters in place of the sun, and dim light."""
-    random, out = np.random.default_rng(SETS["stage"]), []
+    random, out = np.random.default_rng(seed), []
     for plate in plates:
         count, usual = int(random.integers(1, LAMPS + 1)), np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
         lamps = []
@@ -181,13 +188,13 @@ def from_in_front(random) -> list[float]:
     return [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
 
 
-def of_set(name: str) -> list[dict]:
-    """The plates of a set by its name."""
-    made = {"several": several, "chrome": mirroring, "stage": on_stage}
-    for kind, made_of in (("unsaid", unsaid), ("painted", painted)):
+def of_set(name: str, lights=None) -> list[dict]:
+    """The plates of a set by its name; ``lights`` as of `drawn`."""
+    plates, seed = drawn(SETS[name], lights), SETS[name]
+    for kind, made_of in (("unsaid", unsaid), ("painted", painted), ("stage", on_stage)):
         if name.startswith(kind):
-            return made_of(drawn(SETS[name]), SETS[name])
-    return made.get(name, list)(drawn(SETS[name]))
+            return made_of(plates, seed)
+    return {"several": several, "chrome": mirroring}.get(name, list)(plates)
 
 
 def truth(plate) -> np.ndarray:

@@ -3,6 +3,7 @@
 
 scripts/study plates FOLDER --make     takes them, once
 scripts/study plates FOLDER
+scripts/study plates FOLDER --maps MAPS --sets tenth "unsaid anew"     under other maps, with --make and without
 scripts/study plates FOLDER --sets chrome --show 05 07 23 26 --to docs/images/mirrors.jpg     pictures of some
 
 Objects of a plain Blender material ("as in Blender" in the job), alone or on a coloured table whose material the job
@@ -14,7 +15,8 @@ sRGB*). Objects of the set *several* have three such materials, and are estimate
 mean*). Those of the set *stage* stand in dim light under lamps with filters of strong colours; of the sets *unsaid*,
 jobs say of the object what a user sees by eye, and nothing of what light does below its skin, of its bumps and its
 paint, nor of a lens that darkens corners, is out of focus or has glare, nor of noise; of the sets *painted*, nothing of
-a paint in pieces, half of them in the dark under lamps. The error of plates with a table
+a paint in pieces, half of them in the dark under lamps. With ``--maps`` lights are drawn from a folder of maps, not
+from Blender's. The error of plates with a table
 is that of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
 
@@ -25,6 +27,7 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.errors import InputError
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.maps import read_map
@@ -126,7 +129,7 @@ def shown(plate, folder: Path) -> list:
     photo, kinds = job.photo.radiance, plate["kinds"][-3:] if "told" in plate else plate["kinds"][:-2]
     return [
         (display(photo, exposure(photo)), ", ".join(kinds)),
-        *((display(each, exposure(true)), plate["light"]) for each in (found, true)),
+        *((display(each, exposure(true)), Path(plate["light"]).stem) for each in (found, true)),
     ]
 
 
@@ -155,12 +158,16 @@ def main(arguments) -> int:
     options.add_argument("folder", type=Path)
     options.add_argument("--make", action="store_true", help="take the plates")
     options.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
+    options.add_argument("--maps", type=Path, metavar="FOLDER", help="with .hdr files, in place of Blender's lights")
     options.add_argument("--ways", nargs="+", choices=WAYS, default=WAYS, metavar="WAY", help="; ".join(WAYS))
     options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
     options.add_argument("--show", nargs="+", metavar="NAME", default=[], help="draw these plates and their lights")
     options.add_argument("--to", type=Path, metavar="FILE", help="the picture of --show")
     given = options.parse_args(arguments)
-    places = [(given.folder.resolve() / name, of_set(name)) for name in given.sets]
+    lights = [str(path) for path in sorted(given.maps.resolve().glob("*.hdr"))] if given.maps else None
+    if lights == []:
+        raise InputError(str(given.maps), "it has no .hdr files", "name a folder with maps")
+    places = [(given.folder.resolve() / name, of_set(name, lights)) for name in given.sets]
     if given.make:
         for folder, plates in places:
             photos.in_blender("scripts.cycles.plates", {"plates": plates, "folder": str(folder)})

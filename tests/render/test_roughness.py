@@ -2,6 +2,7 @@
 """How rough an object of given numbers is: photos made with one roughness, jobs that say another."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -122,3 +123,31 @@ def test_steps_go_on_while_they_gain_and_end_at_what_tables_hold(photographed, m
     rough = roughness._hopeful(found.model, found.light, 0, 0.5)
     assert rough in (pytest.approx(0.95), 1.0)
     assert [roughness._clipped(r) for r in (-1, 0.1, 0.4, 2)] == [0.1, 0.1, 0.4, 1.0]
+
+
+def test_evidence_alone_makes_nothing_rougher(photographed, monkeypatch):
+    """A light that is plainer is worth evidence, though it explains less of the photo."""
+    found = found_of(photographed(CLAY), replace(CLAY, roughness=0.8), departures="never")
+    model, light = found.model, found.light
+    monkeypatch.setattr(roughness, "_hopeful", lambda *_: 0.9)
+
+    def taken(grown: float):
+        """Where all pixels give an answer that has much evidence, and leaves ``grown`` times as much over."""
+        share = grown * light.share_left(model.problems)
+        other = SimpleNamespace(fit=SimpleNamespace(evidence=light.fit.evidence + 1000), share_left=lambda _: share)
+        monkeypatch.setattr(roughness, "_on_all", lambda *_: (model, other))
+        return roughness._rougher_or_smoother(model, light, 0, 0.8)
+
+    assert taken(1.02) is None
+    assert taken(1.0)[2] == 0.9 and taken(0.5)[2] == 0.9
+
+
+def test_a_gloss_of_a_photo_that_is_explained_becomes_no_rougher(photographed, monkeypatch):
+    found = found_of(photographed(CLAY), replace(CLAY, roughness=0.2), departures="never")
+    monkeypatch.setattr(roughness, "_log_prior", lambda rough, said: -1000 * abs(rough - 0.5))
+    hopeful = {}
+    for left in (0.09, 0.11):
+        monkeypatch.setattr(type(found.light), "share_left", lambda self, _, left=left: left)
+        hopeful[left] = [roughness._hopeful(found.model, found.light, 0, rough) for rough in (0.2, 0.36)]
+    assert hopeful[0.09][0] is None and hopeful[0.11][0] == pytest.approx(0.5)
+    assert hopeful[0.09][1] == hopeful[0.11][1] == pytest.approx(0.51)

@@ -30,7 +30,7 @@ FOUND = "seen aslant, {} brighter than the material is, which is reckoned with (
 
 def limb_brightness(model, light):
     """The refinement: a brightness that goes by the angle that surfaces are seen at."""
-    if light.solver is None or _share_left(model.problems, light) > MOST:
+    if light.solver is None or light.share_left(model.problems) > MOST:
         return model, light, {}
     with model.reporter.stage("fit"):
         columns = [aslant(p, light.fit.shown) for p in model.problems]
@@ -66,11 +66,6 @@ def aslant(problem, x) -> np.ndarray:
             out[start : start + len(points), i] = shown * (cosine.mean() - cosine)[:, None]
         start += len(points)
     return out
-
-
-def _share_left(problems, light) -> float:
-    left, seen = light.left_over(problems), light.radiance(problems)
-    return float(np.linalg.norm(left) / max(np.linalg.norm(seen), 1e-300))
 
 
 def _has_depth(material, surface=None) -> bool:
