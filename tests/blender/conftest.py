@@ -2,6 +2,7 @@
 """Tests inside Blender: the ``bpy`` wheel, in this process, nothing mocked."""
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -14,6 +15,24 @@ if str(ROOT) not in sys.path:
 bpy = pytest.importorskip("bpy")
 
 from tests.blender.sunny import LAMPS, write_sunny  # noqa: E402 (the root is on the path by now)
+
+
+def pytest_sessionfinish(session, exitstatus):
+    session.config.status_of_tests = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """Ends a process that is no worker's at once, when all is said.
+
+    Where something still holds on to the module bpy before 5.0 when Python ends, the process waits for ever for a
+    thread that would close the sound. Workers end so in any case.
+    """
+    if bpy.app.version < (5, 0) and not hasattr(config, "workerinput") and hasattr(config, "status_of_tests"):
+        config.get_terminal_writer().flush()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.status_of_tests)
 
 
 @pytest.fixture
