@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
+from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from scripts.cycles import materials, objects, studio
@@ -25,6 +26,22 @@ def test_plates_are_drawn_alike_and_of_all_kinds():
     assert all(
         np.hypot(*p["off"]) == pytest.approx(int(p["kinds"][0][0]) if p["kinds"][0][0].isdigit() else 0) for p in one
     )
+
+
+def test_lights_are_drawn_from_a_folder_of_maps(tmp_path):
+    """Any map stands in for Blender's, in every kind of set, and the truth is the map's."""
+    folder = tmp_path / "maps"
+    folder.mkdir()
+    with pytest.raises(InputError, match=r"it has no \.hdr files; name a folder with maps"):
+        plates.main([str(tmp_path), "--maps", str(folder), "--sets", "tenth"])
+    images.write_exr(folder / "even.exr", np.full((32, 64, 3), (2.0, 1.0, 0.5), np.float32))
+    path = str(folder / "even.exr")
+    for name in ("tenth", "stage anew", "unsaid anew", "painted anew", "seventh"):
+        here, usual = plate_sets.of_set(name, [path]), plate_sets.of_set(name)
+        assert {plate["light"] for plate in here} == {path} and path not in {plate["light"] for plate in usual}
+        assert len(here) == plate_sets.COUNT and set(here[0]) == set(usual[0])
+    plain = {**plate_sets.of_set("tenth", [path])[0], "sun": None}
+    assert plate_sets.truth(plain)[0] == pytest.approx(np.sqrt(4 * np.pi) * np.array([2.0, 1.0, 0.5]), rel=1e-3)
 
 
 def test_plates_of_several_materials_and_their_mean(tmp_path):

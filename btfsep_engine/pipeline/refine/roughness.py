@@ -82,8 +82,8 @@ def _rougher_or_smoother(model, light, i: int, rough: float):
     needed = CLEARLY if rough == said.roughness else FURTHER
     if answer.fit.evidence + prior < light.fit.evidence + needed:
         return None
-    is_explained = answer.share_left(trial.problems) < GROWN * light.share_left(model.problems)
-    return (trial, answer, better) if is_explained else None
+    is_as_good = answer.share_left(trial.problems) < GROWN * light.share_left(model.problems)
+    return (trial, answer, better) if is_as_good else None
 
 
 def _is_given(model, i: int) -> bool:
