@@ -9,6 +9,7 @@ from btfsep_engine.btf.model import Material
 from btfsep_engine.errors import InputError
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.pipeline.coarse_chroma import chroma_weights
+from btfsep_engine.pipeline.like_pixels import as_seen_on_the_whole, like_pixels_words
 from btfsep_engine.pipeline.points import chosen_points, names_of, photographed_regions
 from btfsep_engine.pipeline.problem import Problem, make_problem
 from btfsep_engine.pipeline.real_photo import as_real_photo, left_out_words, scale_words
@@ -116,6 +117,8 @@ def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> M
             )
     if settings.estimator == "map":
         problems = with_curves([replace(p, weights=chroma_weights(p)) for p in problems], settings)
+        if untried is not None and appearance == "mean":  # the texture is in no basis images
+            problems = [as_seen_on_the_whole(p, settings) for p in problems]
         recognised = [[not m.is_given for m in each] for each in materials]
         problems = [as_real_photo(p, settings, recognised=r) for p, r in zip(problems, recognised, strict=True)]
     looks = {appearance: problems}
@@ -137,6 +140,8 @@ def solve_model(model: Model, *, beside: Fit | None = None):
     """
     settings, problems = model.settings, model.problems
     choice = {"scale": scale_words(problems)}
+    if words := like_pixels_words(problems):
+        choice["pixels"] = words
     if settings.robust:
         choice["robust"] = left_out_words(problems)
     with model.reporter.stage("fit"):

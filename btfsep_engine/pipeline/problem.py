@@ -38,6 +38,8 @@ class Problem:
     vivid : whether it shows light of strong colours (`pipeline.refine.vivid`)
     painted : whether ``slopes`` have pieces of the objects that are lighter or darker (`pipeline.refine.painted`)
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
+    around : (p, k, 2) int32, places in the picture, row * width + column, of pairs of pixels that show what a point's
+        own does (`pipeline.like_pixels`), -1 where there is none; None: the point's own stands alone
     """
 
     scene: object
@@ -54,6 +56,7 @@ class Problem:
     vivid: bool = False
     painted: bool = False
     left_out: int | None = None
+    around: np.ndarray | None = None
 
     @property
     def all_basis(self) -> np.ndarray:
@@ -90,13 +93,39 @@ class Problem:
         """(p, …), the values of an image (h, w, …) of the same view."""
         return image[tuple(self.pixels.T)]
 
+    def means_of(self, image, reading=None) -> np.ndarray:
+        """(p, …) float64, the values of an image (h, w, …), of the points' pixels and of those `around` in the mean.
+
+        ``reading`` : values (…) -> what the mean is of; None: of themselves
+        """
+        read = (lambda values: values) if reading is None else reading
+        own = read(self.values_of(image)).astype(np.float64)  # floats overflow when squared
+        if self.around is None:
+            return own
+        there = self.around[..., 0] >= 0
+        row, _ = np.nonzero(there)
+        rows, columns = np.divmod(self.around[there], image.shape[1])
+        pairs = read(image[rows, columns]).astype(np.float64).sum(1)
+        sums = [np.bincount(row, values, minlength=len(own)) for values in pairs.reshape(len(row), -1).T]
+        count = 1 + 2 * there.sum(1).reshape(-1, *[1] * (own.ndim - 1))
+        return (own + np.stack(sums, -1).reshape(own.shape)) / count
+
+    def without_unusable(self) -> "Problem":
+        """The same without pairs `around` of which the photograph has clipped a pixel, or has none."""
+        if self.around is None:
+            return self
+        photo = self.scene.job.photo
+        usable = photo.usable if photo.clipped is None else photo.usable & ~photo.clipped.any(-1)
+        good = usable[np.divmod(np.maximum(self.around, 0), usable.shape[1])].all(-1)
+        good &= usable[tuple(self.pixels.T)][:, None]
+        return replace(self, around=np.where(good[..., None], self.around, -1))
+
     def radiance(self, photo=None) -> np.ndarray:
         """(p, 3) float64 to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
         if photo is None and self.measured is not None:
             values = self.measured
         else:
-            image = self.scene.job.photo.radiance if photo is None else photo
-            values = self.values_of(image).astype(np.float64)  # floats overflow when squared
+            values = self.means_of(self.scene.job.photo.radiance if photo is None else photo)
         if self.veil is not None:
             values = values - self.as_measured(self.veil_of_all)
         return values if self.correction is None else values - self.correction
@@ -121,13 +150,13 @@ class Problem:
 
         None where it shows not all of these pixels, or other ones are clipped.
         """
-        out = replace(self, scene=scene)
+        out = replace(self, scene=scene).without_unusable()
         was, now = self.clipped, out.clipped
         if (was != now).mean() > CLIPS or not (self.values_of(scene.job.photo.usable) | now.any(1)).all():
             return None
         if self.measured is None:
             return out
-        values = self.as_measured(self.values_of(scene.job.photo.radiance).astype(np.float64))
+        values = self.as_measured(out.means_of(scene.job.photo.radiance))
         return replace(out, measured=np.where(was, self.measured, values))
 
     def subset(self, used) -> "Problem":
@@ -141,6 +170,7 @@ class Problem:
             weights=None if self.weights is None else self.weights[used],
             correction=None if self.correction is None else self.correction[used],
             slopes=None if self.slopes is None else self.slopes[used],
+            around=None if self.around is None else self.around[used],
         )
 
     def of_materials(self, materials, settings: Settings) -> "Problem":

@@ -26,9 +26,10 @@ SELDOM = 4.25
 HARDLY_EVER = "and what has 8 bits a channel is hardly ever linear"
 
 
-def _read_by(curve: ToneCurve, problem, codes):
-    """The problem with its photo's ``codes`` (p, 3) read by a curve."""
-    values = problem.as_measured(radiance_of(problem.scene.job, curve, codes))
+def _read_by(curve: ToneCurve, problem, image, codes=lambda values: values):
+    """The problem with its photo read by a curve; ``codes`` : what makes codes of values of an ``image`` (h, w, 3)."""
+    job = problem.scene.job
+    values = problem.as_measured(problem.means_of(image, lambda some: radiance_of(job, curve, codes(some))))
     # every curve has 1 for the largest code
     return replace(problem, measured=np.where(problem.clipped, problem.radiance(), values))
 
@@ -41,9 +42,7 @@ def other_curves(model, light):
         return model, _believed(problems, light), choice
 
     def read_by(curve):
-        return [
-            p if p.scene.curves is None else _read_by(curve, p, p.values_of(p.scene.curves.codes)) for p in problems
-        ]
+        return [p if p.scene.curves is None else _read_by(curve, p, p.scene.curves.codes) for p in problems]
 
     total, each = known.shares[known.shares > PLAUSIBLE].sum(), zip(known.curves, known.shares, strict=True)
     others = [(read_by(curve), share / total) for curve, share in list(each)[1:] if share > PLAUSIBLE]
@@ -150,7 +149,10 @@ def _found(problems, light, read_by: ToneCurve) -> Doubt | None:
     logs, read = {}, {}
     others = [c for c in OTHERS[read_by] if c is not LINEAR or not any(p.scene.job.photo.is_jpeg for p in problems)]
     for curve in (read_by, *others):
-        read[curve] = [_read_by(curve, p, some) for p, some in zip(problems, each, strict=True)]
+        read[curve] = [
+            _read_by(curve, p, job.photo.radiance, lambda some, job=job: codes_of(job, some))
+            for p, job in zip(problems, (p.scene.job for p in problems), strict=True)
+        ]
         answer = light.solver.solve(light.radiance(read[curve]), weights=weights, start=light.of_objects)
         logs[curve] = log_probability(answer, curve.log_slope(codes) - np.log(unit), weights)
     before = {curve: SELDOM * (read_by is LINEAR and curve is SRGB) for curve in others}
