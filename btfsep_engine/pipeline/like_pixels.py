@@ -33,9 +33,7 @@ SOME = 400  # points that say whether a photo is textured
 
 def as_seen_on_the_whole(problem: Problem, settings: FitSettings) -> Problem:
     """The problem with the means of like pixels in place of single ones, where its photo is textured."""
-    if settings.estimator != "map" or any(m.lines_up for m in problem.materials):
-        return problem
-    if any(o.pictured for o in problem.scene.job.objects) or problem.scene.mirrors:
+    if settings.estimator != "map" or problem.scene.mirrors or any(m.lines_up for m in problem.materials):
         return problem
     few = np.random.default_rng(settings.seed).random(len(problem.pixels)) < SOME / len(problem.pixels)
     if not few.any() or variation(with_like_pixels(problem.subset(few))) < TEXTURED:

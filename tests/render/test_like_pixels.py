@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Means of like pixels: which are taken, of which photos, and what a light gains by it. The transport makes them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.fit.tone_curve import SRGB
+from btfsep_engine.job.model import Photo
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.like_pixels import (
+    TEXTURED,
+    as_seen_on_the_whole,
+    like_pixels_words,
+    variation,
+    with_like_pixels,
+)
+from btfsep_engine.pipeline.problem import make_problem
+from btfsep_engine.pipeline.refine.curves import _read_by
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.tone import Curves, codes_of
+from tests.render.scenes import (
+    as_mesh,
+    egg_and_pebble,
+    job_of,
+    looking_down,
+    off_as_seen,
+    picture,
+    scene_of,
+    with_photo,
+)
+
+SETTINGS = choose("draft", bounces=1, appearance="mean", order=2, align="never")
+WHITE = open_library(None).load("reference/white-diffuse")
+LIGHT = np.zeros((9, 3))
+LIGHT[0], LIGHT[1], LIGHT[2], LIGHT[3], LIGHT[6] = 3.0, 0.9, 1.2, -1.1, 0.5
+
+
+def of_mesh(mesh, *, texture: float, seed: int = 0, size: int = 96, focal: float = 200.0, **photo):
+    """A Problem of a white mesh whose photo varies by chance from pixel to pixel; and the photo without that."""
+    scene = scene_of(job_of([mesh], looking_down(size, focal)))
+    all_points = scene.points(0, region=scene.view.mesh == 0, textured=False)
+    clean = scene.radiance(all_points, WHITE, SHLighting(LIGHT), directions=256)[:, 0]
+    dark = np.random.default_rng(seed).lognormal(0, texture, len(all_points)) / np.exp(texture**2 / 2)
+    image = picture(all_points, clean * dark[:, None], size=size)
+    scene.job = with_photo(scene.job, image, **photo)
+    points = scene.points(0, textured=False)
+    chosen = points.take(np.arange(0, len(points), 3))
+    return make_problem(scene, [WHITE], [chosen], SETTINGS), picture(all_points, clean, size=size)
+
+
+def places(problem):
+    """Rows and columns (p, k, 2, 2) of the pairs, and which there are (p, k)."""
+    there = problem.around[..., 0] >= 0
+    width = problem.scene.job.camera.width
+    return np.stack(np.divmod(np.maximum(problem.around, 0), width), -1), there
+
+
+def test_pairs_lie_opposite_on_the_same_surface_and_are_all_there_are_of_them():
+    problem = with_like_pixels(of_mesh(egg_and_pebble(), texture=0.2)[0])
+    at, there = places(problem)
+    np.testing.assert_array_equal(
+        (at.sum(2) / 2)[there], np.broadcast_to(problem.pixels[:, None], (*at.shape[:2], 2))[there]
+    )
+    every = problem.scene.points(0, textured=False)
+    normals = np.zeros((96, 96, 3))
+    normals[tuple(every.pixels.T)] = every.normal
+    found = 0
+    for i, (row, column) in enumerate(problem.pixels):
+        pairs = {frozenset(map(tuple, pair)) for pair in at[i][there[i]].tolist()}
+        assert len(pairs) == there[i].sum()
+        expected = set()
+        for dr in range(-2, 3):
+            for dc in range(-2, 3):
+                pair = [(row + s * dr, column + s * dc) for s in (1, -1)]
+                if (dr or dc) and all(normals[p] @ normals[row, column] > np.cos(np.radians(12)) for p in pair):
+                    expected.add(frozenset((int(r), int(c)) for r, c in pair))
+        assert pairs == expected
+        found += len(pairs)
+    assert 4 * len(problem.pixels) < found < 12 * len(problem.pixels)
+
+
+def test_means_have_a_fifth_of_the_noise_of_single_pixels_and_next_to_no_bias():
+    problem, clean = of_mesh(as_mesh(trimesh.creation.icosphere(5, radius=0.45)), texture=0.2, size=192, focal=400.0)
+    made = as_seen_on_the_whole(problem, SETTINGS)
+    truth = problem.values_of(clean)
+    single, mean = (values[:, 1] / truth[:, 1] - 1 for values in (problem.radiance(), made.radiance()))
+    some = (made.around[..., 0] >= 0).all(1)  # all twelve pairs
+    assert some.mean() > 0.5
+    assert single[some].std() == pytest.approx(0.2, rel=0.1)
+    assert mean[some].std() == pytest.approx(0.2 / 5, rel=0.15)
+    flat = with_like_pixels(problem).means_of(clean)
+    assert np.abs(flat / truth - 1).max() < 0.02 and np.abs((flat / truth - 1).mean()) < 0.003
+
+
+def test_of_a_larger_picture_the_grid_is_as_much_wider():
+    ball = as_mesh(trimesh.creation.icosphere(5, radius=0.45))
+    small, large = (with_like_pixels(of_mesh(ball, texture=0.2, size=size, focal=2.6 * size)[0]) for size in (192, 1152))
+    widths = [np.abs(at[there][:, 0] - at[there][:, 1]).max() for at, there in map(places, (small, large))]
+    assert widths == [4, 12]
+
+
+def test_a_smooth_photo_is_left_as_it_is_and_so_are_others_that_have_no_use_of_it():
+    ball = as_mesh(trimesh.creation.icosphere(5, radius=0.45))
+    smooth, rough = (of_mesh(ball, texture=texture)[0] for texture in (0.01, 0.2))
+    assert variation(with_like_pixels(smooth)) < TEXTURED < variation(with_like_pixels(rough))
+    assert as_seen_on_the_whole(smooth, SETTINGS) is smooth and like_pixels_words([smooth]) is None
+    assert as_seen_on_the_whole(rough, choose("paper")) is rough
+    leather = open_library(None).load("leather/brown-grain")
+    laid = replace(leather, laid_mean=leather.texels.mean((0, 1)))
+    lined_up = replace(rough, materials=[laid])
+    assert as_seen_on_the_whole(lined_up, SETTINGS) is lined_up
+    assert "of up to 25 around it" in like_pixels_words([as_seen_on_the_whole(rough, SETTINGS)])
+
+
+def test_clipped_and_unusable_pixels_are_in_no_mean():
+    problem, _ = of_mesh(as_mesh(trimesh.creation.icosphere(5, radius=0.45)), texture=0.2)
+    rows = np.arange(96)[:, None] + np.zeros((1, 96), int)
+    bright = problem.scene.job.photo.radiance.copy()
+    bright[40:44], bright[50:53] = 1e6, np.nan
+    clipped = ((rows >= 40) & (rows < 44))[..., None] & np.array([True, False, False])
+    photo = Photo(bright, ~((rows >= 50) & (rows < 53)), 0, clipped=clipped)
+    problem.scene.job = replace(problem.scene.job, photo=photo)
+    found = with_like_pixels(problem)
+    at, there = places(found)
+    row = at[..., 0][there]
+    assert not (((row >= 40) & (row < 44)) | ((row >= 50) & (row < 53))).any()
+    own = problem.pixels[:, 0]
+    outside = (own < 40) | ((own >= 44) & (own < 50)) | (own >= 53)
+    means = found.means_of(bright)
+    assert np.isfinite(means[outside]).all() and means[outside].max() < 100
+    np.testing.assert_array_equal(means[(own >= 40) & (own < 44)], 1e6)  # as it is: a lower bound
+
+
+def test_another_photo_of_the_view_has_means_of_its_own():
+    problem, _ = of_mesh(egg_and_pebble(), texture=0.2)
+    made = as_seen_on_the_whole(problem, SETTINGS)
+    other = scene_of(with_photo(made.scene.job, 3 * made.scene.job.photo.radiance[::-1, ::-1] + 0.5))
+    again = made.again(other)
+    np.testing.assert_allclose(again.radiance(), again.means_of(other.job.photo.radiance))
+    assert np.abs(again.radiance() - problem.again(other).radiance()).max() > 0.1
+    half = np.arange(len(made.pixels)) % 2 == 0
+    np.testing.assert_array_equal(made.subset(half).means_of(other.job.photo.radiance), again.radiance()[half])
+
+
+def test_a_curve_is_applied_before_the_mean_is_taken():
+    problem, _ = of_mesh(egg_and_pebble(), texture=0.2)
+    job = problem.scene.job
+    codes = codes_of(replace(job, image_colorspace="srgb"), job.photo.radiance / job.photo.radiance.max())
+    read = SRGB.decode(codes).astype(np.float32)
+    problem.scene.job = with_photo(replace(job, image_colorspace="srgb"), read)
+    problem.scene.curves = Curves(codes, (SRGB,), np.ones(1))
+    made = as_seen_on_the_whole(problem, SETTINGS)
+    np.testing.assert_allclose(_read_by(SRGB, made, codes).measured, made.radiance(), rtol=1e-4)
+    of_codes = SRGB.decode(made.means_of(codes))
+    assert np.abs(of_codes / made.radiance() - 1).max() > 0.005
+
+
+def test_an_estimate_of_strong_texture_errs_less_and_states_less():
+    errors, stated = [], []
+    for seed in (0, 1, 2):
+        problem, _ = of_mesh(egg_and_pebble(), texture=0.15, seed=seed, size=192, focal=400.0)
+        found = estimate(problem.scene, open_library(None), SETTINGS, material="reference/white-diffuse")
+        assert "the mean of up to 25" in found.choice["pixels"]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("btfsep_engine.pipeline.like_pixels.TEXTURED", np.inf)
+            before = estimate(problem.scene, open_library(None), SETTINGS, material="reference/white-diffuse")
+        assert "pixels" not in before.choice
+        errors.append([off_as_seen(e.fit.coefficients, LIGHT) for e in (before, found)])
+        stated.append([np.linalg.norm(e.fit.stddev) for e in (before, found)])
+    before, after = np.mean(errors, 0)
+    assert after < 0.5 * before
+    before, after = np.mean(stated, 0)
+    assert after < 0.9 * before
