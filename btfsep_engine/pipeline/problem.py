@@ -100,9 +100,9 @@ class Problem:
         """
         read = (lambda values: values) if reading is None else reading
         own = read(self.values_of(image)).astype(np.float64)  # floats overflow when squared
-        if self.around is None:
+        there = np.zeros((len(own), 0), bool) if self.around is None else self.around[..., 0] >= 0
+        if not there.any():
             return own
-        there = self.around[..., 0] >= 0
         row, _ = np.nonzero(there)
         rows, columns = np.divmod(self.around[there], image.shape[1])
         pairs = read(image[rows, columns]).astype(np.float64).sum(1)

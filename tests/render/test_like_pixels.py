@@ -40,7 +40,7 @@ LIGHT = np.zeros((9, 3))
 LIGHT[0], LIGHT[1], LIGHT[2], LIGHT[3], LIGHT[6] = 3.0, 0.9, 1.2, -1.1, 0.5
 
 
-def of_mesh(mesh, *, texture: float, seed: int = 0, size: int = 96, focal: float = 200.0, **photo):
+def of_mesh(mesh, *, texture: float, seed: int = 0, size: int = 256, focal: float = 666.0, **photo):
     """A Problem of a white mesh whose photo varies by chance from pixel to pixel; and the photo without that."""
     scene = scene_of(job_of([mesh], looking_down(size, focal)))
     all_points = scene.points(0, region=scene.view.mesh == 0, textured=False)
@@ -67,7 +67,7 @@ def test_pairs_lie_opposite_on_the_same_surface_and_are_all_there_are_of_them():
         (at.sum(2) / 2)[there], np.broadcast_to(problem.pixels[:, None], (*at.shape[:2], 2))[there]
     )
     every = problem.scene.points(0, textured=False)
-    normals = np.zeros((96, 96, 3))
+    normals = np.zeros((260, 260, 3))  # with a margin, so that -2 and 257 are in it
     normals[tuple(every.pixels.T)] = every.normal
     found = 0
     for i, (row, column) in enumerate(problem.pixels):
@@ -85,7 +85,7 @@ def test_pairs_lie_opposite_on_the_same_surface_and_are_all_there_are_of_them():
 
 
 def test_means_have_a_fifth_of_the_noise_of_single_pixels_and_next_to_no_bias():
-    problem, clean = of_mesh(as_mesh(trimesh.creation.icosphere(5, radius=0.45)), texture=0.2, size=192, focal=400.0)
+    problem, clean = of_mesh(as_mesh(trimesh.creation.icosphere(5, radius=0.6)), texture=0.2)
     made = as_seen_on_the_whole(problem, SETTINGS)
     truth = problem.values_of(clean)
     single, mean = (values[:, 1] / truth[:, 1] - 1 for values in (problem.radiance(), made.radiance()))
@@ -97,15 +97,17 @@ def test_means_have_a_fifth_of_the_noise_of_single_pixels_and_next_to_no_bias():
     assert np.abs(flat / truth - 1).max() < 0.02 and np.abs((flat / truth - 1).mean()) < 0.003
 
 
-def test_of_a_larger_picture_the_grid_is_as_much_wider():
-    ball = as_mesh(trimesh.creation.icosphere(5, radius=0.45))
-    small, large = (with_like_pixels(of_mesh(ball, texture=0.2, size=size, focal=2.6 * size)[0]) for size in (192, 1152))
-    widths = [np.abs(at[there][:, 0] - at[there][:, 1]).max() for at, there in map(places, (small, large))]
-    assert widths == [4, 12]
+def test_of_a_larger_picture_the_grid_is_wider():
+    ball = as_mesh(trimesh.creation.icosphere(5, radius=0.6))
+    each = (
+        with_like_pixels(of_mesh(ball, texture=0.2, size=size, focal=3.9 * size)[0]) for size in (90, 180, 256, 1152)
+    )
+    widths = [np.abs(at[there][:, 0] - at[there][:, 1]).max() for at, there in map(places, each)]
+    assert widths == [2, 4, 4, 24]
 
 
 def test_a_smooth_photo_is_left_as_it_is_and_so_are_others_that_have_no_use_of_it():
-    ball = as_mesh(trimesh.creation.icosphere(5, radius=0.45))
+    ball = as_mesh(trimesh.creation.icosphere(5, radius=0.6))
     smooth, rough = (of_mesh(ball, texture=texture)[0] for texture in (0.01, 0.2))
     assert variation(with_like_pixels(smooth)) < TEXTURED < variation(with_like_pixels(rough))
     assert as_seen_on_the_whole(smooth, SETTINGS) is smooth and like_pixels_words([smooth]) is None
@@ -118,22 +120,22 @@ def test_a_smooth_photo_is_left_as_it_is_and_so_are_others_that_have_no_use_of_i
 
 
 def test_clipped_and_unusable_pixels_are_in_no_mean():
-    problem, _ = of_mesh(as_mesh(trimesh.creation.icosphere(5, radius=0.45)), texture=0.2)
-    rows = np.arange(96)[:, None] + np.zeros((1, 96), int)
+    problem, _ = of_mesh(as_mesh(trimesh.creation.icosphere(5, radius=0.6)), texture=0.2)
+    rows = np.arange(256)[:, None] + np.zeros((1, 256), int)
     bright = problem.scene.job.photo.radiance.copy()
-    bright[40:44], bright[50:53] = 1e6, np.nan
-    clipped = ((rows >= 40) & (rows < 44))[..., None] & np.array([True, False, False])
-    photo = Photo(bright, ~((rows >= 50) & (rows < 53)), 0, clipped=clipped)
+    bright[110:114], bright[130:133] = 1e6, np.nan
+    clipped = ((rows >= 110) & (rows < 114))[..., None] & np.array([True, False, False])
+    photo = Photo(bright, ~((rows >= 130) & (rows < 133)), 0, clipped=clipped)
     problem.scene.job = replace(problem.scene.job, photo=photo)
     found = with_like_pixels(problem)
     at, there = places(found)
     row = at[..., 0][there]
-    assert not (((row >= 40) & (row < 44)) | ((row >= 50) & (row < 53))).any()
+    assert not (((row >= 110) & (row < 114)) | ((row >= 130) & (row < 133))).any()
     own = problem.pixels[:, 0]
-    outside = (own < 40) | ((own >= 44) & (own < 50)) | (own >= 53)
+    outside = (own < 110) | ((own >= 114) & (own < 130)) | (own >= 133)
     means = found.means_of(bright)
     assert np.isfinite(means[outside]).all() and means[outside].max() < 100
-    np.testing.assert_array_equal(means[(own >= 40) & (own < 44)], 1e6)  # as it is: a lower bound
+    np.testing.assert_array_equal(means[(own >= 110) & (own < 114)], 1e6)  # as it is: a lower bound
 
 
 def test_another_photo_of_the_view_has_means_of_its_own():
@@ -163,7 +165,7 @@ def test_a_curve_is_applied_before_the_mean_is_taken():
 def test_an_estimate_of_strong_texture_errs_less_and_states_less():
     errors, stated = [], []
     for seed in (0, 1, 2):
-        problem, _ = of_mesh(egg_and_pebble(), texture=0.15, seed=seed, size=192, focal=400.0)
+        problem, _ = of_mesh(egg_and_pebble(), texture=0.15, seed=seed)
         found = estimate(problem.scene, open_library(None), SETTINGS, material="reference/white-diffuse")
         assert "the mean of up to 25" in found.choice["pixels"]
         with pytest.MonkeyPatch.context() as patch:
