@@ -9,9 +9,10 @@ import pytest
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.errors import InputError
+from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.job.load import load_job
-from scripts.studies import cameras, real
+from scripts.studies import balls, cameras, real
 from scripts.studies.measures import covered, errors
 
 NORMALS = fibonacci_sphere(800)
@@ -68,3 +69,38 @@ def test_a_job_saved_as_a_jpeg_is_read_by_the_curve_that_is_said_and_its_folder_
     np.testing.assert_allclose(codes, linear_to_srgb(radiance), atol=0.004)
     by_canon = real.as_jpeg(job.folder, "Canon EOS 6D", "camera").photo.radiance
     np.testing.assert_allclose(by_canon / by_canon.mean(), linear / linear.mean(), rtol=0.25)
+
+
+def test_a_mirror_ball_tells_the_light_of_the_grey_one_beside_it(tmp_path, rng, capsys):
+    """A light of order 2 that a yellowish mirror shows, on a neutral ball of albedo 0.3; the jobs are read again."""
+    normal, radius = balls.disc(128)
+    to_eye = np.array([0.0, -1.0, 0.0])
+    np.testing.assert_allclose(normal[64, 64], to_eye, atol=0.02)
+    assert normal[20, 64, 2] > 0.6 and normal[64, 110, 0] > 0.6  # above is up, right is +x
+    mirrored = 2 * (normal @ to_eye)[..., None] * normal - to_eye
+    tint, lights = np.array([0.7, 0.65, 0.6]), []
+    for i in range(3):
+        light = grey([4.0, *rng.normal(0, 0.4, 8)]) * (1 + 0.1 * i)
+        lights.append(light)
+        chrome = sh.evaluate(2, mirrored) @ light * tint * (radius < 1)[..., None]
+        ball = 0.3 / np.pi * sh.irradiance(light, normal.reshape(-1, 3)).reshape(128, 128, 3) * (radius < 1)[..., None]
+        (tmp_path / "pairs").mkdir(exist_ok=True)
+        write_exr(tmp_path / "pairs" / f"room_chrome_{i}.exr", chrome)
+        write_exr(tmp_path / "pairs" / f"room_gray_{i}.exr", ball)
+    assert balls.main([str(tmp_path / "pairs"), str(tmp_path / "jobs"), "--surface", "0.3", "0.5"]) == 0
+    assert "3 jobs" in capsys.readouterr().out
+    for i, light in enumerate(lights):
+        folder = tmp_path / "jobs" / f"room_gray_{i}"
+        job, truth = load_job(folder), real.true_light(folder)
+        assert errors(truth, light)["order2"] < 0.01 and truth.std(1).max() < 1e-3 * truth.max()
+        assert job.objects[0].surface.base_color == (0.3, 0.3, 0.3) and job.objects[0].mask[64, 64]
+        seen, b = real.facing(real.scene_of(job))
+        received = 0.3 / np.pi * sh.irradiance(light, seen)[:, 0]
+        assert np.abs(b / received - 1).max() < 0.05  # a pixel's corners have other normals than its middle
+    with pytest.raises(SystemExit):
+        balls.main([str(tmp_path), str(tmp_path / "none")])
+    assert "no pair of pictures" in capsys.readouterr().err
+    write_exr(tmp_path / "pairs" / "room_gray_1.exr", np.ones((20, 30, 3)))
+    with pytest.raises(SystemExit):
+        balls.main([str(tmp_path / "pairs"), str(tmp_path / "none")])
+    assert "no square" in capsys.readouterr().err and not (tmp_path / "none").exists()
