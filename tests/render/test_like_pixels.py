@@ -106,6 +106,28 @@ def test_of_a_larger_picture_the_grid_is_wider():
     assert widths == [2, 4, 4, 24]
 
 
+def test_of_two_objects_each_has_its_own_grid_and_one_of_which_nothing_is_used_none():
+    large, small = (
+        as_mesh(trimesh.creation.icosphere(4, r).apply_translation((x, 0, 0))) for r, x in ((0.5, -0.1), (0.15, 0.65))
+    )
+    scene = scene_of(job_of([large, small], looking_down(384, 900.0)))
+    points = [scene.points(i, textured=False) for i in range(2)]
+    image = np.random.default_rng(0).lognormal(0, 0.3, (384, 384, 3)).astype(np.float32)
+    scene.job = with_photo(scene.job, image)
+    found = with_like_pixels(make_problem(scene, [WHITE, WHITE], points, SETTINGS))
+    of_large, of_small = (a >= 0 for a in found.by_object(found.around))
+    assert of_large.any((0, 2)).sum() == 12 and 0 < of_small.any((0, 2)).sum() <= 4
+    owner = np.full((384, 384), -1)
+    for i, p in enumerate(points):
+        owner[tuple(p.pixels.T)] = i
+    at, there = places(found)
+    own = owner[tuple(found.pixels.T)]
+    assert (owner[at[..., 0], at[..., 1]] == own[:, None, None])[there].all()
+    none_of_it = with_like_pixels(make_problem(scene, [WHITE, WHITE], [points[0], points[1].take([])], SETTINGS))
+    np.testing.assert_array_equal(none_of_it.around, found.by_object(found.around)[0])
+    assert none_of_it.means_of(image).shape == (len(points[0]), 3)
+
+
 def test_a_smooth_photo_is_left_as_it_is_and_so_are_others_that_have_no_use_of_it():
     ball = as_mesh(trimesh.creation.icosphere(5, radius=0.6))
     smooth, rough = (of_mesh(ball, texture=texture)[0] for texture in (0.01, 0.2))
