@@ -180,3 +180,17 @@ def test_what_is_recognised_rightly_or_given_stays():
     assert same is model and found is before and words["finish"].startswith("as it is in the library")
     model, before, same, found, words, _ = taken_for(TEAL, Surface(RED, roughness=0.4), is_given=True)
     assert same is model and found is before and words == {}
+
+
+def test_some_plastic_gives_way_for_less_than_what_was_recognised(monkeypatch):
+    model, light, true = of_ball(Surface((0.15, 0.15, 0.15), roughness=0.4))
+    monkeypatch.setattr(finish, "FAR", np.inf)  # of the library's, and of those alone
+    changed, found, words = finished(model, light)
+    gain = found.fit.evidence - light.fit.evidence
+    assert gain > finish.OF_FAMILY and "a roughness of 0.4" in words["finish"]
+    assert changed.departed[0].name == PLASTIC and off(found.fit.coefficients, true[:9]) < off(
+        light.fit.coefficients, true[:9]
+    )
+    monkeypatch.setattr(finish, "OF_FAMILY", gain + 0.1)
+    same, as_before, words = finished(model, light)
+    assert same is model and as_before is light and "as it is in the library" in words["finish"]

@@ -60,8 +60,14 @@ def places(problem):
     return np.stack(np.divmod(np.maximum(problem.around, 0), width), -1), there
 
 
-def test_pairs_lie_opposite_on_the_same_surface_and_are_all_there_are_of_them():
-    problem = with_like_pixels(of_mesh(egg_and_pebble(), texture=0.2)[0])
+def tilted_box():
+    turned = trimesh.transformations.rotation_matrix(0.7, (1, 0.4, 0.2))
+    return as_mesh(trimesh.creation.box((0.8, 0.8, 0.8)).apply_transform(turned), flat=True)
+
+
+@pytest.mark.parametrize("mesh", [egg_and_pebble, tilted_box])
+def test_pairs_lie_opposite_on_the_same_surface_and_are_all_there_are_of_them(mesh):
+    problem = with_like_pixels(of_mesh(mesh(), texture=0.2)[0])
     at, there = places(problem)
     np.testing.assert_array_equal(
         (at.sum(2) / 2)[there], np.broadcast_to(problem.pixels[:, None], (*at.shape[:2], 2))[there]
