@@ -9,7 +9,7 @@ grid about it, of opposite pairs: what a slope adds on the one side it takes off
 object, within `SAME` of the pixel's own normal, and neither is clipped or left out by a mask.
 
 Not where the photo is smooth: there is nothing to average, and what edges of shadows and highlights lose by it is more
-than what is won (1.05 to 1.1 times the error, of plates of smooth surfaces). Nor where basis images have the texture.
+than what is won (of three sets of plates 1.11, 1.08 and 0.98 times the error). Nor where basis images have the texture.
 """
 
 from dataclasses import replace

@@ -31,7 +31,6 @@ MIRRORS = 0.985  # radius to which the mirror's picture is read: beyond, pixels 
 BEHIND = 0.97  # radius from which what it shows stands for what lies behind the ball
 INSIDE = 0.95  # radius of the grey ball's mask: the last pixels are blurred with what is behind them
 TO_WORLD = np.array([[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0], [0, 0, 0, 1.0]])  # looks along +y, z is up
-TERMS = sh.term_count(ERROR_ORDER)
 
 
 def disc(side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -39,7 +39,7 @@ GREY = 0.05  # as such
 # white references gain up to 8.5, and plain ones as a rule 50 to 200.
 # And by how much on a few of the pixels, before all are asked: of references those gain up to 11, these 30 and more.
 # One of the family itself says of a thing that it is a plastic, and nothing of how rough or dark: there a little is
-# enough. Of 18 photographs of a real ball 12 gain 3 to 12, and err 0.14 in place of 0.23; of 96 plates three, and err
+# enough. Of 18 photographs of a real ball nine gain 3 to 12, and err 0.14 in place of 0.33; of 95 plates three, and err
 # 0.94 to 1.13 times as much.
 FAR, OF_FAMILY, FROM_REFERENCE = 12.0, 3.0, (30.0, 15.0)
 PLASTIC, MATTE = "surface/plastic", "surface/matte"
