@@ -236,7 +236,6 @@ def import_mitsuba():
         else:
             os.environ["HOME"] = home
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    mitsuba.register_bsdf("btf", _btf_plugin)
     return mitsuba
 
 
@@ -261,13 +260,6 @@ def _syntax_later():
         yield
     finally:
         drjit.syntax = at_once
-
-
-def _btf_plugin(properties):
-    """The BSDF plugin ``btf`` of a scene, whose module most scenes do not need."""
-    from btfsep_engine.render.mitsuba_bsdf import plugin_of
-
-    return plugin_of(properties)
 
 
 def limit_threads(count: int) -> None:

@@ -40,7 +40,8 @@ _held = weakref.WeakValueDictionary()
 
 
 def material_key(material: Tabulated) -> str:
-    """A name under which the plugin finds ``material`` as long as somebody keeps it."""
+    """A name under which the plugin finds ``material`` as long as somebody keeps it; the plugin is known then."""
+    register(mi)
     key = f"material-{id(material)}"
     _held[key] = material
     return key

@@ -10,7 +10,7 @@ import pytest
 from btfsep_engine.btf.directions import hemisphere_quadrature, interpolator
 from btfsep_engine.btf.formats import writing
 from btfsep_engine.render.backend import import_mitsuba
-from btfsep_engine.render.mitsuba_bsdf import material_key
+from btfsep_engine.render.mitsuba_bsdf import material_key, register
 from tests.render.btf_materials import diffuse, glossy, matte, textured
 
 SIGNIFICANCE = 0.01
@@ -18,7 +18,9 @@ SIGNIFICANCE = 0.01
 
 @pytest.fixture
 def mi():
-    return import_mitsuba()
+    mi = import_mitsuba()
+    register(mi)
+    return mi
 
 
 @pytest.fixture
