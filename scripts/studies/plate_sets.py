@@ -28,7 +28,7 @@ SETS = {
     "unsaid anew": 202,
     "stage anew": 203,
     "painted anew": 204,
-}  # seeds; what was chosen by which of them, docs/accuracy.md says
+}  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
 OF_SURFACES = (0.35, 0.3, 0.25, 0.1)

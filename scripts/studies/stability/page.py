@@ -6,14 +6,15 @@ import numpy as np
 from scripts.cycles.lights import true_lighting
 from scripts.studies import tables
 from scripts.studies.measures import order2
-from scripts.studies.stability import charts, scenes
+from scripts.studies.stability import charts, scenes, unseen
 from scripts.studies.stability.answers import HIDDEN, POOR, Answers
 from scripts.studies.stability.axes import AXES
 from scripts.studies.stability.methods import BLIND, NAMES
-from scripts.studies.stability.run import UNDISTURBED
+from scripts.studies.stability.run import UNDISTURBED, Task
 
 NEVER = 0
 REACHING = "the light at the object's middle"  # as a method of its own
+MUCH = 0.1  # of a light, to be worth a word where nothing shows it
 WORSE = 1.5  # times the undisturbed error: from here on a disturbance is felt
 
 
@@ -33,7 +34,8 @@ def write(chosen, given) -> None:
         f"pixels, {given.samples} samples: each figure is of up to {len(answers.pairs)} photographs. A failure is an "
         f"error above {POOR:g}; it is hidden where nothing was said anew and the error is more than {HIDDEN:g} times "
         "the stated one.",
-        *("## In short", _short(answers), _overview(answers), _undisturbed(answers), _picture("stability", title)),
+        *("## In short", _short(answers), _behind(answers, given.work), _overview(answers), _undisturbed(answers)),
+        _picture("stability", title),
         "*Lines are medians; the band is the middle half of ours, the dashed line the error that ours states. "
         "What lies above a picture is written at its edge.*",
         *("## Axis by axis", *(_section(answers, name) for name in answers.names), "## The other measures"),
@@ -83,6 +85,25 @@ def _short(answers) -> str:
             lines.append(
                 f"- {NAMES[method]}: {bad} failures in {total} answers ({100 * bad / total:.0f} %), {already} of them "
                 f"on photographs that fail undisturbed too{said}."
+            )
+    return "\n".join(lines)
+
+
+def _behind(answers, work) -> str:
+    """What of the light lights no face that the camera sees, and what not to know it would cost."""
+    lines = []
+    for scene, light in answers.pairs:
+        folder = scenes.geometry_folder(work, scene, scenes.AS_IS)
+        if not (folder / "job.json").exists():
+            continue
+        share, error = unseen.share_and_error(folder, light)
+        if share > MUCH:
+            ours = answers.records.get((Task(UNDISTURBED, 0, scene, light), "ours"))
+            beside = f"; ours errs {_number(ours['order2'])}" if ours else ""
+            lines.append(
+                f"- Of *{scenes.light_name(light)}* {_percent(share)} comes from where it lights no face of the "
+                f"*{scene.name}*'s mesh that the camera sees: who knew all the rest exactly, and that for dark, would "
+                f"err {_number(error)} undisturbed{beside}."
             )
     return "\n".join(lines)
 
