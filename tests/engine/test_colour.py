@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from btfsep_engine.fit.colour import ANY, DYE, FILTERED, LIGHT, MISSTATED, UNKNOWN, VIVID, split, tint_of
+from btfsep_engine.fit.log_normal import LightSolver
+from tests.engine.half_sphere import half_sphere, shown, side_light
 
 
 def integrated(tint, hypotheses):
@@ -79,3 +81,16 @@ def test_factors_are_drawn_with_the_covariance_of_the_lights_tint(rng):
     drawn = np.stack([factors[:, 0] - factors[:, 2], factors[:, 1] - (factors[:, 0] + factors[:, 2]) / 2])
     np.testing.assert_allclose(np.cov(drawn), found.covariance, atol=0.05 * found.covariance.max())
     np.testing.assert_allclose(factors.sum(1), 0, atol=1e-9)
+
+
+def test_what_is_shown_is_the_photo_whoever_its_colour_is_given_to(rng):
+    """An orange thing in the grey material's place: half of its colour goes to it, and none of the photo is lost."""
+    basis, normals, _ = half_sphere(rng, albedo=(0.5, 0.5, 0.5))
+    b = shown(basis, side_light(), rng, 0.02) * [1.68, 0.99, 0.54]
+    fit = LightSolver(basis, normals=normals, order=4).solve(b)
+    assert fit.tint.unknown > 0.8 and np.abs(fit.tint.object_tint).max() > 0.5
+
+    def misfit(x):
+        return np.linalg.norm(shown(basis, x) - b) / np.linalg.norm(b)
+
+    assert misfit(fit.shown) < 0.04 < 0.2 < misfit(fit.all_coefficients)
