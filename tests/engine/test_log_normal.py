@@ -239,6 +239,8 @@ def test_of_lamps_behind_the_object_the_range_knows(rng):
     alone, lamps = (hidden_lamps(solver.basis, 2000, np.random.default_rng(1), lamps=k) for k in (0, 2))
     lit = lamps[:, 0, 0] > 0
     assert 0.02 < (alone[:, 0, 0] > 0).mean() < 0.1 and 3.5 < lit.mean() / (alone[:, 0, 0] > 0).mean() < 5.5
+    bright = np.log(lamps[lit, 0, 0] * np.sqrt(4 * np.pi))  # of what irradiance
+    assert abs(np.median(bright) - np.log(2 * np.pi)) < 0.2 and 0.9 < bright.std() < 1.1
     towards = lamps[lit][:, [3, 1, 2], 0] * [-1, -1, 1]
     assert (towards[:, 1] > 0.7 * np.linalg.norm(towards, axis=1)).all()  # the camera looks along +y
     photographed = np.array([solver.basis.predicted(x).mean() for x in lamps[lit]])
