@@ -86,6 +86,13 @@ def test_bright_even_light_with_lamps_that_leaves_much_over_is_a_field_s_whateve
         assert (decided(other, rich, photo)[0] is other) is stand
 
 
+@pytest.mark.parametrize(("noise", "brighter"), [(0.001, 0.035), (0.06, 0.065)], ids=["floor", "field's own"])
+def test_what_no_material_explains_or_the_field_leaves_over_speaks_against_no_even_light(rng, noise, brighter):
+    fit, _, _ = solved(rng, even() + lamp(SUN, [3.0] * 3), noise=noise)
+    plain = replace(fit.election.solution, x=fit.election.solution.x * (1 + brighter))
+    assert is_plain(fit) and decided(plain, fit.election.rival, fit.election.photo)[0] is plain
+
+
 def test_of_lamps_in_the_dark_and_a_sky_the_more_probable_stands(rng):
     """And where it is the sky, by less than 3 of the logarithm of the evidence, the lamps are in what is stated."""
     fit, _, _ = solved(rng, even((0.1,) * 3) + lamp(SUN, [3.0] * 3))
