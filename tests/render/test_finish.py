@@ -61,6 +61,27 @@ def test_what_is_red_and_glossy_is_found_to_be_and_the_light_with_it(name):
     np.testing.assert_allclose(base_colour(material.dye) @ [1, -1, 0], 1 - RED[1] / RED[0], atol=0.06)
 
 
+def test_between_those_that_are_tried_a_walk_finds_a_better_one():
+    """Of a base of 0.2, beside 0.6 and 0.25; a draft does not walk."""
+    quick, light, true = of_ball(Surface((0.2,) * 3, roughness=0.3))
+    _, drafted, _ = finished(quick, light)
+    changed, found, _ = finished(replace(quick, settings=replace(quick.settings, refine="all")), light)
+    assert found.fit.evidence > drafted.fit.evidence + 20
+    before, after = (off(each.fit.coefficients, true[:9]) for each in (drafted, found))
+    assert after < 0.3 * before
+    assert changed.problems[0].materials[0].name == PLASTIC
+
+
+def test_a_walk_stays_among_surfaces_of_its_colour():
+    near = finish._beside(Surface((0.8, 0.4, 0.2), roughness=0.25))
+    assert [each.roughness for each in near] == [0.35, 0.2, 0.25, 0.25]
+    np.testing.assert_allclose(
+        [each.base_color for each in near[2:]], [[0.85, 0.425, 0.2125], [0.5714, 0.2857, 0.1429]]
+    )
+    dark = finish._beside(Surface((0.17, 0.0, 0.17), roughness=1.0))
+    assert dark[0].roughness == 1.0 and dark[3].base_color == (0.17, 0.0, 0.17)
+
+
 @pytest.mark.parametrize(("name", "is_asked"), [("reference/white-diffuse", False), ("surface/matte", True)])
 def test_a_reference_is_asked_of_all_pixels_where_a_few_promise_enough(name, is_asked, monkeypatch):
     model, light, _ = of_ball(Surface(RED, roughness=0.4), name)

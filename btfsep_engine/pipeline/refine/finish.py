@@ -11,8 +11,8 @@ found by turns.
 A material that was recognised stands beside them: recognition knows what looks most like the photo, and of a thing
 that is not in the library that may be anything. Where a plain surface explains the photo far better, it takes over.
 
-Surfaces are tried on a few of the pixels, under a field alone; the best of them on all. Of one object alone: a tint is
-that of all light.
+Surfaces are tried on a few of the pixels, under a field alone; the best of them on all, and one beside it that a walk in
+small steps comes to, on the few pixels again. Of one object alone: a tint is that of all light.
 """
 
 from dataclasses import dataclass, replace
@@ -21,6 +21,7 @@ import numpy as np
 
 from btfsep_engine.btf.surfaces import SURFACES, Surface
 from btfsep_engine.fit.colour import base_colour, tint_of
+from btfsep_engine.fit.search import Solution
 from btfsep_engine.pipeline.light_account import UNKNOWN_COLOUR
 from btfsep_engine.pipeline.refine.reflectance import FEW, HOPEFUL, fewer, field_alone, with_material
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
@@ -30,6 +31,10 @@ ROUGHNESSES = (0.2, 0.4, 0.6, 0.9)
 BRIGHTEST = (0.6, 0.25)  # of the base colour's channels
 OF_METAL = (0.45, 0.6)  # roughnesses beside its own: of smoother ones the light's order shows too little
 ON_ALL = 2  # surfaces that are tried on all pixels
+# Steps of that walk, and how far it may go. Of 32 plates, as any plastic, the error is 0.88 times what it is without, 7
+# less by a tenth, none more; of 32 others with flaws in lens and surface, and of 18 photographs of a real ball, 1.00.
+FINER, SMOOTHEST, ROUGHEST = 0.1, 0.2, 1.0  # of a roughness
+LIGHTER, DARKEST, LIGHTEST = 1.4, 0.17, 0.85  # of the brightest of the base colour's channels; the first a factor
 TURNS = 3
 SETTLED = 0.05  # of a tint
 GREY = 0.05  # as such
@@ -122,8 +127,35 @@ def _best(problems, light, tint, every: list[Surface], hopeful: float, settings)
     if evidence.max() < own.evidence + hopeful:
         return None
     tried = [every[i] for i in np.argsort(evidence)[-ON_ALL:]]
-    each = [_by_turns(problems, light, surface, tint, settings) for surface in tried]
+    if settings.refine == "all" and not tried[-1].metallic:
+        tried.append(_walked_to(few, own, tried[-1], evidence.max(), light, settings))
+    each = [_by_turns(problems, light, surface, tint, settings) for surface in dict.fromkeys(tried)]
     return max(each, key=lambda one: one.light.fit.evidence)
+
+
+def _walked_to(few, start: Solution, surface: Surface, evidence: float, light, settings) -> Surface:
+    """The surface that a walk from ``surface`` ends at: to the next rougher, smoother, lighter or darker one that
+    explains a few of the pixels best, as long as that does better. ``evidence`` : of ``surface``"""
+    name, known = few[0].materials[0].name, {surface: evidence}
+    while True:
+        for near in _beside(surface):
+            if near not in known:
+                trial = with_material(few, 0, homogeneous(near, name), settings)
+                known[near] = field_alone(trial, light, settings, start=start).evidence
+        best = max(known, key=known.get)
+        if best == surface:
+            return surface
+        surface = best
+
+
+def _beside(surface: Surface) -> list[Surface]:
+    """Those a step away, of the same colour."""
+    colour = np.array(surface.base_color)
+    brightest = float(colour.max())
+    roughnesses = [round(float(np.clip(surface.roughness + d, SMOOTHEST, ROUGHEST)), 2) for d in (FINER, -FINER)]
+    by_brightness = [np.clip(brightest * f, DARKEST, LIGHTEST) / brightest for f in (LIGHTER, 1 / LIGHTER)]
+    colours = [tuple(float(round(c, 4)) for c in colour * f) for f in by_brightness]
+    return [replace(surface, roughness=r) for r in roughnesses] + [replace(surface, base_color=c) for c in colours]
 
 
 def _by_turns(problems, light, surface: Surface, tint, settings) -> Finished:
