@@ -11,8 +11,8 @@ found by turns.
 A material that was recognised stands beside them: recognition knows what looks most like the photo, and of a thing
 that is not in the library that may be anything. Where a plain surface explains the photo far better, it takes over.
 
-Surfaces are tried on a few of the pixels, under a field alone; the best of them on all, and one beside it that a walk in
-small steps comes to, on the few pixels again. Of one object alone: a tint is that of all light.
+Surfaces are tried on a few of the pixels, under a field alone; the best of them on all, and one beside it that a walk
+in small steps comes to, on the few pixels again. Of one object alone: a tint is that of all light.
 """
 
 from dataclasses import dataclass, replace
