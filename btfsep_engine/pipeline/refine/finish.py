@@ -29,7 +29,7 @@ from btfsep_engine.render.homogeneous import homogeneous
 
 ROUGHNESSES = (0.2, 0.4, 0.6, 0.9)
 # Of the base colour's channels. Nothing darker: of a real grey ball the evidence prefers 0.1 with a roughness of 0.6:
-# by that the light of seven of 18 photographs errs 0.15 to 0.36, and 0.09 to 0.16 without; of six it errs a little less.
+# by that the light of seven of 18 photographs errs 0.15 to 0.36, and 0.09 to 0.16 without; six err a little less.
 BRIGHTEST = (0.6, 0.25)
 OF_METAL = (0.45, 0.6)  # roughnesses beside its own: of smoother ones the light's order shows too little
 ON_ALL = 2  # surfaces that are tried on all pixels
