@@ -19,14 +19,15 @@ the photo does not show what it says of those that it does, and nobody knows tha
 """
 
 import copy
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from btfsep_engine import sh
 from btfsep_engine.fit import colour
+from btfsep_engine.fit.elected import Election
 from btfsep_engine.fit.election import (
     elect,
     from_elsewhere,
@@ -42,34 +43,13 @@ from btfsep_engine.fit.posterior import HIDDEN, WIDER, hidden_lamps, posterior_s
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
 from btfsep_engine.fit.search import Solution, nearby
 from btfsep_engine.fit.sharp_lamp import Sharpened, SharpLight
-from btfsep_engine.fit.stated import REFLECTANCE, Fit, Stated, decided_unknowns, stated_by
+from btfsep_engine.fit.stated import REFLECTANCE, Fit, Lamp, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import as_vivid, natural_field
 from btfsep_engine.threads import one_thread
 
 SAMPLES = 200
 GROUND_ROUNDS = 3  # of what a ground departs by and the light that it goes by
 SAME_GROUND = 0.03  # change of what a light predicts of it
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """A lamp or sun of the light.
-
-    Attributes
-    ----------
-    direction : (3,) unit, to the lamp; irradiance : (3,) on a surface that faces it; stddev : (3,) of it
-    degrees : standard deviation of the direction
-    share, share_stddev : of the light's mean radiance
-    given : whether its direction was
-    """
-
-    direction: np.ndarray
-    irradiance: np.ndarray
-    stddev: np.ndarray
-    degrees: float
-    share: float
-    share_stddev: float
-    given: bool = False
 
 
 class LightSolver:
@@ -200,7 +180,7 @@ class LightSolver:
         how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes, "field": self.field}
         return kind(self.basis, radiance, weights=weights, **how)
 
-    def _onward(self, photo: Photograph, before: "Election") -> Fit:
+    def _onward(self, photo: Photograph, before: Election) -> Fit:
         """The light of an earlier election's models, from their lights on; of the rival's when it is asked for."""
         return self._fit(photo, onward(photo, before.solution), before.latest_rival, open_rival=True)
 
@@ -354,60 +334,3 @@ def moved(before: Fit, now: Fit) -> Stated:
         lamps.append(replace(lamp, direction=direction, irradiance=irradiance, share=share))
     ranges = {"interval": stated.interval + step, "pattern": stated.pattern + step}
     return replace(stated, samples=stated.samples + step, lamps=tuple(lamps), **ranges)
-
-
-@dataclass(frozen=True, eq=False)
-class Election:
-    """Which model was elected, of which photo.
-
-    ``solution``; ``known_rival``, as of `election.decided`, or None; the ``photo`` (its products); the ``unit`` (3,) of
-    its light; ``is_open`` : whether the rival is that of an earlier photograph, or basis, from whose light the search
-    goes on when it is first asked for: most fits of a search are compared, and nothing is stated of them.
-    """
-
-    solution: Solution
-    known_rival: Solution | None
-    photo: Photograph
-    unit: np.ndarray
-    is_open: bool = False
-
-    @cached_property
-    def rival(self) -> Solution | None:
-        """The model that nearly stood, or that might, at its most probable light."""
-        if not self.is_open or self.known_rival is None:
-            return self.known_rival
-        with one_thread():
-            return onward(self.photo, self.known_rival)
-
-    @property
-    def latest_rival(self) -> Solution | None:
-        """The same as far as it is known: where it has not been asked for, of an earlier photograph."""
-        return vars(self).get("rival", self.known_rival)
-
-    @property
-    def sky(self) -> np.ndarray:
-        """(terms, 3), coefficients of the field alone, without lamps."""
-        return self.solution.model.sky(self.solution.white).T[: self.photo.basis.terms] * self.unit
-
-    @property
-    def found(self) -> range:
-        """The numbers of those of its lamps whose direction was not given."""
-        model = self.solution.model
-        return range(len(model.given), len(model.lamps))
-
-    @property
-    def lamps(self) -> list:
-        """Direction (3,) and irradiance (3,) of each lamp of the model, in the colour that the object gives it."""
-        model = self.solution.model
-        found = [model.lamp(i, q) for i, q in enumerate(model.parts(self.solution.white)[1])]
-        return [(direction, irradiance * self.photo.level) for direction, irradiance in found]
-
-    @property
-    def evidence_of_photo(self) -> float:
-        """The evidence's logarithm, comparable between photographs that differ by something known."""
-        photo = self.photo
-        return self.solution.evidence - float((photo.count * np.log(photo.level)).sum()) / photo.coarsening
-
-    def radiance(self, directions) -> np.ndarray:
-        """The field's radiance in ``directions : (m, 3)``, without lamps: (m, 3), positive."""
-        return self.solution.model.radiance(self.solution.white, np.asarray(directions)) * self.unit

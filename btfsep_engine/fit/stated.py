@@ -26,6 +26,27 @@ ERROR_ORDERS = (1, 2)
 
 
 @dataclass(frozen=True)
+class Lamp:
+    """A lamp or sun of the light.
+
+    Attributes
+    ----------
+    direction : (3,) unit, to the lamp; irradiance : (3,) on a surface that faces it; stddev : (3,) of it
+    degrees : standard deviation of the direction
+    share, share_stddev : of the light's mean radiance
+    given : whether its direction was
+    """
+
+    direction: np.ndarray
+    irradiance: np.ndarray
+    stddev: np.ndarray
+    degrees: float
+    share: float
+    share_stddev: float
+    given: bool = False
+
+
+@dataclass(frozen=True)
 class Stated:
     """How well a light is known, of all orders of its fit.
 
@@ -34,7 +55,7 @@ class Stated:
     stddev : (terms, 3) float64; determined : (terms,) bool
     interval : (2, terms, 3), the ends of the range that holds 95 % of the samples; None without a prior
     samples : (n, terms, 3), lights as probable as the posterior has them; None without a prior
-    lamps : log_normal.Lamp, the brightest first
+    lamps : Lamp, the brightest first
     pattern : (4, terms, 3), `pattern_ranges`; None without a prior
     """
 
@@ -61,7 +82,7 @@ class Fit:
     effective_degrees_of_freedom : of a channel's unknowns, how many the photo decides (all, without a prior)
     noise : a pixel's own misfit over the photo's root mean square; None without a prior
     tint : colour.Tint, what of the light's colour was taken to be the object's; None without a prior
-    election : log_normal.Election, which models stood and what they were given; None without a prior
+    election : elected.Election, which models stood and what they were given; None without a prior
     seen : (terms, 3), `shown` without the light that does not reach what is photographed; None: all of it does
     """
 

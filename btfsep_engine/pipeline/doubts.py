@@ -81,7 +81,7 @@ def given_lamp_doubts(lamp, *, gain: float, instead, shown: bool, beside: bool =
 
     Parameters
     ----------
-    lamp : `fit.log_normal.Lamp`
+    lamp : `fit.stated.Lamp`
     gain : of the logarithm of the evidence, without it
     instead : direction (3,) of the lamp that is then found nearest to it; None: there is none
     shown : whether it lights what the photo shows

@@ -9,9 +9,10 @@ import pytest
 from btfsep_engine import sh
 from btfsep_engine.conventions import across
 from btfsep_engine.fit.light_model import LightModel
-from btfsep_engine.fit.log_normal import Lamp, LightSolver
+from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import LAMP_COST, solve
+from btfsep_engine.fit.stated import Lamp
 from btfsep_engine.job.model import KnownLamp
 from btfsep_engine.light.log_field import even_field, natural_field
 from btfsep_engine.pipeline.doubts import given_lamp_doubts

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from btfsep_engine.fit.log_normal import Lamp
+from btfsep_engine.fit.stated import Lamp
 from btfsep_engine.light.sun import Near
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.refine.key_lights import key_lights
