@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What no photograph of an object can tell: the light that lights none of its pixels."""
+"""What of a light lights no face of a mesh that its photograph shows: only relief and gloss could tell of it."""
 
 from pathlib import Path
 
