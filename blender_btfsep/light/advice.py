@@ -11,6 +11,7 @@ LEVELS = ("GREEN", "AMBER", "RED")
 MATERIAL = "does not rule them out"  # `card` says it from the answer itself, by names
 NONE_OF_THESE = "looks like none of the library's materials"
 MISFIT = "does not go with the photo"
+COLOUR_UNKNOWN = "the object's colour is not known"
 BY_CURVE = "with the photo read by the tone curve that was found"
 FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said but under Details
 
@@ -41,7 +42,7 @@ KNOWN = (
         "AMBER",
     ),
     Advice(BY_CURVE, "What {0} is taken for depends on the tone curve; choose its material", "MATERIAL", "AMBER"),
-    Advice("the object's colour is not known", "The object's own colour is not known; give it", "COLOUR", "AMBER"),
+    Advice(COLOUR_UNKNOWN, "The object's own colour is not known; give it", "COLOUR", "AMBER"),
     Advice(
         "has a colour that is seldom met",
         "Coloured lamps, or {0} is of another colour than it is said to be",

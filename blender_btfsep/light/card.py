@@ -10,7 +10,7 @@ import re
 import numpy as np
 
 from ..basics.harmonics import LUMINANCE, evaluate, order_of
-from .advice import BY_CURVE, MATERIAL, MISFIT, NONE_OF_THESE, advice, worst
+from .advice import BY_CURVE, COLOUR_UNKNOWN, MATERIAL, MISFIT, NONE_OF_THESE, advice, worst
 from .light_words import EVEN, ONE_SIDED, angles, brighter_side, colour_words, direction_words, irradiance, size_words
 
 GOOD, FAIR = 0.15, 0.35  # the expected error up to which the light is green, and amber
@@ -18,6 +18,7 @@ TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not state
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
+PLAIN = "surface/"  # how the engine's surfaces are called that are no material of a library
 READING = {"UPRIGHT", "AGX", "STANDARD", "CAMERA", "CURVE"}
 """What mends how the photo is read: most other doubts may come of that."""
 COMMANDS = re.compile(r" \([^()]*--[^()]*\)|; see stddev in lighting\.json")  # what the command line is told
@@ -53,7 +54,7 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     idle = ()
     if any(a.phrase == NONE_OF_THESE for _, a in told):  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
-        idle = (MISFIT,)  # its colour is asked for already
+        idle = (MISFIT, COLOUR_UNKNOWN)  # its colour is asked for already
     which = [a for _, a in told if a.short and a.phrase not in idle]
     shown = {a.short: doubt_of(a) for a in which}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}
@@ -183,7 +184,7 @@ def _unsure_materials(result: dict) -> list:
     out = []
     for found in result.get("objects") or []:
         likely = found.get("likely") or []
-        if len(likely) < 2:
+        if len(likely) < 2 or all(name.startswith(PLAIN) for name in likely):  # of those the colour is asked for
             continue
         kinds = list(dict.fromkeys(name.split("/")[0] for name in likely))
         names = kinds if len(kinds) > 1 else [_plain(name) for name in likely]

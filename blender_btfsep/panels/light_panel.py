@@ -120,7 +120,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
     def _doubt(self, context, box, doubt):
         """A doubt of a card, with the button that mends it."""
         labels.wrapped(context, box, doubt["short"], icon="ERROR")
-        mend, about = doubt["mend"], next((w for n, w, _ in mending.MENDS if n == doubt["mend"]), "")
+        mend = doubt["mend"]
         if mend == "ALIGN":
             sidebar.refine_alignment(box, context.scene.btfsep)
         elif mend == "UPRIGHT":
@@ -128,8 +128,11 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         elif mend == "FREEZE":
             self._suns(context, box)
         elif mend:
-            button = box.operator("btfsep.mend", text=about)
-            button.how, button.object = mend, doubt["object"]
+            row = box.row(align=True)
+            own = mend == "COLOUR" and mending.may_be_its_own(context.scene.btfsep, doubt["object"])
+            for how in ("BLENDER", mend) if own else (mend,):
+                button = row.operator("btfsep.mend", text=mending.WORDS[how])
+                button.how, button.object = how, doubt["object"]
 
     def _card(self, context, layout, run, light):
         card = kept_light.card(light)

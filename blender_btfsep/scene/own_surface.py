@@ -16,6 +16,7 @@ NAME = "btfsep_material"  # custom property of a Blender material: the library's
 FINISH = ("roughness", "metallic", "specular")  # in an image of finishes: red, green, blue
 VARYING = ("Roughness", "Metallic", "Specular IOR Level", "Base Color", "Color")  # inputs whose links are baked
 MOST_FINISHES = 16  # that a job may have of one object
+NEW = 0.8  # of each channel of a new material's colour, which says nothing
 ALIKE = 0.01  # numbers of materials that differ by less are one
 
 
@@ -50,6 +51,25 @@ def material_words(thing) -> str:
     names = dict.fromkeys(f"'{slot.material.name}'" for slot in thing.material_slots if slot.material)
     own = ", ".join(names) + (", each where it is" if len(names) > 1 else "")
     return material_named_by(thing) or own or "It has no material: white"
+
+
+def tells_a_colour(thing) -> bool:
+    """Whether the Blender material of an object (or None) says a colour: another one than a new material has."""
+    if thing is None:
+        return False
+    slots = thing.material_slots
+    if thing.instance_type == "COLLECTION" and thing.instance_collection:
+        slots = [slot for each in thing.instance_collection.all_objects for slot in each.material_slots]
+    return any(_is_coloured(slot.material) for slot in slots)
+
+
+def _is_coloured(material) -> bool:
+    output = material.node_tree.get_output_node("CYCLES") if material and material.node_tree else None
+    source = source_of(output.inputs["Surface"]) if output else None
+    socket = source and (source.node.inputs.get("Base Color") or source.node.inputs.get("Color"))
+    if not socket:
+        return False
+    return source_of(socket) is not None or max(abs(c - NEW) for c in socket.default_value[:3]) > ALIKE
 
 
 def bakes(things: dict, parts: dict, surfaces: dict | None, depsgraph) -> dict:

@@ -8,9 +8,11 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..basics.errors import InputError
 from ..run import buttons, request
+from ..scene import own_surface
 
 MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
+    ("BLENDER", "As in Blender", "Take what the object's own Blender material says; estimate again afterwards"),
     ("MATERIAL", "Choose Material", "Choose the object's material in the library"),
     ("AGX", "Read as AgX", "Read the photo as a render that was saved with AgX; estimate again afterwards"),
     (
@@ -22,7 +24,9 @@ MENDS = (
     ("SELECT", "Go to Its Material", "Select what is in doubt, and show its material in the properties"),
     ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
 )
+WORDS = {how: words for how, words, _ in MENDS}
 READ_AS = {"AGX": "agx", "STANDARD": "srgb", "CAMERA": "camera", "CURVE": "unknown"}
+SOURCE = {"COLOUR": "COLOUR", "BLENDER": own_surface.BLENDER, "MATERIAL": "LIBRARY"}
 
 
 class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
@@ -49,15 +53,31 @@ class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
             return ""
         if self.how == "SELECT":
             return select(context, self.object.splitlines())
-        if settings.depth is None:
-            named = (n for n, e in enumerate(settings.objects) if e.object and self.object in ("", e.object.name))
-            number = next(named, None)
+        if settings.depth is None and self.object:
+            number = number_of(settings, self.object)
             if number is None:
                 raise InputError(f"object '{self.object}'", "it is not in the list", "add it")
-            if self.object:
-                settings.active_object = number
-        request.active_entry(settings).source = "COLOUR" if self.how == "COLOUR" else "LIBRARY"
+            settings.active_object = number
+        entry = request.active_entry(settings)
+        if entry is None:
+            raise InputError("the list of objects", "it is empty", "add what the photo shows")
+        entry.source = SOURCE[self.how]
         return ""
+
+
+def number_of(settings, name: str) -> int | None:
+    """Which of the list's entries has the object of that name; None: none."""
+    return next((n for n, e in enumerate(settings.objects) if e.object and e.object.name == name), None)
+
+
+def may_be_its_own(settings, name: str) -> bool:
+    """Whether the object in doubt (of no name: the active one) might be taken as its Blender material says, and is not
+    yet."""
+    number = number_of(settings, name) if name else settings.active_object
+    if settings.depth is not None or number is None or not 0 <= number < len(settings.objects):
+        return False
+    entry = settings.objects[number]
+    return entry.source in ("RECOGNISE", "LIBRARY") and own_surface.tells_a_colour(entry.object)
 
 
 def select(context, names) -> str:

@@ -8,6 +8,7 @@ from ..basics.errors import InputError
 from ..run.buttons import AtOnce, Greyed
 from ..run.request import active_entry
 from ..scene.meshes import has_surface
+from .use_photo import show_outlines
 
 
 class BTFSEP_OT_add_objects(Greyed, AtOnce, bpy.types.Operator):
@@ -29,6 +30,8 @@ class BTFSEP_OT_add_objects(Greyed, AtOnce, bpy.types.Operator):
             if has_surface(thing) and thing not in present:
                 settings.objects.add().object = thing
         settings.active_object = len(settings.objects) - 1
+        if not present:
+            show_outlines(context.scene)
 
 
 class BTFSEP_OT_remove_object(Greyed, AtOnce, bpy.types.Operator):

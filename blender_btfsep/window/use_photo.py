@@ -7,7 +7,7 @@ from ..basics.errors import InputError
 from ..light import light_picture
 from ..photo import camera as pinhole
 from ..photo import frames, photo, photo_file, upright
-from ..run import buttons, reasons, runs
+from ..run import buttons, reasons, request, runs
 from . import blender_views
 
 TURNED = (
@@ -174,7 +174,15 @@ def use(context) -> str:
         words.append(TURNED)
     for space in views(context):
         through(space, camera)
+    show_outlines(scene)
     return "; ".join([f"'{image.name}' is behind '{camera.name}'", *words, read_as(image, settings.curve)])
+
+
+def show_outlines(scene) -> None:
+    """Lays the photo over the objects of the list, with their outlines: all that follows depends on how they lie."""
+    state = runs.run_state()
+    if state.overlay == "OFF" and request.listed(scene.btfsep) and is_behind(scene):
+        state.overlay = "OUTLINE"
 
 
 def views(context) -> list:

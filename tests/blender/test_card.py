@@ -189,6 +189,15 @@ def test_a_material_that_nothing_hangs_on_is_not_doubted_and_commands_are_left_o
     assert [(d["mend"], d["object"]) for d in both["warnings"]] == [("COLOUR", "Head")] and len(both["details"]) == 2
 
 
+def test_of_a_thing_that_is_none_of_the_librarys_its_colour_is_asked_for_once():
+    none = "object 'Head' looks like none of the library's materials: a plain surface stands for it"
+    colour = "the object's colour is not known: no usual light makes the material look like the photo"
+    result = {"objects": [{"name": "Head", "material": "surface/plastic", "likely": ["surface/plastic", "surface/m"]}]}
+    found = card.card_of(result, lighting(), FRONT, warnings=[none, colour])
+    assert [(d["mend"], d["object"]) for d in found["warnings"]] == [("COLOUR", "Head")] and len(found["details"]) == 2
+    assert [d["mend"] for d in card.card_of({}, lighting(), FRONT, warnings=[colour])["warnings"]] == ["COLOUR"]
+
+
 def test_words_of_jobs_and_commands_are_not_the_panels():
     told = "object 'A' may be one (give --material, if you know it); give its material, or its 'surface'"
     assert card.plain(told) == "object 'A' may be one; give its material, or its colour"

@@ -47,6 +47,26 @@ def material(colour=(0.2, 0.4, 0.1, 1), **inputs):
     return made
 
 
+def test_only_a_material_that_was_changed_tells_a_colour(cube):
+    tells, thing = own_surface.tells_a_colour, cube.object
+    thing.data.materials.clear()
+    assert not tells(None) and not tells(thing)
+    thing.data.materials.append(material((0.8, 0.8, 0.8, 1)))
+    assert not tells(thing)
+    thing.data.materials.append(None)
+    thing.data.materials.append(coloured := material((0.8, 0.8, 0.7, 1)))
+    assert tells(thing)
+    instance = bpy.data.objects.new("Instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", thing.users_collection[0]
+    assert tells(instance)
+    shader = coloured.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Base Color"].default_value = (0.8, 0.8, 0.8, 1)
+    assert not tells(thing) and not tells(instance)
+    image = coloured.node_tree.nodes.new("ShaderNodeTexImage")
+    coloured.node_tree.links.new(image.outputs["Color"], shader.inputs["Base Color"])
+    assert tells(thing)
+
+
 def test_nothing_is_said_of_what_is_to_be_recognised(photographed, cube, tmp_path):
     cube.colour = (1, 0, 0)
     job = job_of(photographed, tmp_path)

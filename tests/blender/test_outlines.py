@@ -102,3 +102,21 @@ def test_the_photo_is_as_bright_as_the_background_image():
 
 def test_the_overlay_is_off_at_first(addon):
     assert runs.run_state().overlay == "OFF"
+
+
+def test_how_the_first_object_lies_over_the_photo_is_shown_at_once(photographed):
+    state, settings = runs.run_state(), photographed.btfsep
+    thing = settings.objects[0].object
+    bpy.ops.btfsep.use_photo()
+    assert state.overlay == "OUTLINE"
+    state.overlay = "OFF"
+    settings.objects.clear()
+    bpy.ops.btfsep.use_photo()
+    assert state.overlay == "OFF"  # there is nothing to draw
+    thing.select_set(True)
+    bpy.ops.btfsep.add_objects()
+    assert state.overlay == "OUTLINE"
+    state.overlay = "OFF"
+    bpy.ops.mesh.primitive_monkey_add()
+    bpy.ops.btfsep.add_objects()
+    assert len(settings.objects) == 2 and state.overlay == "OFF"  # as the user has it

@@ -379,7 +379,7 @@ def test_what_stands_around_is_selected_to_look_at_its_material(photographed):
         bpy.ops.btfsep.mend(how="SELECT", object="Gone")
 
 
-@pytest.mark.parametrize("how", ["COLOUR", "MATERIAL", "CURVE", "AGX", "STANDARD", "CAMERA"])
+@pytest.mark.parametrize("how", ["COLOUR", "BLENDER", "MATERIAL", "CURVE", "AGX", "STANDARD", "CAMERA"])
 def test_doubts_are_mended_where_they_arise(photographed, how):
     bpy.ops.mesh.primitive_monkey_add()
     photographed.btfsep.objects.add().object = bpy.context.object

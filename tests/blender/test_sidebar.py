@@ -98,6 +98,26 @@ def seen(width: int, **more):
     return SimpleNamespace(region=SimpleNamespace(width=width), **found)
 
 
+@pytest.mark.parametrize(("colour", "source", "buttons"), [
+    ((0.5, 0.04, 0.03, 1), "RECOGNISE", ["As in Blender", "Give Its Colour"]),
+    ((0.8, 0.8, 0.8, 1), "RECOGNISE", ["Give Its Colour"]),
+    ((0.5, 0.04, 0.03, 1), "BLENDER", ["Give Its Colour"]),
+])  # fmt: skip
+def test_where_blender_knows_a_colour_one_click_takes_it(photographed, colour, source, buttons):
+    (entry,) = photographed.btfsep.objects
+    own = bpy.data.materials.new("Own")
+    own.use_nodes = True
+    own.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = colour
+    entry.object.data.materials.append(own)
+    entry.source = source
+    panel, layout = SimpleNamespace(_suns=None), Everything()
+    for name in ("", entry.object.name):
+        doubt = {"short": "Its colour is not known", "mend": "COLOUR", "object": name}
+        light_panel.BTFSEP_PT_light._doubt(panel, seen(260, scene=photographed), layout, doubt)
+    assert [words for kind, words in layout.shown if kind == "operator"] == 2 * buttons
+    assert bpy.ops.btfsep.mend(how="BLENDER", object=entry.object.name) == {"FINISHED"} and entry.source == "BLENDER"
+
+
 def test_the_preferences_say_all_of_what_the_engine_lacks(addon, monkeypatch):
     message = "the engine; it was not found; " + "install the extension that contains it, or give the .venv " * 3
     monkeypatch.setattr(checkup, "_found", {"ok": False, "facts": {}, "message": message})
