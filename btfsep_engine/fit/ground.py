@@ -18,7 +18,7 @@ found as the objects' is, so that a ground that is not as the model has it count
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import block_diag, lapack, solve_triangular
@@ -172,8 +172,16 @@ class WithGround:
 
     def shadowed(self, directions) -> np.ndarray:
         """Whether the ground would show a lamp in each of the directions (n, 3): (n,) bool."""
-        seen = self._columns[1] @ self.fields[0].beside(directions).T
-        return seen.std(0) > SHADOWED * seen.mean(0).max()
+        return self._lit_by(directions).std(0) > SHADOWED * self._brightest
+
+    def _lit_by(self, directions) -> np.ndarray:
+        """(p, n): the ground white, under a beam from each of the directions (n, 3)."""
+        return self._columns[1] @ self.fields[0].beside(directions).T
+
+    @cached_property
+    def _brightest(self) -> float:
+        """The most light that any direction gives the ground, in the mean over its places."""
+        return float(self._lit_by(self.fields[0].directions).mean(0).max())
 
     def reaches(self, field) -> np.ndarray:
         """Which of a field's directions (n,) light the objects well enough, or have a shadow on the ground."""

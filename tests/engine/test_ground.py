@@ -103,3 +103,14 @@ def test_the_map_of_beams_is_the_ground_under_a_light(case, rng):
     assert np.sqrt(np.square(found - ground.response[..., 0]).mean()) < 0.01 * found.max()
     assert np.abs(found[:, RAYS[:, 2] < 0]).max() < 0.01 * found.max()  # nothing comes from behind it
     assert photo.shadowed(np.array([BEHIND, [0, 0, -1.0]])).tolist() == [True, False]
+
+
+def test_whether_a_lamp_would_be_seen_does_not_depend_on_the_company_it_is_asked_in(case, rng):
+    _, _, _, _, alone = case
+    photo = WithGround(alone.election.photo, table(rng, case[0]), alone.election.solution)
+    directions = photo.fields[0].directions
+    seen = photo.shadowed(directions)
+    assert 0 < seen.sum() < len(seen)
+    faint = directions[~seen]
+    assert not photo.shadowed(faint).any() and len(photo.shadowed(faint[:0])) == 0
+    assert [bool(photo.shadowed(d[None])[0]) for d in directions[::40]] == seen[::40].tolist()
