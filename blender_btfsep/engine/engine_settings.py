@@ -82,7 +82,8 @@ ORDER = Row("order", "Order", "Order of the harmonics of the light", 4, low=0, h
 PRESET = Row("preset", "Preset", "Speed against accuracy", "balanced", PRESETS, panel="light")
 TEXTURE = Row("appearance", "Texture", "How a material is compared with the photo", "auto", APPEARANCES, unsaid="auto")
 EVIDENCES = (
-    ("job", "As the Objects Say", "Those whose 'Use as Evidence' is on"),
+    ("auto", "Automatic", "Those whose 'Use as Evidence' is on; else plain ones, where the light explains all of them"),
+    ("job", "As the Objects Say", "Only those whose 'Use as Evidence' is on"),
     ("all", "All", "All occluders that the photo shows"),
     ("never", "Never", "None of them"),
 )

@@ -82,6 +82,8 @@ class Frames:
     """
 
     def __init__(self, job: Job, library, settings: Settings, *, material, poses, reporter):
+        if settings.evidence == "auto":  # of frames that stand still, a ground would take most of the time
+            settings = replace(settings, evidence="job")
         self._still, self._library, self._settings, self._material = job, library, settings, material
         self._poses, self._reporter = poses, reporter
         self._pose, self._job = None, job  # of the last frame

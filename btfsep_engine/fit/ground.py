@@ -26,7 +26,7 @@ from scipy.linalg import block_diag, lapack, solve_triangular
 from btfsep_engine.fit.products import NEGLIGIBLE, SEEN, Photograph, Rows
 from btfsep_engine.fit.search import FLOOR, Solution
 from btfsep_engine.light.lightings import bilinear
-from btfsep_engine.linear_algebra import cholesky, product
+from btfsep_engine.linear_algebra import cholesky, eigh, product
 
 SKY = (30, 60)  # pixels of the map of beams: 6 degrees
 DIRECTIONS = 800  # of a field: 7 degrees apart
@@ -72,10 +72,16 @@ class WithGround:
         self.photo, self.ground = photo, ground
         self.basis, self.level, self.mean_square = photo.basis, photo.level, photo.mean_square
         places, pixels = ground.response.shape[:2]
-        u, s, axes = np.linalg.svd(np.moveaxis(ground.response, 2, 0).reshape(-1, pixels), full_matrices=False)
-        kept = s > NULL * s[0]
-        self._columns = (u[:, kept] * s[kept]).astype(np.float64).reshape(3, places, -1)
-        beside = partial(_between, np.ascontiguousarray(axes[kept].T, np.float64))
+        seen = np.ascontiguousarray(np.moveaxis(ground.response, 2, 0), np.float64).reshape(-1, pixels)
+        # its singular vectors, by the eigenvectors of the smaller square: a fifth of the time, exact far below `NULL`
+        small = len(seen) < pixels
+        squares, axes = eigh(product(seen, seen.T) if small else product(seen.T, seen))
+        axes = axes[:, squares > NULL**2 * squares[-1]]
+        if small:
+            axes = product(seen.T, axes)
+            axes /= np.linalg.norm(axes, axis=0)
+        self._columns = product(seen, axes).reshape(3, places, -1)
+        beside = partial(_between, axes)
         self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in photo.fields)
         self._drift, self._shown = _drift(ground), 0.0
         field = self.fields[0 if first.model.field.order else 1]

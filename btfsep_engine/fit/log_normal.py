@@ -158,11 +158,13 @@ class LightSolver:
         """As `solve`, of what the ``ground`` shows, too; ``alone`` : the same photograph's without it."""
         with one_thread():
             photo = WithGround(self._photograph(radiance, weights, alone), ground, alone.election.solution)
+            best, rival = elect(photo, **self._held)
             for _ in range(GROUND_ROUNDS):
-                best, rival = elect(photo, **self._held)
-                if photo.learn_ground(best.x) < SAME_GROUND:
+                moved = photo.learn_ground(best.x)
+                best = onward(photo, best)
+                if moved < SAME_GROUND:
                     break
-            return self._fit(photo, onward(photo, best), rival and onward(photo, rival))
+            return self._fit(photo, best, rival and onward(photo, rival))
 
     def first_look(self, radiance, *, weights=None) -> Fit:
         """The rough fit of a field with which `solve` begins: what a fit by another basis stands `beside`."""

@@ -38,7 +38,10 @@ SUN = (
     "A lamp far away whose direction is known: degrees above horizon, degrees from +X towards +Y, and how well, if not "
     "to 1 degree; instead of the job's; may be given again"
 )
-EVIDENCE = "Whether the photo's pixels of occluders tell of the light, too: as the job says, of all, or never"
+EVIDENCE = (
+    "Which occluders' own pixels tell of the light, too: those that the job names, and else plain ones where the light "
+    "explains all that they show (auto; not in a draft); those that it names alone (job); all; or none (never)"
+)
 LAMPS = "Whether lamps of a fifth of the light or more are told apart from the sky"
 
 
@@ -154,7 +157,7 @@ class PhotoSettings(Seeded):
 
     colorspace: str | None = setting(None, "The photo's curve instead of the job's; unknown: found", choices=CURVES)
     align: str = setting("auto", ALIGN, choices=("auto", "outline", "never"))
-    evidence: str = setting("job", EVIDENCE, choices=("job", "all", "never"))
+    evidence: str = setting("auto", EVIDENCE, choices=("auto", "job", "all", "never"))
     pixels: int = setting(3000, "Pixels used for the fit, 0: all", low=0, unit="pixels")
 
 

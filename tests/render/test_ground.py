@@ -12,10 +12,11 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.log_normal import LightSolver
+from btfsep_engine.fit.stated import shown_error
 from btfsep_engine.job.model import Occluder
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.refine import ground
-from btfsep_engine.pipeline.refine.ground import places_of, used_as_evidence
+from btfsep_engine.pipeline.refine.ground import places_of, tried_as_evidence, used_as_evidence
 from btfsep_engine.pipeline.refine.seen_colour import AGREE, seen_colours, seen_places
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, ball, job_of, looking_down, positive_light, scene_of, with_photo
@@ -79,6 +80,61 @@ def test_it_is_asked_for_and_else_changes_nothing():
     assert "ground" not in never.choice and "ground" not in plain.choice
     assert np.array_equal(never.fit.samples, plain.fit.samples) and not plain.scene.colours
     assert used_as_evidence(not_asked, choose(evidence="all")) == [0]
+
+
+def by_itself(job, **told):
+    """The estimate of a job that asks for no ground, with all refinements."""
+    return estimate(scene_of(job), open_library(None), choose("balanced", pixels=500, align="never", **told))
+
+
+def test_a_plain_table_is_evidence_unasked_where_the_light_explains_all_of_it():
+    job = photographed(positive_light(2), evidence=False)
+    found, without = by_itself(job), by_itself(job, evidence="job")
+    assert found.choice["ground"].startswith("used as evidence") and found.light.alone is not None
+    assert "ground" not in without.choice and without.light.alone is None
+    assert np.array_equal(found.light.alone.all_coefficients, without.fit.all_coefficients)
+    scene, auto = scene_of(job), choose("balanced")
+    assert tried_as_evidence(scene, auto) == [0] and tried_as_evidence(scene, choose("draft")) == []
+    assert [tried_as_evidence(scene, choose("balanced", evidence=e)) for e in ("job", "all", "never")] == [[]] * 3
+
+
+def test_of_what_nobody_asks_for_the_plain_one_that_is_seen_most_is_tried():
+    job = photographed(positive_light(2), evidence=False)
+    far = Occluder(as_mesh(trimesh.creation.box([0.1, 0.1, 0.1]).apply_translation([2, 0, -0.95])), None)
+    (table,) = job.occluders
+    both = replace(job, occluders=(far, table))
+    assert tried_as_evidence(scene_of(both), choose("balanced")) == [1]
+    for surface in (Surface(image=np.ones((2, 2, 3), np.float32)), Surface(metallic=1.0), Surface(coat=0.5)):
+        other = replace(both, occluders=(far, replace(table, surface=surface)))
+        assert tried_as_evidence(scene_of(other), choose("balanced")) == [0]
+
+
+@pytest.mark.parametrize("what", ["more", "against"])
+def test_a_table_that_shows_more_than_the_light_is_left_out(monkeypatch, what):
+    """Shadows of things that the job does not know; or a light that explains the table, and not the objects."""
+    job = photographed(positive_light(2), evidence=False)
+    if what == "more":
+        band = 1 - 0.3 * (np.indices((96, 96))[1] % 32 < 8)[..., None].astype(np.float32)
+        image = np.where((scene_of(job).view.mesh == 1)[..., None], band * job.photo.radiance, job.photo.radiance)
+        job = replace(job, photo=replace(job.photo, radiance=image))
+    else:
+        monkeypatch.setattr(ground, "WORSE", 0.0)
+    found, without = by_itself(job), by_itself(job, evidence="job")
+    why = {"more": "it shows more than this light", "against": "it speaks against the objects"}[what]
+    assert found.choice["ground"].startswith(f"not used as evidence: {why}")
+    assert np.array_equal(found.fit.all_coefficients, without.fit.all_coefficients) and found.light.alone is None
+    assert not any("does not go with the objects" in said for said in found.scene.reporter.warnings)
+
+
+def test_what_is_stated_is_as_much_as_a_table_that_is_left_out_speaks_for_another_light():
+    light = by_itself(photographed(positive_light(2), evidence=False), evidence="job").light
+    x, stated = light.fit.shown, shown_error(light.fit)["order_2"]["median"]
+    assert ground._disagreed(light, replace(light.fit, seen=1.7 * x)) == (light, "")  # its brightness is not known
+    other = x.copy()
+    other[1] += 2 * stated * np.linalg.norm(x[:9], axis=0)
+    wider, words = ground._disagreed(light, replace(light.fit, seen=other))
+    assert shown_error(wider.fit)["order_2"]["median"] == pytest.approx(2 * stated, rel=0.25) and "differs by" in words
+    assert np.array_equal(wider.fit.shown, x)
 
 
 def test_places_are_means_of_blocks_of_what_shows_the_table(monkeypatch):
