@@ -125,13 +125,14 @@ class WithGround:
 
         Returns how much what a light predicts of the ground's pattern has changed, relative root mean square.
         """
-        seen, departures, shown = [], [], []
+        seen, departures, shown, self._log_scales = [], [], [], 0.0
         for c, columns in enumerate(self._columns):
             b, predicted = self.ground.radiance[:, c] / self.level[c], columns @ x[c, self.basis.terms :]
             scale = np.ones(len(b))
             for own in (self.ground.surface == i for i in range(self.ground.surface.max() + 1)):
                 energy = max(float(np.square(predicted[own]).sum()), 1e-300)
                 scale[own] = max(float(b[own] @ predicted[own]) / energy, 1e-6)
+            self._log_scales += float(np.log(scale).sum())
             seen.append(b / scale)
             shown.append(predicted * scale)
             departures.append(predicted[:, None] * self._drift)
@@ -139,6 +140,10 @@ class WithGround:
         self._seen, self._departures = seen, departures
         self.energy = np.array([np.square(t).mean() for t in seen])
         return float(np.linalg.norm(self._shown - before) / np.linalg.norm(self._shown))
+
+    def evidence(self, found: Solution) -> float:
+        """A solution's, of what the ground itself shows: comparable where another response gives it other colours."""
+        return found.evidence - self._log_scales / self._stiffness
 
     def rows(self, v, discrepancy: float) -> Rows:
         """As of `Photograph`, of objects and ground."""
@@ -178,21 +183,29 @@ class WithGround:
 
     def shadowed(self, directions) -> np.ndarray:
         """Whether the ground would show a lamp in each of the directions (n, 3): (n,) bool."""
-        return self._lit_by(directions).std(0) > SHADOWED * self._brightest
+        return self._lit_by(directions).std(0) > self._faintest
 
     def _lit_by(self, directions) -> np.ndarray:
         """(p, n): the ground white, under a beam from each of the directions (n, 3)."""
         return self._columns[1] @ self.fields[0].beside(directions).T
 
     @cached_property
-    def _brightest(self) -> float:
-        """The most light that any direction gives the ground, in the mean over its places."""
-        return float(self._lit_by(self.fields[0].directions).mean(0).max())
+    def _shown_by(self) -> np.ndarray:
+        """(2, n): mean and deviation over the places, of the ground under a beam from each direction of the field."""
+        seen = self._lit_by(self.fields[0].directions)
+        return np.stack([seen.mean(0), seen.std(0)])
+
+    @property
+    def _faintest(self) -> float:
+        """The deviation that is seen."""
+        return SHADOWED * self._shown_by[0].max()
 
     def reaches(self, field) -> np.ndarray:
         """Which of a field's directions (n,) light the objects well enough, or have a shadow on the ground."""
         response = self.basis.mean_response @ field.to_coefficients[: self.basis.terms]
-        return ((response > SEEN * response.max()) & field.reaching) | self.shadowed(field.directions)
+        alike = len(field.directions) == self._shown_by.shape[1]
+        seen = self._shown_by[1] > self._faintest if alike else self.shadowed(field.directions)
+        return ((response > SEEN * response.max()) & field.reaching) | seen
 
 
 def _between(axes, directions) -> np.ndarray:

@@ -10,7 +10,8 @@ import trimesh
 from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
-from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
+from btfsep_engine.fit.ground import SKY
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import shown_error
 from btfsep_engine.job.model import Occluder
@@ -124,6 +125,24 @@ def test_a_table_that_shows_more_than_the_light_is_left_out(monkeypatch, what):
     assert found.choice["ground"].startswith(f"not used as evidence: {why}")
     assert np.array_equal(found.fit.all_coefficients, without.fit.all_coefficients) and found.light.alone is None
     assert not any("does not go with the objects" in said for said in found.scene.reporter.warnings)
+
+
+@pytest.mark.parametrize("told", [Surface((0.3,) * 3, 0.5), Surface((0.3,) * 3, 1.0, specular=0.0), None])
+@pytest.mark.parametrize("glossy", [True, False])
+def test_whether_a_ground_is_glossy_the_photo_says_and_not_the_job(told, glossy):
+    """A table that shows what its own response makes of the light: matte, or as satin as a new Blender material."""
+    job = photographed(positive_light(2), evidence=False)
+    job = replace(job, occluders=tuple(replace(o, surface=told) for o in job.occluders))
+    found = by_itself(job, evidence="job")
+    problems, light, settings = found.model.problems, found.light, found.settings
+    (matte, satin, *_) = ground.grounds_of(problems, light.exposures, settings, [[0]])
+    assert len(ground.looks_of(problems[0].scene, 0)) == 2 and matte.response.shape == satin.response.shape
+    sky = sh.series(positive_light(2), pixel_directions(*SKY).reshape(-1, 3))
+    sky = sky * np.repeat(pixel_solid_angles(*SKY), SKY[1])[:, None]
+    shown = np.einsum("pnc,nc->pc", (satin if glossy else matte).response, sky)
+    each = [replace(g, radiance=shown) for g in (matte, satin)]
+    of = light.radiance(problems), light.fit
+    assert int(np.argmax([light.solver.ground_evidence(*of, g) for g in each])) == glossy
 
 
 def test_what_is_stated_is_as_much_as_a_table_that_is_left_out_speaks_for_another_light():

@@ -2,8 +2,9 @@
 """A table or floor that the photo shows is evidence of the light: its shadows.
 
 What the objects say stands: the ground's shadows are fitted beside them (`fit.ground`), light between surfaces counted,
-and the answer is taken unless it explains the objects far worse. Of a ground that nobody asked for, nobody has said
-that it is matte, of one colour, and where the job has it: it is evidence where the light explains all that it shows.
+and the answer is taken unless it explains the objects far worse. It may be matte, satin, or as rough as the job says:
+that under which objects and ground are the most probable. Of a ground that nobody asked for, nobody has said that it is
+of one colour, and where the job has it: it is evidence where the light explains all that it shows.
 """
 
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Lambertian
+from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.fit.ground import SKY, Ground
 from btfsep_engine.fit.stated import expected_error, shown_error, widened
@@ -19,6 +21,7 @@ from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES
 from btfsep_engine.pipeline.together import all_weights
+from btfsep_engine.render.homogeneous import reflected_share, under_beams
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.surface import SurfacePoints, eroded, surface_points, with_any_tangent
 from btfsep_engine.storage import kept
@@ -32,10 +35,11 @@ WORSE = 1.3  # of the objects' residual: a ground that asks for so much more spe
 TOO_BRIGHT = 3.0  # times the light of the objects alone: lamps that reach next to nothing may be of any strength
 NOISIEST = 0.15  # of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, checks 40 %
 # The same, of a ground that nobody asked for: light between surfaces is known to 0.02. Of 37 plates on tables, at which
-# this was chosen, 20 leave less: their light errs 0.73 times as much, two by a tenth more; of 85 others 53 (0.60 times,
+# this was chosen, 20 leave less: their light errs 0.73 times as much, two by a tenth more; of 82 others 52 (0.60 times,
 # five). Of ten that leave 0.036 to 0.09 three err 1.5 to 2.8 times as much if they are taken, and three half to 0.7.
 SURELY = 0.035
 WORTH, WIDEST = 1.1, 4.0  # times what is stated, of a light that a ground which was not used speaks against
+MATTE, SATIN = 1.0, 0.5  # roughnesses that are tried beside its own; the second is that of a new Blender material
 WHITE = Lambertian("ground/white", np.ones(3))
 
 
@@ -90,47 +94,79 @@ def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
     return points, radiance[np.lexsort((columns[chosen], rows[chosen]))]  # in the order of the points
 
 
-def white_response(scene, materials, points, settings) -> np.ndarray:
-    """`fit.ground.Ground.response` of a ground's points.
+def looks_of(scene, k: int) -> dict:
+    """What an occluder may be like: {roughness: Surface}, None for a matte one, whatever the job says.
+
+    Nobody has looked at the roughness of most tables: where it is wrong, lamps explain what gloss does.
+    """
+    surface = scene.job.occluders[k].surface
+    colour = scene.occluder_albedos[k] if surface is None or k in scene.colours else surface.base_color
+    base = tuple(float(c) for c in np.clip(colour, 0, 1))
+    out = {MATTE: None, SATIN: Surface(base, SATIN)}
+    if surface is not None and surface.plain and surface.specular:
+        out[surface.roughness] = replace(surface, base_color=base)
+    return out
+
+
+def response_of(scene, materials, points, surface: Surface | None, settings) -> np.ndarray:
+    """`fit.ground.Ground.response` of a ground's points: by its ``surface``, or as it would be white and matte.
 
     What objects and other surfaces send it is smooth: of the fit's order, and nowhere negative.
     """
+    albedo = np.ones(3) if surface is None else reflected_share(surface)
 
     def found():
-        h, w = (FINER * n for n in SKY)
+        pixels, (h, w) = pixel_directions(*SKY).reshape(-1, 3), (FINER * n for n in SKY)
         rays = pixel_directions(h, w).reshape(-1, 3)
-        seen = scene.tracer.visible(points.position, points.flat_normal, rays) * np.maximum(points.normal @ rays.T, 0)
-        straight = seen.reshape(-1, SKY[0], FINER, SKY[1], FINER).mean((2, 4)).reshape(len(points), -1, 1) / np.pi
+        seen = scene.tracer.visible(points.position, points.flat_normal, rays).astype(np.float32)
+        if surface is None:
+            straight = _over_pixels(seen * np.maximum(points.normal @ rays.T, 0)) / np.pi * albedo
+        else:
+            straight = _over_pixels(seen) * under_beams(surface, points.normal, points.to_eye, pixels)
         indirect = scene.indirect(materials, SHBasis(settings.fit_order), settings, bounces=MODELLED_BOUNCES)
         sent = indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), WHITE)
-        y = sh.evaluate(settings.fit_order, pixel_directions(*SKY).reshape(-1, 3)).astype(np.float32)
-        above = straight.any(0)[:, 0]  # what is behind the ground for all of it reaches nothing on it
+        y = sh.evaluate(settings.fit_order, pixels).astype(np.float32)
+        above = straight.any((0, 2))  # what is behind the ground for all of it reaches nothing on it
         between = np.maximum(np.einsum("ptc,nt->pnc", sent, y * above[:, None], optimize=True), 0)
-        return (straight + between).astype(np.float32)
+        return (straight + albedo * between).astype(np.float32)
 
     albedos = [*map(diffuse_albedo, materials), *scene.occluder_albedos]
-    parts = [scene.tracer.key, points.position, albedos, settings.fit_order, settings.surface_samples, settings.seed]
+    made_of = [] if surface is None else [*albedo, surface.roughness, surface.specular]
+    parts = [scene.tracer.key, points.position, albedos, made_of]
+    parts += [settings.fit_order, settings.surface_samples, settings.seed]
     return kept.recalled("ground", parts, found)
 
 
-def ground_of(problems, exposures, settings, chosen) -> Ground | None:
-    """What the photos show of the ground, in the first one's exposure; None where they show too little.
+def _over_pixels(of_rays) -> np.ndarray:
+    """(p, h w, 1): values (p, rays) in a map finer than `SKY`, averaged over its pixels."""
+    fine = of_rays.reshape(-1, SKY[0], FINER, SKY[1], FINER)
+    return fine.mean((2, 4)).reshape(len(of_rays), -1, 1)
+
+
+def grounds_of(problems, exposures, settings, chosen) -> list[Ground]:
+    """What the photos show of the ground, in the first one's exposure, by each of `looks_of`; [] if it is too little.
 
     ``chosen`` : for each photo, the numbers of its occluders that are ground
     """
-    parts, surface = [], 0
-    for problem, exposure, numbers in zip(problems, exposures, chosen, strict=True):
-        for k in numbers:
-            seen = places_of(problem.scene, k)
-            if seen is None:
-                continue
-            points, radiance = seen
-            off = (points.position - points.position.mean(0)) / problem.scene.tracer.radius
-            at = off @ np.linalg.svd(off, full_matrices=False)[2][:2].T
-            response = white_response(problem.scene, problem.materials, points, settings)
-            parts.append((response, radiance / exposure, np.full(len(points), surface), at))
-            surface += 1
-    return Ground(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else None
+    seen = [
+        (problem, k, *places, exposure)
+        for problem, exposure, numbers in zip(problems, exposures, chosen, strict=True)
+        for k in numbers
+        if (places := places_of(problem.scene, k)) is not None
+    ]
+    looks = [looks_of(problem.scene, k) for problem, k, *_ in seen]
+    return [_ground_like(look, seen, looks, settings) for look in dict.fromkeys(r for each in looks for r in each)]
+
+
+def _ground_like(look, seen, looks, settings) -> Ground:
+    """The Ground where all that may be of a roughness ``look`` is; the others are matte."""
+    parts: list = []
+    for (problem, _, points, radiance, exposure), known in zip(seen, looks, strict=True):
+        off = (points.position - points.position.mean(0)) / problem.scene.tracer.radius
+        at = off @ np.linalg.svd(off, full_matrices=False)[2][:2].T
+        response = response_of(problem.scene, problem.materials, points, known.get(look), settings)
+        parts.append((response, radiance / exposure, np.full(len(points), len(parts)), at))
+    return Ground(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def ground(model, light):
@@ -154,10 +190,12 @@ def _beside(model, light, chosen, noisiest: float):
     if light.near:
         return model, light, {"ground": "not used as evidence: a lamp stands near"}
     with model.reporter.stage("ground"):
-        shown = ground_of(problems, light.exposures, settings, chosen)
-        if shown is None:
+        looks = grounds_of(problems, light.exposures, settings, chosen)
+        if not looks:
             return model, light, {"ground": "not used as evidence: the photo shows too little of it"}
-        fit = light.solver.beside_ground(light.radiance(problems), light.fit, shown, weights=all_weights(problems))
+        photo, how = (light.radiance(problems), light.fit), {"weights": all_weights(problems)}
+        shown = max(looks, key=lambda one: light.solver.ground_evidence(*photo, one, **how))
+        fit = light.solver.beside_ground(*photo, shown, **how)
     noise = float(np.sqrt(np.mean(fit.election.solution.v[3:] / fit.election.photo.energy)))
     unexplained = f"{100 * noise:.0f} % is not explained"
     brighter = float(fit.all_coefficients[0].mean() / light.fit.all_coefficients[0].mean())
