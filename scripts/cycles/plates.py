@@ -128,7 +128,9 @@ def take(plate, folder: Path) -> None:
     for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
         studio.add_sun(lamp["direction"], lamp["irradiance"], degrees=0.53)
     positions = objects.vertex_positions(thing.data)
-    table = [studio.add_table(positions[:, 2].min(), TABLE, plate["table"])] if plate["table"] else []
+    table, roughness = [], plate.get("table_roughness")
+    if plate["table"]:
+        table.append(studio.add_table(positions[:, 2].min(), TABLE, plate["table"], roughness=roughness))
     lens = studio.add_camera(scene, positions, resolution=RESOLUTION, fill=FILL).data
     studio.denoise(scene)
     linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)

@@ -198,12 +198,16 @@ def add_wall(place, edge: float, colour) -> bpy.types.Object:
     return _unseen(bpy.context.object, materials.white(colour))
 
 
-def add_table(height: float, edge: float, colour, *, checks: int = 0) -> bpy.types.Object:
-    """A matte square under the object, its top at ``height``; ``checks``: a side, of it and of a quarter of it."""
+def add_table(height: float, edge: float, colour, *, checks: int = 0, roughness=None) -> bpy.types.Object:
+    """A square under the object, its top at ``height``; ``checks``: a side, of it and of a quarter of it.
+
+    ``roughness`` : of a dielectric of that colour; None: it is matte
+    """
     bpy.ops.mesh.primitive_plane_add(size=edge, location=(0, 0, height))
     table = bpy.context.object
     table.name = "table"
-    material = materials.white(colour)
+    finish = {"colour": colour, "roughness": roughness, "metallic": 0}
+    material = materials.white(colour) if roughness is None else materials.principled(finish)
     if checks:
         odd = np.indices((checks, checks)).sum(0) % 2
         paint = material.node_tree.nodes.new("ShaderNodeTexImage")

@@ -17,6 +17,7 @@ SETS = {
     "fifth": 7,
     "sixth": 8,
     "seventh": 9,
+    "glossy tables": 9,  # those of the seventh that have one
     "stage": 10,
     "eighth": 11,
     "ninth": 12,
@@ -39,6 +40,7 @@ METALS = (
     (0.95, 0.64, 0.54),
 )  # chrome, silver, gold, copper
 POLISHED = (0.0, 0.1, 0.2)  # roughness
+OF_TABLES = (0.5, 0.3)  # roughness, where they are glossy
 CURVES = ("srgb", "srgb", "agx", "floats")
 WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
 SUN_COLOUR = np.array([1.05, 1.0, 0.9])
@@ -109,6 +111,12 @@ def mirroring(plates: list[dict]) -> list[dict]:
         kinds = [*plate["kinds"][:-1], f"roughness {roughness}", "an object" if i % 2 else "a ball"]
         out.append(plate | {"object": plate["object"] if i % 2 else "sphere", "surface": surface, "kinds": kinds})
     return out
+
+
+def on_gloss(plates: list[dict]) -> list[dict]:
+    """The plates that have a table, on one that is glossy."""
+    plates, n = [plate for plate in plates if plate["table"]], len(OF_TABLES)
+    return [plate | {"table_roughness": OF_TABLES[i % n]} for i, plate in enumerate(plates)]
 
 
 def on_stage(plates: list[dict], seed: int) -> list[dict]:
@@ -194,7 +202,7 @@ def of_set(name: str, lights=None) -> list[dict]:
     for kind, made_of in (("unsaid", unsaid), ("painted", painted), ("stage", on_stage)):
         if name.startswith(kind):
             return made_of(plates, seed)
-    return {"several": several, "chrome": mirroring}.get(name, list)(plates)
+    return {"several": several, "chrome": mirroring, "glossy tables": on_gloss}.get(name, list)(plates)
 
 
 def truth(plate) -> np.ndarray:

@@ -15,9 +15,10 @@ sRGB*). Objects of the set *several* have three such materials, and are estimate
 mean*). Those of the set *stage* stand in dim light under lamps with filters of strong colours; of the sets *unsaid*,
 jobs say of the object what a user sees by eye, and nothing of what light does below its skin, of its bumps and its
 paint, nor of a lens that darkens corners, is out of focus or has glare, nor of noise; of the sets *painted*, nothing of
-a paint in pieces, half of them in the dark under lamps. With ``--maps`` lights are drawn from a folder of maps, not
-from Blender's. The error of plates with a table
-is that of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
+a paint in pieces, half of them in the dark under lamps. Those of *glossy tables* stand on such; what shows of a table
+may be left unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*).
+With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
+of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
 
 from dataclasses import replace
@@ -47,7 +48,10 @@ RECOGNISED, AS_PLASTIC = "as recognised", "as any plastic"
 OF_AGX = {NOT_SAID: "auto", AS_SRGB: "srgb"}
 NO_MIRROR = "as no mirror"
 NOT_LOOKED = "roughness 0.5"
-WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR, NOT_LOOKED)
+NOT_READ, MATTE, SATIN = "table not read", "table told matte", "table told satin"
+TOLD = {MATTE: {"roughness": 1.0, "specular": 0.0}, SATIN: {"roughness": 0.5, "specular": 0.5}}
+OF_TABLES = (NOT_READ, *TOLD)
+WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR, NOT_LOOKED, *OF_TABLES)
 
 
 def as_mean(job):
@@ -86,6 +90,12 @@ def as_no_mirror(job):
     return replace(job, objects=(replace(first, surface=replace(first.surface, roughness=SHARP + 0.01)), *others))
 
 
+def with_table(job, way: str):
+    """The job with a table that is said to be matte, or as a new Blender material."""
+    tables = tuple(replace(o, surface=replace(o.surface, **TOLD[way])) for o in job.occluders)
+    return replace(job, occluders=tables)
+
+
 def worth_of(plate, found) -> dict:
     """What an Estimate of a plate is worth: `estimates.worth`, of one on a table that of the light from above."""
     true = truth(plate)
@@ -97,10 +107,10 @@ def worth_of(plate, found) -> dict:
     return row
 
 
-def judged(plate, job) -> dict:
-    """What the estimate of a plate's job is worth."""
+def judged(plate, job, **told) -> dict:
+    """What the estimate of a plate's job is worth; ``told`` : settings."""
     scene = scene_of(job)
-    found = estimated(scene)
+    found = estimated(scene, **told)
     row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth_of(plate, found)
     row["over"] = row["order2"] / row["stated2"]
     row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)
@@ -118,7 +128,10 @@ def study(plate, folder: Path, way: str) -> dict:
         RECOGNISED: as_recognised,
         AS_PLASTIC: as_plastic,
     }
-    return {"way": way} | judged(plate, made[way](job) if way in made else job)
+    if way in TOLD:
+        job = with_table(job, way)
+    told = {"evidence": "never"} if way == NOT_READ else {}
+    return {"way": way} | judged(plate, made[way](job) if way in made else job, **told)
 
 
 def shown(plate, folder: Path) -> list:
@@ -183,6 +196,7 @@ def main(arguments) -> int:
     todo = [t for t in todo if t[2] != NO_MIRROR or t[1].name == "chrome"]
     todo = [t for t in todo if t[2] != NOT_LOOKED or not {"more", "told"} & set(t[0])]
     todo = [t for t in todo if t[2] != IN_LINE or any(t[0]["off"])]
+    todo = [t for t in todo if t[2] not in OF_TABLES or t[0]["table"]]
     rows = [study(*each) for each in tqdm(todo)]
     if given.numbers:
         write_json(given.numbers, rows)

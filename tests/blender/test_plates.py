@@ -28,6 +28,18 @@ def test_plates_are_drawn_alike_and_of_all_kinds():
     )
 
 
+def test_glossy_tables_are_those_of_a_set_that_has_tables_and_jobs_may_tell_them_otherwise():
+    plain, glossy = plate_sets.of_set("seventh"), plate_sets.of_set("glossy tables")
+    assert [p["name"] for p in glossy] == [p["name"] for p in plain if p["table"]]
+    assert {p["table_roughness"] for p in glossy} == set(plate_sets.OF_TABLES)
+    scene, bsdfs = studio.clear(), []
+    for roughness in (None, 0.3):
+        (material,) = studio.add_table(0.0, 1.0, (0.2, 0.3, 0.4), roughness=roughness).data.materials
+        bsdfs += [n for n in material.node_tree.nodes if n.type.startswith("BSDF")]
+    assert [b.type for b in bsdfs] == ["BSDF_DIFFUSE", "BSDF_PRINCIPLED"] and len(scene.objects) == 2
+    assert bsdfs[1].inputs["Roughness"].default_value == pytest.approx(0.3)
+
+
 def test_lights_are_drawn_from_a_folder_of_maps(tmp_path):
     """Any map stands in for Blender's, in every kind of set, and the truth is the map's."""
     folder = tmp_path / "maps"
