@@ -7,7 +7,7 @@ that under which objects and ground are the most probable. Of a ground that nobo
 of one colour, and where the job has it: it is evidence where the light explains all that it shows.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,43 +104,60 @@ def looks_of(scene, k: int) -> dict:
     base = tuple(float(c) for c in np.clip(colour, 0, 1))
     out = {MATTE: None, SATIN: Surface(base, SATIN)}
     if surface is not None and surface.plain and surface.specular:
-        out[surface.roughness] = replace(surface, base_color=base)
+        out.setdefault(surface.roughness, replace(surface, base_color=base))
     return out
 
 
-def response_of(scene, materials, points, surface: Surface | None, settings) -> np.ndarray:
-    """`fit.ground.Ground.response` of a ground's points: by its ``surface``, or as it would be white and matte.
+@dataclass(frozen=True)
+class Shadows:
+    """What reaches a ground's points from each pixel of a map of `SKY`, whatever the ground is like.
+
+    Attributes
+    ----------
+    open : (p, n) float32, how much of the pixel is seen; cosine : the same, times the cosine, averaged
+    sent : (p, n, 3) float32, what objects and other surfaces make of a beam from there, on a white matte ground
+    """
+
+    open: np.ndarray
+    cosine: np.ndarray
+    sent: np.ndarray
+
+    def response(self, points, surface: Surface | None) -> np.ndarray:
+        """`fit.ground.Ground.response` by a ground's ``surface``, or as it would be white and matte."""
+        if surface is None:
+            return self.cosine[..., None] / np.float32(np.pi) + self.sent
+        directions = pixel_directions(*SKY).reshape(-1, 3)
+        straight = self.open[..., None] * under_beams(surface, points.normal, points.to_eye, directions)
+        return straight + reflected_share(surface).astype(np.float32) * self.sent
+
+
+def shadows_on(scene, materials, points, settings) -> Shadows:
+    """The Shadows of a ground's points.
 
     What objects and other surfaces send it is smooth: of the fit's order, and nowhere negative.
     """
-    albedo = np.ones(3) if surface is None else reflected_share(surface)
 
     def found():
-        pixels, (h, w) = pixel_directions(*SKY).reshape(-1, 3), (FINER * n for n in SKY)
+        h, w = (FINER * n for n in SKY)
         rays = pixel_directions(h, w).reshape(-1, 3)
         seen = scene.tracer.visible(points.position, points.flat_normal, rays).astype(np.float32)
-        if surface is None:
-            straight = _over_pixels(seen * np.maximum(points.normal @ rays.T, 0)) / np.pi * albedo
-        else:
-            straight = _over_pixels(seen) * under_beams(surface, points.normal, points.to_eye, pixels)
+        free, cosine = (_over_pixels(each) for each in (seen, seen * np.maximum(points.normal @ rays.T, 0)))
         indirect = scene.indirect(materials, SHBasis(settings.fit_order), settings, bounces=MODELLED_BOUNCES)
         sent = indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), WHITE)
-        y = sh.evaluate(settings.fit_order, pixels).astype(np.float32)
-        above = straight.any((0, 2))  # what is behind the ground for all of it reaches nothing on it
+        y = sh.evaluate(settings.fit_order, pixel_directions(*SKY).reshape(-1, 3)).astype(np.float32)
+        above = cosine.any(0)  # what is behind the ground for all of it reaches nothing on it
         between = np.maximum(np.einsum("ptc,nt->pnc", sent, y * above[:, None], optimize=True), 0)
-        return (straight + albedo * between).astype(np.float32)
+        return Shadows(free, cosine.astype(np.float32), between.astype(np.float32))
 
     albedos = [*map(diffuse_albedo, materials), *scene.occluder_albedos]
-    made_of = [] if surface is None else [*albedo, surface.roughness, surface.specular]
-    parts = [scene.tracer.key, points.position, albedos, made_of]
-    parts += [settings.fit_order, settings.surface_samples, settings.seed]
+    parts = [scene.tracer.key, points.position, albedos, settings.fit_order, settings.surface_samples, settings.seed]
     return kept.recalled("ground", parts, found)
 
 
 def _over_pixels(of_rays) -> np.ndarray:
-    """(p, h w, 1): values (p, rays) in a map finer than `SKY`, averaged over its pixels."""
+    """(p, h w): values (p, rays) in a map finer than `SKY`, averaged over its pixels."""
     fine = of_rays.reshape(-1, SKY[0], FINER, SKY[1], FINER)
-    return fine.mean((2, 4)).reshape(len(of_rays), -1, 1)
+    return fine.mean((2, 4)).reshape(len(of_rays), -1)
 
 
 def grounds_of(problems, exposures, settings, chosen) -> list[Ground]:
@@ -164,7 +181,8 @@ def _ground_like(look, seen, looks, settings) -> Ground:
     for (problem, _, points, radiance, exposure), known in zip(seen, looks, strict=True):
         off = (points.position - points.position.mean(0)) / problem.scene.tracer.radius
         at = off @ np.linalg.svd(off, full_matrices=False)[2][:2].T
-        response = response_of(problem.scene, problem.materials, points, known.get(look), settings)
+        shadows = shadows_on(problem.scene, problem.materials, points, settings)
+        response = shadows.response(points, known.get(look))
         parts.append((response, radiance / exposure, np.full(len(points), len(parts)), at))
     return Ground(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
