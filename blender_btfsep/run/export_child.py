@@ -115,9 +115,18 @@ def write(scene, file) -> None:
     bpy.data.libraries.write(str(file), {scene}, path_remap="ABSOLUTE", fake_user=False)
 
 
+def empty() -> None:
+    """Has Blender hold nothing: a cube of its own would take the name of the user's.
+
+    The settings stay. Of factory settings Blender takes extensions for switched off, and removes what is installed for
+    them, this one's engine among it, in the user's own folders.
+    """
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
 def main(file: str, name: str, layer: str, folder: str) -> int:
     """Reads ``file`` and writes the job of its scene; says so in the engine's protocol. Gives the exit status."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)  # a cube of its own would take the name of the user's
+    empty()
     here = Path(__file__).parents[1]
     spec = importlib.util.spec_from_file_location(
         "btfsep_export", here / "__init__.py", submodule_search_locations=[str(here)]

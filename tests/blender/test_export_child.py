@@ -57,6 +57,19 @@ def test_a_second_blender_writes_the_same_job(large):
     assert not list(folder.parent.glob("*-export.blend"))
 
 
+def test_what_is_switched_on_stays_so(addon):
+    """Blender 4.3 and later removes the wheels of extensions that factory settings switch off."""
+    from blender_btfsep.run import export_child
+
+    view = bpy.context.preferences.view
+    splash, view.show_splash = view.show_splash, not view.show_splash
+    bpy.ops.mesh.primitive_monkey_add()
+    export_child.empty()
+    assert not bpy.data.objects and "blender_btfsep" in bpy.context.preferences.addons
+    assert bpy.context.preferences.view.show_splash != splash
+    bpy.context.preferences.view.show_splash = splash
+
+
 def test_its_faults_are_passed_on_and_nothing_is_left(large):
     from blender_btfsep.basics.errors import InputError
     from blender_btfsep.run import request, runs
