@@ -175,9 +175,8 @@ class LightSolver:
             photo.learn_from(known.x)
             model = replace(known.model, field=photo.fields[0 if known.model.field.order else 1])
             v = np.concatenate([known.v, FIRST_GROUND_NOISE**2 * photo.energy])
-            best = solve(photo, model, white=known.white, v=v, discrepancy=known.discrepancy)
-            photo.learn_ground(best.x)
-            return photo.evidence(onward(photo, best))
+            start = {"white": known.white, "v": v, "discrepancy": known.discrepancy}
+            return photo.evidence(solve(photo, model, rounds=GROUND_ROUNDS, **start))
 
     def first_look(self, radiance, *, weights=None) -> Fit:
         """The rough fit of a field with which `solve` begins: what a fit by another basis stands `beside`."""
