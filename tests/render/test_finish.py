@@ -170,13 +170,16 @@ def test_an_estimate_says_it():
 TEAL = Surface((0.05, 0.35, 0.33), roughness=0.9)
 
 
-def taken_for(surface, true, *, is_given=False):
-    """What `finished` makes of a ball of a ``true`` surface that was taken for a library's material of another."""
+def taken_for(surface, true, *, is_given=False, plain=()):
+    """What `finished` makes of a ball of a ``true`` surface that was taken for a library's material of another.
+
+    ``plain`` : what recognition said of plain surfaces, (name, score) each
+    """
     model, _, light = of_ball(true)
     felt = homogeneous(surface, "felt/teal")
     (problem,) = model.problems
     problems = [problem.of_materials([felt], SETTINGS)]
-    one = ObjectMaterial("felt/teal", felt, is_given, (("felt/teal", 0.6), ("felt/red", 0.4)), likely=("felt/teal",))
+    one = ObjectMaterial("felt/teal", felt, is_given, (("felt/teal", 0.6), ("felt/red", 0.4), *plain), likely=("felt/teal",))
     model = replace(model, looks={"mean": problems}, materials=([one],))
     before = fit_together(problems, SETTINGS)
     return model, before, *finished(model, before), light
@@ -201,6 +204,32 @@ def test_what_is_recognised_rightly_or_given_stays():
     assert same is model and found is before and words["finish"].startswith("as it is in the library")
     model, before, same, found, words, _ = taken_for(TEAL, Surface(RED, roughness=0.4), is_given=True)
     assert same is model and found is before and words == {}
+
+
+@pytest.mark.parametrize(("score", "is_asked"), [(1e-2, True), (1e-5, False)])
+def test_where_recognition_has_seen_a_texture_no_plain_surface_is_asked(score, is_asked):
+    model, _, changed, _, words, _ = taken_for(TEAL, Surface(RED, roughness=0.4), plain=(("surface/matte", score),))
+    assert (changed is not model) is is_asked
+    assert ("recognition rules out" in words["finish"]) is not is_asked
+
+
+@pytest.mark.parametrize("is_enough", [True, False])
+def test_all_pixels_are_asked_where_the_walk_promises_enough(is_enough, monkeypatch):
+    model, light, _ = of_ball(Surface((0.2,) * 3, roughness=0.3))
+    model = replace(model, settings=replace(model.settings, refine="all"))
+    gained = finished(model, light)[1].fit.evidence - light.fit.evidence
+    promised = 0.5 if is_enough else 2.0
+    monkeypatch.setattr(finish, "PROMISES", promised * gained / finish.OF_FAMILY)  # a few pixels say about as much
+    changed, found, words = finished(model, light)
+    assert (changed is not model) is (found is not light) is is_enough
+    assert ("no plain surface explains" in words["finish"]) is not is_enough
+
+
+def test_the_light_of_a_coloured_surface_is_elected_with_its_last_colour():
+    model, light, _ = of_ball(Surface(RED, roughness=0.4))
+    changed, found, _ = finished(model, light)
+    anew = fit_together(changed.problems, SETTINGS, beside=light.fit)
+    np.testing.assert_array_equal(found.fit.all_coefficients, anew.fit.all_coefficients)
 
 
 def test_some_plastic_gives_way_for_less_than_what_was_recognised(monkeypatch):
