@@ -11,6 +11,8 @@ LEVELS = ("GREEN", "AMBER", "RED")
 MATERIAL = "does not rule them out"  # `card` says it from the answer itself, by names
 NONE_OF_THESE = "looks like none of the library's materials"
 MISFIT = "does not go with the photo"
+LOOK_ALIKE = "of which it is not known how it reflects"
+OUT_OF_LINE, MADE_UP_FOR = "geometry and photo do not line up", "geometry and photo did not line up"
 COLOUR_UNKNOWN = "the object's colour is not known"
 BY_CURVE = "with the photo read by the tone curve that was found"
 FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said but under Details
@@ -32,8 +34,8 @@ class Advice:
 
 
 KNOWN = (
-    Advice("geometry and photo do not line up", "Photo and geometry do not line up", "ALIGN", "RED"),
-    Advice("geometry and photo did not line up", "The camera is off; the engine made up for it", "ALIGN"),
+    Advice(OUT_OF_LINE, "Photo and geometry do not line up", "ALIGN", "RED"),
+    Advice(MADE_UP_FOR, "The camera is off; the engine made up for it", "ALIGN"),
     Advice(MATERIAL, ""),
     Advice(
         NONE_OF_THESE,
@@ -55,6 +57,7 @@ KNOWN = (
         "Something that is not in the scene throws light on the object; add it",
         level="AMBER",
     ),
+    Advice(LOOK_ALIKE, "{0} has a texture that nobody measured; measure its material", "MATERIAL", "AMBER"),
     Advice(MISFIT, "The material does not quite fit the photo", "MATERIAL", "AMBER"),
     Advice("poorly (relative residual", "The light explains {0} poorly: material, shape or camera", "ALIGN", "RED"),
     Advice("show something else than the light explains", "What stands before {0} is left out; a mask is surer"),

@@ -10,7 +10,18 @@ import re
 import numpy as np
 
 from ..basics.harmonics import LUMINANCE, evaluate, order_of
-from .advice import BY_CURVE, COLOUR_UNKNOWN, MATERIAL, MISFIT, NONE_OF_THESE, advice, worst
+from .advice import (
+    BY_CURVE,
+    COLOUR_UNKNOWN,
+    LOOK_ALIKE,
+    MADE_UP_FOR,
+    MATERIAL,
+    MISFIT,
+    NONE_OF_THESE,
+    OUT_OF_LINE,
+    advice,
+    worst,
+)
 from .light_words import EVEN, ONE_SIDED, angles, brighter_side, colour_words, direction_words, irradiance, size_words
 
 GOOD, FAIR = 0.15, 0.35  # the expected error up to which the light is green, and amber
@@ -29,6 +40,12 @@ OF_JOBS = {  # what jobs call things, and what the panel does
 }
 SAVED_BY = re.compile(r"of what Blender saved by evidence (?:Blender's view transform )?(.+?) \(probability ([\d.]+)\)")
 SURE = 0.9  # of the view by which a render was saved: of what is more probable, nothing is asked
+# Of two doubts, the second says nothing more: its colour is asked for, its material, or the camera is off still.
+SAID_ALREADY = (
+    *((NONE_OF_THESE, other) for other in (MISFIT, COLOUR_UNKNOWN, LOOK_ALIKE)),
+    (LOOK_ALIKE, MISFIT),
+    (OUT_OF_LINE, MADE_UP_FOR),
+)
 BEHIND = "what the mirror hides"
 AROUND = "what the table, or whatever stands around, keeps away"
 
@@ -51,10 +68,10 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     """
     unsure = _unsure_materials(result)
     told = [(sentence, advice(sentence)) for sentence in warnings]
-    idle = ()
-    if any(a.phrase == NONE_OF_THESE for _, a in told):  # then it does not matter which it was taken for at first
+    phrases = {a.phrase for _, a in told}
+    idle = {other for said, other in SAID_ALREADY if said in phrases}
+    if NONE_OF_THESE in phrases:  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
-        idle = (MISFIT, COLOUR_UNKNOWN)  # its colour is asked for already
     which = [a for _, a in told if a.short and a.phrase not in idle]
     shown = {a.short: doubt_of(a) for a in which}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}

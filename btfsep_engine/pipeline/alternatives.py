@@ -14,6 +14,8 @@ import numpy as np
 
 from btfsep_engine.fit.stated import Fit, stated_by
 from btfsep_engine.pipeline.model import Model, stand_ins
+from btfsep_engine.pipeline.refine import refined
+from btfsep_engine.pipeline.refine.look_alike import look_alike
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
 
@@ -73,7 +75,7 @@ def alternatives(model: Model, light: SolvedLight, library) -> list[Alternative]
             known = zip(problem.materials, others, names, chosen, strict=True)
             made = [old if name == before else new for old, new, name, before in known]
             problems.append(problem.of_materials(made, settings))
-        _, fitted, _ = misplaced(model, fit_together(problems, settings))  # known as little, if that is so
+        _, fitted, _ = refined(model, fit_together(problems, settings), {}, (look_alike, misplaced))  # known as little
         out.append(Alternative(names, probability, fitted))
     return out
 

@@ -17,6 +17,7 @@ from btfsep_engine.pipeline.doubts import (
 from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.interreflection import open_share
+from btfsep_engine.pipeline.refine.look_alike import LOOK_ALIKE
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
 from btfsep_engine.pipeline.refine.roughness import OTHERWISE as ROUGH_OTHERWISE
 from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
@@ -45,8 +46,10 @@ def all_doubts(estimate) -> list[str]:
 
 
 def shape_and_colour_doubts(estimate) -> list[str]:
-    """What was said on the way of shapes (`refine.misshapen`), surroundings (`refine.said_surface`) and roughness."""
-    return [estimate.choice[key] for key in (UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE) if key in estimate.choice]
+    """What was said on the way of shapes (`refine.misshapen`), surroundings (`refine.said_surface`), roughness and
+    textures."""
+    keys = UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
+    return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 
 def in_front_doubts(estimate) -> list[str]:

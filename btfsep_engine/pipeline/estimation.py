@@ -23,6 +23,7 @@ from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
 from btfsep_engine.pipeline.refine.left_out import left_out
 from btfsep_engine.pipeline.refine.limb import limb_brightness
+from btfsep_engine.pipeline.refine.look_alike import look_alike
 from btfsep_engine.pipeline.refine.mirrored import mirrored
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
@@ -169,6 +170,7 @@ REFINEMENTS = (
     left_out,
     misshapen,
     unlike_surroundings,
+    look_alike,
     misplaced,
 )
 # On 32 plates these took half of the time; left out of a draft, whose camera stays, they cost its light nothing in the

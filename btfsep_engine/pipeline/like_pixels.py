@@ -43,6 +43,17 @@ def as_seen_on_the_whole(problem: Problem, settings: FitSettings) -> Problem:
     return replace(out, measured=out.means_of(out.scene.job.photo.radiance))
 
 
+def is_textured(scene, index: int, *, seed: int) -> bool:
+    """Whether the photo of an object, made of whatever, varies as of a texture."""
+    rows, columns = np.nonzero(scene.regions[index] & scene.job.photo.usable)
+    few = np.random.default_rng(seed).permutation(len(rows))[:SOME]
+    region = np.zeros_like(scene.regions[index])
+    region[rows[few], columns[few]] = True
+    nothing = np.zeros_like(region)
+    points = [scene.bare_points(i, region=region if i == index else nothing) for i in range(len(scene.regions))]
+    return variation(with_like_pixels(Problem(scene, [], points, [], {}))) >= TEXTURED
+
+
 def with_like_pixels(problem: Problem) -> Problem:
     """The problem whose `around` is found."""
     scene = problem.scene

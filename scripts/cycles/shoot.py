@@ -19,16 +19,19 @@ from tqdm import tqdm
 
 from blender_btfsep.scene.export import export_job
 from btfsep_engine.btf import procedural
+from btfsep_engine.btf.texture_maps import read_maps
 from btfsep_engine.errors import InputError
-from scripts.cycles import COVERAGE, objects, plain, studio
+from scripts.cycles import COVERAGE, materials, objects, plain, studio
 
-STANDING = ("object", "material", "seed", "variation", "thickness", "fill")  # the same of all that one scene shows
+# the same of all that one scene shows
+STANDING = ("object", "material", "seed", "variation", "thickness", "fill", "maps")
 
 
 def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None, denoise=False) -> None:
     """Renders each shot, and writes each folder's job (photo, base mesh, camera) after its first one."""
     for kind, known in (("object", objects.NAMES), ("material", ("white", *procedural.NAMES, *plain.NAMES))):
-        if unknown := {shot[kind] for shot in shots} - {*known}:  # said before the first picture is taken
+        asked = {shot[kind] for shot in shots if kind == "object" or not shot["maps"]}
+        if unknown := asked - {*known}:  # said before the first picture is taken
             got = f"no {kind} of the studio is called {' or '.join(sorted(unknown))}"
             raise InputError("the photographs", got, f"choose from {', '.join(known)}")
     missing = [s for s in shots if not (Path(s["folder"]) / s["name"]).exists() or not _job(s).exists()]
@@ -36,6 +39,9 @@ def shoot(shots, *, resolution: int, samples: int, threads: int = 0, noise=None,
     for key, group in groupby(missing, lambda s: [s[k] for k in STANDING]):
         told = dict(zip(STANDING, key, strict=True))
         name, material = told.pop("object"), told.pop("material")
+        if told["maps"]:
+            how = told["maps"] | {"name": material, "resolution": materials.MAP_RESOLUTION}
+            told["maps"] = read_maps(Path(how.pop("folder")), **how).maps
         with studio.quiet():
             scene, _, base, _ = studio.make_scene(name, material, None, resolution=resolution, **told)
             scene.render.use_persistent_data = True  # the displaced mesh is the same in all photographs

@@ -49,6 +49,7 @@ class Shot:
     ball, wall : None, or {place, radius, radiance}, {place, edge, colour} of what stands beside, in the object's radii
         (half the diagonal of its bounding box)
     table : None, or {edge, colour, checks} of what the object stands on; the job has it as an occluder
+    maps : None, or {folder, size_mm, height_mm} of a texture set by others, which ``material`` then only names
     """
 
     folder: str
@@ -64,6 +65,7 @@ class Shot:
     ball: dict | None = None
     wall: dict | None = None
     table: dict | None = None
+    maps: dict | None = None
 
 
 @dataclass(frozen=True)

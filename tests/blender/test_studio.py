@@ -5,10 +5,12 @@ from dataclasses import asdict
 from types import SimpleNamespace
 
 import bpy
+import cv2
 import numpy as np
 import pytest
 
 from btfsep_engine.errors import InputError
+from btfsep_engine.job.load import load_job
 from scripts.cycles import materials, objects, shoot, studio
 from scripts.studies import photos
 
@@ -161,3 +163,16 @@ def test_a_photograph_of_what_there_is_not_is_refused_before_any_is_taken(tmp_pa
         shoot.shoot(shots, resolution=8, samples=1)
     assert "blob" in error.value.do or "white" in error.value.do
     assert not any(tmp_path.iterdir())
+
+
+def test_a_texture_set_by_others_is_photographed_as_it_is(tmp_path):
+    """Cycles shows the set's own colour, and the job has the mesh's UVs in its tiles."""
+    sets = tmp_path / "sets" / "tile"
+    sets.mkdir(parents=True)
+    for name, value in (("color", (40, 160, 200)), ("height", (128,) * 3), ("roughness", (230,) * 3)):
+        cv2.imwrite(str(sets / f"{name}.png"), np.full((64, 64, 3), value, np.uint8))  # blue first
+    maps = {"folder": str(sets), "size_mm": 60.0, "height_mm": 1.0}
+    shoot.shoot([asdict(photos.shot(tmp_path, "blob", "others/tile", "city", maps=maps))], resolution=32, samples=16)
+    job = load_job(tmp_path / "blob_others-tile_city")
+    red, green, blue = job.photo.radiance[12:20, 12:20].reshape(-1, 3).mean(0)
+    assert red > 1.2 * green > 1.2 * 4 * blue

@@ -179,7 +179,9 @@ def taken_for(surface, true, *, is_given=False, plain=()):
     felt = homogeneous(surface, "felt/teal")
     (problem,) = model.problems
     problems = [problem.of_materials([felt], SETTINGS)]
-    one = ObjectMaterial("felt/teal", felt, is_given, (("felt/teal", 0.6), ("felt/red", 0.4), *plain), likely=("felt/teal",))
+    one = ObjectMaterial(
+        "felt/teal", felt, is_given, (("felt/teal", 0.6), ("felt/red", 0.4), *plain), likely=("felt/teal",)
+    )
     model = replace(model, looks={"mean": problems}, materials=([one],))
     before = fit_together(problems, SETTINGS)
     return model, before, *finished(model, before), light

@@ -113,7 +113,9 @@ def finished(model, light):
 
 
 def _has_texture(recognised) -> bool:
-    """Whether recognition, which has seen the texture, rules out that the object is alike all over."""
+    """Whether recognition, which has seen the texture, is sure of it: a thing alike all over is ruled out."""
+    if recognised.looks_alike:
+        return False
     plain = [score for name, score in recognised.candidates if name in SURFACES]
     return bool(plain) and max(plain) < RULED_OUT * max(score for _, score in recognised.candidates)
 

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Of a texture that nobody measured: what stands for it, and how much more is stated of its light."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.btf.surfaces import GIVEN, SURFACES, Surface
+from btfsep_engine.pipeline import recognition
+from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.like_pixels import is_textured
+from btfsep_engine.pipeline.materials import STRANGE, ObjectMaterial
+from btfsep_engine.pipeline.model import Model
+from btfsep_engine.pipeline.recognition import recognise_object, without_metal
+from btfsep_engine.pipeline.refine.look_alike import BY_NUMBERS, GUESSED, LOOK_ALIKE, look_alike
+from btfsep_engine.progress import Reporter
+from btfsep_engine.recognise.recogniser import Recognition
+from btfsep_engine.render.homogeneous import homogeneous
+from tests.render.scenes import egg_and_pebble
+from tests.render.test_like_pixels import SETTINGS, WHITE, of_mesh
+
+PLASTIC, METAL, LEATHER = "surface/plastic", "surface/metal", "leather/brown-grain"
+SCORES = ((METAL, 0.5), (LEATHER, 0.2), ("surface/matte", 0.18), (PLASTIC, 0.12))
+
+
+@pytest.fixture(scope="module")
+def photographed():
+    """{is textured: PreparedScene} of the same objects in the same light."""
+    return {texture > 0.05: of_mesh(egg_and_pebble(), texture=texture)[0].scene for texture in (0.005, 0.15)}
+
+
+def widths(found) -> np.ndarray:
+    return np.ptp(found.lighting.interval, 0)
+
+
+@pytest.mark.parametrize(("textured", "name"), [(True, PLASTIC), (False, PLASTIC), (True, "reference/white-diffuse")])
+def test_ranges_are_wider_where_a_surface_without_texture_stands_for_one_that_has(photographed, textured, name):
+    scene, library = photographed[textured], open_library(None)
+    scene.reporter = Reporter()
+    found = estimate(scene, library, SETTINGS, material=name)
+    model = found.model
+    _, same, words = look_alike(model, found.light)  # once more: of the same model the answer is the same
+    wider = textured and name == PLASTIC
+    assert (LOOK_ALIKE in found.choice) is (LOOK_ALIKE in words) is wider
+    assert any("not known how it reflects" in said for said in scene.reporter.warnings) is wider
+    factor = np.ptp(same.fit.interval, 0) / widths(found)
+    np.testing.assert_allclose(factor, GUESSED if wider else 1, rtol=1e-6)
+    np.testing.assert_array_equal(same.fit.coefficients, found.fit.coefficients)
+
+
+def made_of(material, **changes) -> ObjectMaterial:
+    return ObjectMaterial(material.name, material, **({"is_given": True} | changes))
+
+
+def factors() -> list:
+    leather, surface = open_library(None).load(LEATHER), homogeneous(SURFACES[PLASTIC], PLASTIC)
+    seen = {"is_given": False, "likely": (LEATHER,)}
+    return [
+        (made_of(leather), 1.0),
+        (made_of(leather, **seen, unknown_score=0.9 * STRANGE), 1.0),
+        (made_of(leather, **seen, unknown_score=1.1 * STRANGE), GUESSED),
+        (made_of(surface, is_given=False, unknown=True), GUESSED),
+        (made_of(surface), GUESSED),
+        (made_of(surface, mirror=Surface(metallic=1)), 1.0),
+        (made_of(homogeneous(Surface((0.2, 0.3, 0.1)), GIVEN)), BY_NUMBERS),
+        (made_of(WHITE), 1.0),
+    ]
+
+
+@pytest.mark.parametrize(("material", "factor"), factors())
+def test_how_much_wider_goes_by_what_is_known_of_the_material(photographed, material, factor):
+    found = estimate(photographed[True], open_library(None), SETTINGS, material="reference/white-diffuse")
+    model: Model = replace(found.model, materials=([material],))
+    _, light, words = look_alike(model, found.light)
+    np.testing.assert_allclose(np.ptp(light.fit.interval, 0), factor * np.ptp(found.light.fit.interval, 0), rtol=1e-6)
+    assert (f"{factor:g} times as wide" in words.get(LOOK_ALIKE, "")) is (factor > 1)
+
+
+def test_textures_are_told_from_smooth_photos(photographed):
+    assert is_textured(photographed[True], 0, seed=0) and not is_textured(photographed[False], 0, seed=0)
+
+
+@pytest.mark.parametrize("textured", [True, False])
+def test_no_metal_alike_all_over_stands_for_what_has_a_texture(photographed, textured, monkeypatch):
+    scene = photographed[textured]
+    scene.reporter = Reporter()
+    strange = Recognition(LEATHER, SCORES, True, 2.0, (METAL,), METAL)
+    monkeypatch.setattr(recognition, "trained_recogniser", lambda *_: None)
+    monkeypatch.setattr(recognition, "Verification", lambda *_: None)
+    monkeypatch.setattr(recognition, "recognised", lambda *_, **__: strange)
+    answer = recognise_object(scene, 0, open_library(None), SETTINGS)
+    assert answer.stand_in == ("surface/matte" if textured else METAL)
+    assert answer.likely == (() if textured else (METAL,)) and answer.candidates == SCORES
+    assert any(answer.stand_in in said for said in scene.reporter.warnings)
+
+
+def test_without_metal_the_next_is_named():
+    known = Recognition(METAL, SCORES, False, 0.5, (METAL, LEATHER), None)
+    assert without_metal(known) == replace(known, material=LEATHER, likely=(LEATHER,))
+    unsaid = replace(known, material=LEATHER, likely=None)
+    assert without_metal(unsaid) == unsaid
