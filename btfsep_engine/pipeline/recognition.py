@@ -176,7 +176,7 @@ def without_metal(answer: Recognition) -> Recognition:
     """The answer for an object with a texture, which none of it is a metal alike all over; the candidates stay.
 
     What stands for none of the library's is alike all over, and of coloured things of wood or stone a metal often looks
-    the most like: it is dark, and has coloured highlights. On nine photographs of such the light erred 0.27 to 0.62.
+    the most like: it is dark, and has coloured highlights. On eight photographs of such the light erred 0.29 to 0.62.
     """
     others = [name for name, _ in answer.candidates if name != METAL]
     stand_in = next(name for name in others if name in PLAIN) if answer.stand_in == METAL else answer.stand_in

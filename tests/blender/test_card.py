@@ -352,3 +352,21 @@ def test_the_picture_shows_from_where_the_light_comes(photographed):
     azimuth = 2 * np.pi * (0.5 - (column + 0.5) / 256)
     assert abs(np.degrees(azimuth) + 135) < 5 and abs(row - 32) < 3  # -X -Y, 45 degrees up
     assert np.ptp(pixels[128:, :128]) == 0  # the photo is black
+
+
+def test_of_two_doubts_that_say_the_same_one_is_shown():
+    texture = "the photo shows a texture of object 'Vase' of which it is not known how it reflects: what is known"
+    misfit = "the material (surface/plastic) does not go with the photo: its gloss or its class may be wrong"
+    none = "object 'Vase' looks like none of the library's materials: it is taken to be of one kind all over"
+    off = "geometry and photo do not line up: give another camera"
+    mended = "geometry and photo did not line up: for this estimate the camera is moved by 2.0 pixels"
+    for told, mends in (
+        ([texture], ["MATERIAL"]),
+        ([texture, misfit], ["MATERIAL"]),
+        ([texture, misfit, none], ["COLOUR"]),
+        ([mended], ["ALIGN"]),
+        ([mended, off], ["ALIGN"]),
+    ):
+        found = card.card_of({}, lighting(), FRONT, warnings=told)
+        assert [d["mend"] for d in found["warnings"]] == mends and len(found["details"]) == len(told)
+    assert found["warnings"][0]["short"] == "Photo and geometry do not line up"
