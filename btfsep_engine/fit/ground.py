@@ -55,6 +55,35 @@ class Ground:
     surface: np.ndarray
     at: np.ndarray
 
+    @cached_property
+    def axes(self) -> np.ndarray:
+        """(h w, k): what the ground tells of beams apart, orthonormal, its singular vectors.
+
+        Found by the eigenvectors of the smaller square, exact far below `NULL`. Channels are mixtures of two responses,
+        of what a surface has a colour of and of what is white: their mean and that which is farthest from it stand for
+        them, which leaves out no more of a response than all three do, in a third of the time.
+        """
+        seen = np.moveaxis(self.response, 2, 0).astype(np.float64)
+        mean = seen.mean(0)
+        off = seen - mean
+        sizes = np.linalg.norm(off, axis=(1, 2))
+        far = off[sizes.argmax()] * (np.linalg.norm(sizes) / max(sizes.max(), 1e-300))
+        rows = np.concatenate([np.sqrt(3) * mean, far])
+        small = len(rows) < rows.shape[1]
+        squares, axes = eigh(product(rows, rows.T) if small else product(rows.T, rows))
+        axes = axes[:, squares > NULL**2 * squares[-1]]
+        if small:
+            axes = product(rows.T, axes)
+            axes /= np.linalg.norm(axes, axis=0)
+        return axes
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """(3, p, k): the response along the axes."""
+        places, pixels = self.response.shape[:2]
+        seen = np.ascontiguousarray(np.moveaxis(self.response, 2, 0), np.float64).reshape(-1, pixels)
+        return product(seen, self.axes).reshape(3, places, -1)
+
 
 class WithGround:
     """The products of a photograph with ground beside its objects, for `fit.search` in the place of a `Photograph`.
@@ -71,17 +100,7 @@ class WithGround:
     def __init__(self, photo: Photograph, ground: Ground, first: Solution):
         self.photo, self.ground = photo, ground
         self.basis, self.level, self.mean_square = photo.basis, photo.level, photo.mean_square
-        places, pixels = ground.response.shape[:2]
-        seen = np.ascontiguousarray(np.moveaxis(ground.response, 2, 0), np.float64).reshape(-1, pixels)
-        # its singular vectors, by the eigenvectors of the smaller square: a fifth of the time, exact far below `NULL`
-        small = len(seen) < pixels
-        squares, axes = eigh(product(seen, seen.T) if small else product(seen.T, seen))
-        axes = axes[:, squares > NULL**2 * squares[-1]]
-        if small:
-            axes = product(seen.T, axes)
-            axes /= np.linalg.norm(axes, axis=0)
-        self._columns = product(seen, axes).reshape(3, places, -1)
-        beside = partial(_between, axes)
+        self._columns, beside = ground.columns, partial(_between, ground.axes)
         self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in photo.fields)
         self._drift, self._shown = _drift(ground), 0.0
         field = self.fields[0 if first.model.field.order else 1]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
-from btfsep_engine.fit.ground import SKY, Ground, WithGround
+from btfsep_engine.fit.ground import NULL, SKY, Ground, WithGround
 from btfsep_engine.fit.log_normal import LightSolver
 from tests.engine.half_sphere import SUN, even, half_sphere, lamp, off, shown
 
@@ -114,3 +114,19 @@ def test_whether_a_lamp_would_be_seen_does_not_depend_on_the_company_it_is_asked
     faint = directions[~seen]
     assert not photo.shadowed(faint).any() and len(photo.shadowed(faint[:0])) == 0
     assert [bool(photo.shadowed(d[None])[0]) for d in directions[::40]] == seen[::40].tolist()
+
+
+@pytest.mark.parametrize("places", [60, 1000])
+def test_the_axes_of_a_coloured_gloss_leave_out_no_more_than_those_of_all_channels(rng, places):
+    """White highlights over a coloured base: each channel is another mixture of the two."""
+    smooth = np.exp(-0.5 * np.square(np.subtract.outer(np.arange(1800), np.linspace(0, 1800, 90)) / 30))
+    base, gloss = ((smooth @ np.abs(rng.normal(size=(90, places)))).T for _ in range(2))
+    response = np.stack([share * base + 0.3 * gloss for share in (1.0, 0.4, 0.1)], 2).astype(np.float32)
+    ground = Ground(response, np.zeros((places, 3)), np.zeros(places, int), np.zeros((places, 2)))
+    seen = np.moveaxis(response, 2, 0).reshape(-1, 1800).astype(np.float64)
+    axes, (_, sizes, rows) = ground.axes, np.linalg.svd(seen, full_matrices=False)
+    kept = rows[sizes > NULL * sizes[0]].T
+    lost, least = (np.linalg.norm(seen - seen @ a @ a.T) for a in (axes, kept))
+    assert lost < 1.05 * least + 1e-6 * np.linalg.norm(seen) and axes.shape[1] <= 1.1 * kept.shape[1]
+    np.testing.assert_allclose(axes.T @ axes, np.eye(axes.shape[1]), atol=1e-4)
+    np.testing.assert_allclose(ground.columns, np.moveaxis(response, 2, 0) @ axes, rtol=1e-4, atol=1e-4)
