@@ -180,8 +180,8 @@ def without_metal(answer: Recognition) -> Recognition:
     """
     others = [name for name, _ in answer.candidates if name != METAL]
     stand_in = next(name for name in others if name in PLAIN) if answer.stand_in == METAL else answer.stand_in
-    material = others[0] if answer.material == METAL else answer.material
     likely = answer.likely and tuple(name for name in answer.likely if name != METAL)
+    material = next(iter(likely or others)) if answer.material == METAL else answer.material
     return replace(answer, material=material, stand_in=stand_in, likely=likely)
 
 

@@ -99,5 +99,8 @@ def test_no_metal_alike_all_over_stands_for_what_has_a_texture(photographed, tex
 def test_without_metal_the_next_is_named():
     known = Recognition(METAL, SCORES, False, 0.5, (METAL, LEATHER), None)
     assert without_metal(known) == replace(known, material=LEATHER, likely=(LEATHER,))
+    plain = replace(known, candidates=(SCORES[0], SCORES[2], SCORES[1]))  # the likelier one is ruled out
+    assert without_metal(plain) == replace(plain, material=LEATHER, likely=(LEATHER,))
+    assert without_metal(replace(plain, likely=None)) == replace(plain, material="surface/matte", likely=None)
     unsaid = replace(known, material=LEATHER, likely=None)
     assert without_metal(unsaid) == unsaid
