@@ -60,6 +60,7 @@ class LightSolver:
     ----------
     basis : (p, terms, 3) float, A, of order 9
     normals : (p, 3) float, unit, world
+    photographs : as of `fit.products.Basis`
     order : the order that is reported; it does not change the numbers
     seed : of the samples
     coarsening : how many times less a pixel counts than in an estimate
@@ -72,12 +73,14 @@ class LightSolver:
         Without pixels, or where the material reflects nothing.
     """
 
-    def __init__(self, basis, *, normals, order: int, seed: int = 0, coarsening: float = 1.0, given=(), hidden=None):
+    def __init__(
+        self, basis, *, normals, order: int, photographs=None, seed: int = 0, coarsening=1.0, given=(), hidden=None
+    ):
         with one_thread():  # so that the number of threads changes no digit of what is found
-            self.basis = Basis(basis, normals)
+            self.basis = Basis(basis, normals, photographs)
         self.order, self.seed, self.coarsening = order, seed, coarsening
         self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
-        self.slopes, self.dye, self.stated_colour = None, 0.0, False
+        self.slopes, self.departing, self.dye, self.stated_colour = None, None, 0.0, False
         self.field = natural_field() if hidden is None else replace(natural_field(), hidden=hidden)
 
     @property
@@ -88,6 +91,10 @@ class LightSolver:
     def with_slopes(self, slopes) -> "LightSolver":
         """The same for photographs that may differ by ``slopes`` (p, k, 3) beside noise (`fit.products.Photograph`)."""
         return self._with(slopes=slopes)
+
+    def with_departing(self, departing) -> "LightSolver":
+        """The same for photographs that may depart from the model ``departing`` (p,) times as far as others."""
+        return self._with(departing=departing)
 
     def with_dye(self, dye) -> "LightSolver":
         """The same of basis images of an object of the tint ``dye``, which the photo says (`colour.split`)."""
@@ -192,7 +199,7 @@ class LightSolver:
     def _photograph(self, radiance, weights, beside: Fit | None, *, kind=Photograph) -> Photograph:
         effective = None if beside is None else beside.election.photo.effective
         how = {"coarsening": self.coarsening, "effective": effective, "slopes": self.slopes, "field": self.field}
-        return kind(self.basis, radiance, weights=weights, **how)
+        return kind(self.basis, radiance, weights=weights, departing=self.departing, **how)
 
     def _onward(self, photo: Photograph, before: Election) -> Fit:
         """The light of an earlier election's models, from their lights on; of the rival's when it is asked for."""

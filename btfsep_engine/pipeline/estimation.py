@@ -16,6 +16,7 @@ from btfsep_engine.pipeline.mirrors import softened
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
+from btfsep_engine.pipeline.refine.each_photo import each_photo_by_itself
 from btfsep_engine.pipeline.refine.finish import finished
 from btfsep_engine.pipeline.refine.ground import ground
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
@@ -150,6 +151,7 @@ REFINEMENTS = (
     as_the_photo_shows,
     light_between_surfaces,
     without_things_in_front,
+    each_photo_by_itself,
     left_as_it_is,
     finished,
     as_rough_as_seen,

@@ -73,7 +73,9 @@ class SolvedLight:
 
     def share_left(self, problems: list[Problem]) -> float:
         """What the light does not explain, over what is fitted."""
-        return float(np.linalg.norm(self.left_over(problems)) / max(np.linalg.norm(self.radiance(problems)), 1e-300))
+        count = np.sqrt(counts(problems))[:, None]
+        left, all_of_it = (np.linalg.norm(count * v) for v in (self.left_over(problems), self.radiance(problems)))
+        return float(left / max(all_of_it, 1e-300))
 
 
 def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: float = 1.0) -> LightSolver:
@@ -85,15 +87,24 @@ def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: 
     def made() -> LightSolver:
         normals = np.concatenate([p.normals for p in problems])
         how = {"order": order, "seed": settings.seed, "coarsening": coarsening, "given": given, "hidden": hidden}
-        return LightSolver(stacked(problems)[0], normals=normals, **how)
+        return LightSolver(stacked(problems)[0], normals=normals, photographs=of_photographs(problems), **how)
 
-    parts = [[[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]]
-    of = [*parts, order, settings.seed, float(coarsening), list(given), [] if hidden is None else hidden]
+    parts = [[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]
+    of = [parts, [len(problem.points) for problem in problems], order, settings.seed, float(coarsening), list(given)]
+    of.append([] if hidden is None else hidden)
     solver = kept.recalled("solver", of, made)
     solver = solver if (dye := common_dye(problems)) is None else solver.with_dye(dye)
     solver = solver.with_stated_colour() if stated_colour(problems) else solver
     solver = solver.with_vivid() if any(p.vivid for p in problems) else solver
+    if len({p.counts for p in problems}) > 1:
+        known = counts(problems)
+        solver = solver.with_departing(np.sqrt(known.max() / known))
     return solver if (slopes := all_slopes(problems)) is None else solver.with_slopes(slopes)
+
+
+def of_photographs(problems: list[Problem]) -> np.ndarray | None:
+    """(p,) int, the number of the photograph of each pixel; None of one alone."""
+    return None if len(problems) == 1 else np.repeat(np.arange(len(problems)), [len(p.pixels) for p in problems])
 
 
 def hidden_directions(problems: list[Problem]) -> np.ndarray | None:
@@ -138,6 +149,11 @@ def all_weights(problems: list[Problem]):
     if all(p.weights is None for p in problems):
         return None
     return np.concatenate([np.ones((len(p.blocks), 3)) if p.weights is None else p.weights for p in problems])
+
+
+def counts(problems: list[Problem]) -> np.ndarray:
+    """(p,), how much each pixel of all photos counts beside the other photos' (`Problem.counts`)."""
+    return np.repeat([p.counts for p in problems], [len(p.pixels) for p in problems])
 
 
 def all_slopes(problems: list[Problem]):

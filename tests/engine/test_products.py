@@ -14,14 +14,15 @@ NOISE = np.array([0.004, 0.006, 0.01])
 SIZES = (0.02, 0.08)  # of the discrepancy: as good as exact, and nearly right (docs/results/fit.md)
 
 
-@pytest.fixture(params=["alike", "weighted", "with slopes"])
+@pytest.fixture(params=["alike", "weighted", "with slopes", "of three photographs"])
 def dense(request, rng):
     """The products, and by hand: A (3, p, terms), b (3, p), W's own weights (3, p), F (3, p, k) by its size."""
     basis, normals, _ = half_sphere(rng, pixels=PIXELS)
     b = shown(basis, side_light(), rng, 0.1)
     weights = rng.uniform(0.1, 1, b.shape) if request.param == "weighted" else None
     slopes = 0.3 * rng.normal(size=(PIXELS, 4, 3)) * b[:, None] if request.param == "with slopes" else None
-    photo = Photograph(Basis(basis, normals), b, weights=weights, slopes=slopes)
+    number, departing = (np.arange(PIXELS) % 3, rng.uniform(1, 3, PIXELS)) if "three" in request.param else (None, None)
+    photo = Photograph(Basis(basis, normals, number), b, weights=weights, slopes=slopes, departing=departing)
     first = 0.9 * side_light().T / photo.level[:, None]
     photo.learn_from(first)
     response = basis[:, 0].mean(0) * np.sqrt(4 * np.pi)
@@ -32,6 +33,8 @@ def dense(request, rng):
     measured = (b / response).T / level[:, None]
     y = sh.evaluate(4, normals)[:, 1:] * np.sqrt(4 * np.pi)  # each of mean square 1 over the sphere
     f = 1 / np.sqrt(24) * np.einsum("cpt,ct->cp", a, first)[..., None] * y
+    if number is not None:  # each has a misfit of its own
+        f = np.concatenate([f * (departing * (number == i))[:, None] for i in range(3)], -1)
     moves = np.zeros((3, PIXELS, 0)) if slopes is None else np.moveaxis(slopes / response / level, 2, 0)
     return photo, a, measured, w, lambda size: np.concatenate([size * f, moves], -1)  # a slope's size is its own
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.stated import expected_error, widened
+from btfsep_engine.pipeline.together import counts
 
 PATCHES = 8  # along the longer side of an object in the picture
 LEAST_POINTS = 4  # of a patch
@@ -37,7 +38,7 @@ FINER = "give a finer mesh, or shade it flat if the object has facets"
 
 def patch_misfit(problems, light) -> float:
     """Root mean square of what is left over patches of the objects, over that of the photo; noise taken out."""
-    b, left = light.radiance(problems), light.left_over(problems)
+    b, left, counted = light.radiance(problems), light.left_over(problems), counts(problems)
     numbers, first = [], 0
     for points in (points for problem in problems for points in problem.points):
         if len(points):
@@ -50,8 +51,9 @@ def patch_misfit(problems, light) -> float:
     mean, square = (np.stack([np.bincount(patch, v) for v in each.T], 1) / count for each in (left, np.square(left)))
     by_chance = (square - np.square(mean)) / np.maximum(count - 1, 1)
     kept = count[:, 0] >= LEAST_POINTS
-    power = (count * (np.square(mean) - by_chance))[kept].sum() / max(float(count[kept].sum()), 1e-300)
-    return float(np.sqrt(max(power, 0.0) / max(float(np.square(b).sum(1).mean()), 1e-300)))
+    weight = np.bincount(patch, counted)[kept, None]  # of a photo that counts for little, so do its patches
+    power = (weight * (np.square(mean) - by_chance)[kept]).sum() / max(float(weight.sum()), 1e-300)
+    return float(np.sqrt(max(power, 0.0) / max(float(np.average(np.square(b).sum(1), weights=counted)), 1e-300)))
 
 
 def lean(problems) -> float:
