@@ -1,12 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Highlights are told from things in front by other places that reflect the same direction."""
+"""Pixels that show something in front: told from highlights by other places that reflect the same direction, and from
+what the camera or the mesh is off by along outlines."""
 
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.pipeline.refine.in_front import highlights
+from btfsep_engine.pipeline.model import Model
+from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.refine.in_front import highlights, shining, without_things_in_front
+from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import fit_together
+from btfsep_engine.progress import Reporter
+from btfsep_engine.render.surface import SurfacePoints
+from tests.engine.half_sphere import half_sphere, shown, side_light
 
 MATTE, GLOSSY = 0.002, 0.1
 BALL = 1000  # points
@@ -48,3 +57,46 @@ def test_a_matte_ball_tells_nothing_of_what_a_glossy_one_shows():
 def test_matte_objects_have_none():
     problem = two_balls(MATTE, MATTE)
     assert not highlights(problem, problem.normals[:, 2] > 0.9).any()
+
+
+def photographed(rng, there, level, *, gloss=0.0) -> tuple:
+    """The model and the light of a photo of half a ball in side light, on part of which something is in front.
+
+    ``there`` : (across, down) in the ball's radii -> whether it is, (p,) bool; ``level`` : its radiance over the mean
+    """
+    basis, normal, _ = half_sphere(rng, pixels=800, gloss=gloss)
+    b = shown(basis, side_light(), rng, 0.02)
+    b[there(*normal[:, [0, 2]].T)] = level * b.mean()
+    pixels, eye = np.round(100 + 90 * normal[:, [2, 0]]).astype(np.int32), np.broadcast_to([0.0, -1.0, 0.0], (800, 3))
+    outlines = SimpleNamespace(rings_at=lambda at: ((90 - np.linalg.norm(at - 100, axis=1)) // 3).astype(int))
+    job = SimpleNamespace(photo=SimpleNamespace(clipped=None), occluders=(), known_lamps=())
+    scene = SimpleNamespace(job=job, outlines=outlines, reporter=Reporter())
+    points = SurfacePoints(pixels, normal, normal, normal, eye, np.zeros(800, np.int32), normal, np.ones(800))
+    material = SimpleNamespace(name="one", dye=None)
+    problem, settings = Problem(scene, [material], [points], [basis], {}, measured=b), choose(bounces=1, order=2)
+    return Model(settings, {"mean": [problem]}), fit_together([problem], settings)
+
+
+def patch(across, down):
+    return np.hypot(across + 0.2, down - 0.1) < 0.2
+
+
+def rim(across, down):
+    return (np.hypot(across, down) > 0.93) & (across < 0)
+
+
+@pytest.mark.parametrize(("level", "gloss"), [(4.0, 0.0), (0.02, 0.0), (0.02, 4.0)])
+def test_what_stands_apart_is_left_out_and_of_gloss_what_is_darker_than_the_light_explains(rng, level, gloss):
+    """No highlight is darker than all around it: a dark thing need not be seen at two places."""
+    model, light = photographed(rng, patch, level, gloss=gloss)
+    assert shining(model.problems[0])[0].all() == (gloss > 0)
+    freed, answer, words = without_things_in_front(model, light)
+    (left,) = freed.problems
+    assert not patch(*left.normals[:, [0, 2]].T).any() and left.left_out < 20 and "pixels" in words["robust"]
+    assert answer.fit.residual < 0.3 * light.fit.residual
+
+
+def test_what_stands_apart_along_an_outline_is_no_thing_in_front(rng):
+    """The camera is off there, or the mesh; however well the light explains all else."""
+    model, light = photographed(rng, rim, 4.0)
+    assert without_things_in_front(model, light)[1] is light

@@ -10,6 +10,7 @@ import trimesh
 
 from btfsep_engine import sh
 from btfsep_engine.btf.departures import departures
+from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
 from btfsep_engine.imaging import images
@@ -17,10 +18,11 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import following
+from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
-from tests.render.scenes import bowl, looking_down, positive_light
+from tests.render.scenes import ball, bowl, job_of, looking_down, positive_light, scene_of, with_photo
 
 QUICK = ("--material", "reference/white-diffuse", "--preset", "draft", "--pixels", "600", "--align", "never")
 LAMP, OTHER = (np.array(d) / np.linalg.norm(d) for d in ([0.6, 0.3, 0.74], [-0.7, 0.1, 0.7]))
@@ -154,6 +156,24 @@ def test_a_frame_that_the_model_explains_much_worse_chooses_its_own(bowl_frames,
     monkeypatch.setattr(following, "WORSE", 0.0)
     frames = answer(capsys, "sequence", bowl_frames, "--images", bowl_frames / "frames" / "[23].exr")["frames"]
     assert all(f["lamps"] and "are modelled" in f["choice"]["interreflections"] for f in frames)
+
+
+def test_no_light_is_followed_that_hangs_on_a_ground_or_on_a_lamps_image_in_another_view():
+    """By a ground that is evidence in no view; by a lamp's own image, which was settled there, in the same one."""
+    job = with_photo(job_of([ball()], looking_down()), shaded(looking_down(), np.eye(4)))
+    settings = choose("draft", bounces=1, directions=128, pixels=300, order=2)
+    first = estimate(scene_of(job), open_library(None), settings, material="reference/white-diffuse")
+    model, light, (problem,) = first.model, first.light, first.model.problems
+    corrected = replace(problem, correction=np.zeros((len(problem.pixels), 3)))
+
+    def followed(last):
+        follower = following.Follower(last, None)
+        return [follower._again(first.scene) is not None, follower._followed(model, None) is not None]
+
+    assert followed(first) == [True, True]
+    assert followed(replace(first, light=replace(light, alone=light.fit))) == [False, False]
+    of_lamp = replace(model, looks={model.appearance: [corrected]})
+    assert followed(replace(first, model=of_lamp)) == [True, False]
 
 
 def test_the_main_direction_is_still_on_a_still_scene(sphere_job_folder, capsys):

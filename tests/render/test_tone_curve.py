@@ -200,6 +200,48 @@ def test_that_eight_bits_are_linear_is_believed_where_they_look_it(ball, monkeyp
     assert stated > 1.8 * usual if doubted else stated == usual
 
 
+def solved(scene):
+    """The problems of a scene of the grey ball, and its light, as first found."""
+    model, light, _ = solve_model(first_model([scene], [[ObjectMaterial("grey", Grey().load("grey"), True)]], SETTINGS))
+    return model.problems, light
+
+
+def test_a_cameras_curve_is_not_doubted_where_srgb_explains_no_more(ball, monkeypatch):
+    """Only beside linear codes sRGB is far more usual."""
+    problems, found = solved(seen(ball, CAMERA, "camera"))
+    logs = cycle([0.0, -0.5])  # by the camera's curve, and by sRGB
+    monkeypatch.setattr(curves, "log_probability", lambda *_: next(logs))
+    assert curves.curve_doubts(problems, found) == []
+    logs = cycle([0.0, 5.0])
+    (said,) = curves.curve_doubts(problems, replace(found, exposures=[1.1]))  # asked anew
+    assert "as sRGB the light would explain it far better" in said
+
+
+def test_how_probable_a_curve_is_does_not_depend_on_a_photos_exposure(ball, monkeypatch):
+    problems, found = solved(seen(ball, SRGB, "linear"))
+    logs, probability = [], curves.log_probability
+    monkeypatch.setattr(curves, "log_probability", lambda *about: logs.append(probability(*about)) or logs[-1])
+    for exposure in (1.0, 3.0):
+        curves.curve_doubts(problems, replace(found, exposures=[exposure]))
+    assert len(logs) == 8
+    np.testing.assert_allclose(logs[4:], logs[:4], rtol=1e-6)
+
+
+def test_what_is_clipped_stays_as_bright_as_it_was_taken_for_by_every_curve(ball):
+    """The largest code says by no curve how bright it was."""
+    scene = seen(ball, SRGB, "srgb")
+    photo, limit = scene.job.photo, 0.7
+    clipped = photo.radiance >= limit
+    photo = replace(photo, radiance=np.minimum(photo.radiance, limit).astype(np.float32), clipped=clipped)
+    scene.job = replace(scene.job, photo=photo)
+    (problem,), _ = solved(scene)
+    other = curves._read_by(LINEAR, problem, photo.radiance, lambda some: codes_of(scene.job, some))
+    there = problem.clipped
+    assert 0 < there.mean() < 0.5 and problem.radiance()[there].min() >= limit - 1e-6
+    np.testing.assert_array_equal(other.radiance()[there], problem.radiance()[there])
+    assert (other.radiance()[~there] != problem.radiance()[~there]).mean() > 0.9
+
+
 def test_no_jpeg_is_said_to_be_linear(ball, tmp_path):
     """However much it looks like it; and a file says that it is one."""
     scene = seen(ball, LINEAR, "auto")
