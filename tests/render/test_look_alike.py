@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Of a texture that nobody measured: what stands for it, and how much more is stated of its light."""
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -80,6 +81,18 @@ def test_how_much_wider_goes_by_what_is_known_of_the_material(photographed, mate
 
 def test_textures_are_told_from_smooth_photos(photographed):
     assert is_textured(photographed[True], 0, seed=0) and not is_textured(photographed[False], 0, seed=0)
+
+
+@pytest.mark.parametrize("textured", [True, False])
+def test_textures_are_told_by_what_is_usable_of_a_photo_and_be_it_little(photographed, textured):
+    scene = copy(photographed[textured])
+    photo = scene.job.photo
+    row, column = scene.points(0, textured=False).pixels.mean(0).astype(int)
+    usable = np.zeros_like(photo.usable)
+    usable[row - 3 : row + 3, column - 3 : column + 3] = True  # of 34 000 pixels
+    image = np.where(usable[..., None], photo.radiance, np.nan)
+    scene.job = replace(scene.job, photo=replace(photo, radiance=image, usable=usable))
+    assert [is_textured(scene, 0, seed=seed) for seed in range(3)] == [textured] * 3
 
 
 @pytest.mark.parametrize("textured", [True, False])

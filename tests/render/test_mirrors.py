@@ -15,9 +15,10 @@ from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.imaging.images import write_exr
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline import mirrors
+from btfsep_engine.pipeline import like_pixels, mirrors
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
+from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.homogeneous import homogeneous
@@ -127,6 +128,17 @@ def test_what_stands_in_its_place_is_a_rougher_metals_picture():
     assert np.median(np.abs(values / shown - 1)) < 0.1
     dull = mirrored(roughness=0.4)
     assert mirrors.softened(dull, known := given(dull), choose("balanced")) == (dull, known)
+
+
+def test_what_stands_in_its_place_has_no_texture_to_average(monkeypatch):
+    """Each of its pixels is a mean of the mirror's picture by itself, whatever lamps that shows."""
+    settings = choose("draft", bounces=1, order=2)
+    plain = mirrored(roughness=0.05)
+    seen, (ball,) = softened(plain)
+    problem = make_problem(seen, [ball.material], [seen.points(0, textured=False)], settings)
+    monkeypatch.setattr(like_pixels, "TEXTURED", 0.0)
+    assert like_pixels.as_seen_on_the_whole(problem, settings) is problem
+    assert like_pixels.as_seen_on_the_whole(replace(problem, scene=plain), settings).around is not None
 
 
 def test_the_map_shows_what_the_mirror_shows():

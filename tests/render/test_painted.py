@@ -3,18 +3,23 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.ndimage import gaussian_filter
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
+from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine import painted
 from btfsep_engine.pipeline.refine.painted import painted_surfaces, pieces
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import (
+    as_mesh,
     ball_with_another,
     egg_and_pebble,
     in_white,
+    job_of,
     lit_by_a_lamp,
+    looking_down,
     off_as_seen,
     scene_of,
     with_photo,
@@ -69,6 +74,22 @@ def test_what_explains_little_more_is_not_kept(photographed, monkeypatch):
     assert "paint" in found_of(scene, photo).choice
     monkeypatch.setattr(painted, "CLEARLY", 1e4)
     assert "paint" not in found_of(scene, photo).choice
+
+
+def test_what_is_as_it_was_told_is_not_painted_even_where_that_is_asked(photographed, monkeypatch):
+    monkeypatch.setattr(painted, "MUCH", 0.0)
+    scene, image, _ = photographed
+    assert "paint" not in found_of(scene, image).choice
+
+
+def test_each_of_several_objects_has_pieces_of_its_own():
+    balls = [trimesh.creation.icosphere(3, r).apply_translation((x, 0, 0)) for r, x in ((0.45, -0.3), (0.25, 0.5))]
+    scene = scene_of(job_of([as_mesh(ball) for ball in balls], looking_down()))
+    problem = Problem(scene, [], [scene.points(i, textured=False) for i in range(2)], [], {})
+    first, second = problem.by_object(pieces(problem))
+    assert not ((first > 0).any(0) & (second > 0).any(0)).any()
+    for share in (first, second):
+        assert np.median(share.sum(1)) == pytest.approx(1)
 
 
 def test_pieces_cover_each_object_and_no_other():
