@@ -16,6 +16,7 @@ from btfsep_engine.pipeline.alternatives import alternatives, combinations, mixt
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import first_model, solve_model
+from btfsep_engine.pipeline.refine.look_alike import GUESSED
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.recognise.recogniser import Recognition
 from btfsep_engine.storage.atomic import plain
@@ -98,3 +99,16 @@ def test_an_estimate_says_between_what_it_could_not_decide(scene, monkeypatch):
     assert "test/grey (61 %) or test/dark (39 %)" in record["choice"]["materials"]
     assert (found.lighting.stddev[0] > 1.5 * found.light.fit.stddev[0]).all()
     assert found.photos[0].residuals[0] == pytest.approx(found.light.fit.residual, rel=0.01)  # of one material's fit
+
+
+def test_where_none_may_be_what_the_photo_shows_every_alternative_is_known_as_little(scene):
+    """Of a texture that looks like nothing of the library no light is stated to be surer than another."""
+    two = unsure(("test/grey", "test/dark"))
+    model, light, _ = solve_model(first_model([scene], [[two]], SETTINGS))
+    textured = model.changed(lambda p: replace(p, around=np.full((len(p.pixels), 1, 2), -1, np.int32)))
+    known, strange = (
+        alternatives(replace(textured, materials=[[replace(two, unknown_score=score)]]), light, Shelf())[1].light.fit
+        for score in (0.0, 1.0)
+    )
+    np.testing.assert_array_equal(strange.coefficients, known.coefficients)
+    np.testing.assert_allclose(np.ptp(strange.interval, 0), GUESSED * np.ptp(known.interval, 0), rtol=1e-6)

@@ -246,3 +246,30 @@ def test_some_plastic_gives_way_for_less_than_what_was_recognised(monkeypatch):
     monkeypatch.setattr(finish, "OF_FAMILY", gain + 0.1)
     same, as_before, words = finished(model, light)
     assert same is model and as_before is light and "as it is in the library" in words["finish"]
+
+
+def test_a_texture_counts_as_seen_where_plain_surfaces_are_far_less_likely_than_what_was_recognised():
+    felt = Lambertian("felt/teal", np.full(3, 0.3))
+
+    def is_seen(likeliest: float, *plain, **doubt) -> bool:
+        return finish._has_texture(ObjectMaterial(felt.name, felt, False, ((felt.name, likeliest), *plain), **doubt))
+
+    rare, likely = (PLASTIC, 1e-5), ("surface/matte", 1e-2)
+    assert is_seen(0.9, rare)
+    assert not is_seen(0.9, rare, likely) and not is_seen(1e-3, rare)  # by the likeliest of each, whatever its score
+    assert not is_seen(0.9)  # nothing is said of plain ones
+    assert not is_seen(0.9, rare, unknown=True) and not is_seen(0.9, rare, unknown_score=1.0)  # it only looks like felt
+
+
+def test_of_several_objects_none_gets_another_surface():
+    """A tint is that of all light: it says of none of them what colour it has."""
+    balls = [trimesh.creation.icosphere(3, radius=0.3).apply_translation((x, 0, 0)) for x in (-0.35, 0.35)]
+    scene = scene_of(job_of([as_mesh(ball) for ball in balls], looking_down()))
+    points = [scene.points(i, textured=False) for i in range(2)]
+    red, light = homogeneous(Surface(RED, roughness=0.4), "true"), SHLighting(WINDOW)
+    each = [picture(some, scene.radiance(some, red, light, directions=256)[:, 0], noise=0.005) for some in points]
+    scene.job = with_photo(scene.job, np.sum(each, 0))
+    few = [some.take(np.arange(0, len(some), 3)) for some in points]
+    problems = [make_problem(scene, [homogeneous(SURFACES[PLASTIC], PLASTIC)] * 2, few, SETTINGS)]
+    model, found = Model(SETTINGS, {"mean": problems}), fit_together(problems, SETTINGS)
+    assert found.fit.tint.unknown > 0.9 and finished(model, found) == (model, found, {})

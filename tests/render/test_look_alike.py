@@ -15,7 +15,7 @@ from btfsep_engine.pipeline.like_pixels import is_textured
 from btfsep_engine.pipeline.materials import STRANGE, ObjectMaterial
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.recognition import recognise_object, without_metal
-from btfsep_engine.pipeline.refine.look_alike import BY_NUMBERS, GUESSED, LOOK_ALIKE, look_alike
+from btfsep_engine.pipeline.refine.look_alike import BY_NUMBERS, GUESSED, LOOK_ALIKE, _factor, look_alike
 from btfsep_engine.progress import Reporter
 from btfsep_engine.recognise.recogniser import Recognition
 from btfsep_engine.render.homogeneous import homogeneous
@@ -117,3 +117,10 @@ def test_without_metal_the_next_is_named():
     assert without_metal(replace(plain, likely=None)) == replace(plain, material="surface/matte", likely=None)
     unsaid = replace(known, material=LEATHER, likely=None)
     assert without_metal(unsaid) == unsaid
+
+
+def test_of_a_surface_given_with_its_image_the_texture_is_known():
+    """Of numbers alone it is another surface, alike all over, that stands for it."""
+    alike = homogeneous(Surface((0.2, 0.3, 0.1)), GIVEN)
+    of_image = replace(alike, texels=np.array([[[0.8], [1.2]]], np.float32), laid_mean=np.ones(1, np.float32))
+    assert _factor(made_of(alike)) == BY_NUMBERS and _factor(made_of(of_image)) == 1

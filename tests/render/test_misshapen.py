@@ -9,11 +9,11 @@ import trimesh
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, Surface
-from btfsep_engine.fit.stated import expected_error
+from btfsep_engine.fit.stated import expected_error, widened
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.refine import limb
-from btfsep_engine.pipeline.refine.misshapen import OF_ALL, UNEXPLAINED, lean, misshapen, patch_misfit
+from btfsep_engine.pipeline.refine.misshapen import MUCH, OF_ALL, UNEXPLAINED, WIDEST, lean, misshapen, patch_misfit
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.homogeneous import homogeneous
 from tests.render.scenes import (
@@ -50,8 +50,14 @@ def found(job, **how):
     return estimation.estimate(scene_of(job), open_library(None), SETTINGS, material=WHITE, **how)
 
 
-def test_what_is_stated_grows_with_what_patches_leave_over(jobs):
-    good, bad = map(found, jobs)
+@pytest.fixture(scope="module")
+def good(jobs):
+    """The estimate of the job in whose photo all is as the job says."""
+    return found(jobs[0])
+
+
+def test_what_is_stated_grows_with_what_patches_leave_over(jobs, good):
+    bad = found(jobs[1])
     assert UNEXPLAINED not in good.choice and UNEXPLAINED in bad.choice
     assert not any("whole parts" in said for said in good.scene.reporter.warnings)
     assert any("whole parts" in said for said in bad.scene.reporter.warnings)
@@ -60,17 +66,16 @@ def test_what_is_stated_grows_with_what_patches_leave_over(jobs):
     assert (bad.lighting.stddev > 1.2 * plain.lighting.stddev).all()
 
 
-def test_noise_is_not_of_patches(jobs):
+def test_noise_is_not_of_patches(good):
     """Of pixels that scatter by a tenth hardly anything stays over a patch; of a part that is darker, all does."""
-    answer = found(jobs[0])
-    misfit = patch_misfit(answer.model.problems, answer.light)
-    assert misfit < 0.03 < 0.09 < answer.fit.residual
-    problem = answer.model.problems[0]
+    misfit = patch_misfit(good.model.problems, good.light)
+    assert misfit < 0.03 < 0.09 < good.fit.residual
+    problem = good.model.problems[0]
     b = problem.radiance()
     half = problem.pixels[:, 1] > np.median(problem.pixels[:, 1])
     parted = replace(problem, measured=np.where(half[:, None], 0.5 * b, b))
     expected = np.sqrt(np.square(0.5 * b[half]).sum() / np.square(parted.radiance()).sum())
-    np.testing.assert_allclose(patch_misfit([parted], answer.light), expected, rtol=0.15)
+    np.testing.assert_allclose(patch_misfit([parted], good.light), expected, rtol=0.15)
 
 
 def test_a_coarse_mesh_that_is_shaded_smoothly_is_said_and_counted(monkeypatch):
@@ -112,3 +117,37 @@ def test_of_what_is_alike_all_over_nothing_else_is_to_be_left_over():
     stated = expected_error(bad.fit.all_coefficients, bad.fit.samples)["order_2"]["median"]
     assert stated == pytest.approx(OF_ALL * bad.fit.residual, rel=0.05)
     assert stated > 1.25 * expected_error(plain.fit.all_coefficients, plain.fit.samples)["order_2"]["median"]
+
+
+def wider(good, monkeypatch, *, misfit: float, left: float = 0.0, material=None) -> float:
+    """How many times as wide a light is stated that seemed to be known well, where so much is left over."""
+    for name, value in {"patch_misfit": misfit, "lean": 0.0}.items():
+        monkeypatch.setattr(f"{misshapen.__module__}.{name}", lambda *_, value=value: value)
+    model = good.model
+    if material is not None:
+        model = model.changed(lambda problem: replace(problem, materials=[material]))
+    light = replace(good.light, fit=replace(widened(good.light.fit, 0.1), residual=left))
+    _, answer, words = misshapen(model, light)
+    factor = np.ptp(answer.fit.interval, 0) / np.ptp(light.fit.interval, 0)
+    np.testing.assert_allclose(factor, factor.mean(), rtol=1e-6)
+    assert (UNEXPLAINED in words) is (answer is not light)
+    return float(factor.mean())
+
+
+def test_a_little_that_patches_leave_over_says_nothing_of_a_wrong_shape(good, monkeypatch):
+    """As much is left over where geometry and paint are as the job says."""
+    assert wider(good, monkeypatch, misfit=0.9 * MUCH) == 1
+    assert wider(good, monkeypatch, misfit=1.1 * MUCH) > 1
+
+
+def test_however_much_is_left_over_ranges_grow_to_an_end(good, monkeypatch):
+    assert wider(good, monkeypatch, misfit=50.0) == pytest.approx(WIDEST, rel=1e-6)
+
+
+def test_of_what_differs_from_place_to_place_much_may_be_left_over(good, monkeypatch):
+    """That its texture leaves: only of a surface that the job says to be alike all over it says anything."""
+    alike = homogeneous(Surface((0.5, 0.4, 0.3)), GIVEN)
+    of_image = replace(alike, texels=np.array([[[0.5], [1.5]]], np.float32))
+    of_library = replace(alike, name="leather/brown-grain")
+    each = [wider(good, monkeypatch, misfit=0.5 * MUCH, left=0.5, material=m) for m in (alike, of_image, of_library)]
+    assert each[0] > 1 and each[1:] == [1, 1]

@@ -125,10 +125,16 @@ def test_steps_go_on_while_they_gain_and_end_at_what_tables_hold(photographed, m
     assert [roughness._clipped(r) for r in (-1, 0.1, 0.4, 2)] == [0.1, 0.1, 0.4, 1.0]
 
 
-def test_evidence_alone_makes_nothing_rougher(photographed, monkeypatch):
-    """A light that is plainer is worth evidence, though it explains less of the photo."""
+@pytest.fixture(scope="module")
+def as_said(photographed):
+    """Model and light of a thing whose roughness is said to be 0.8, and left so."""
     found = found_of(photographed(CLAY), replace(CLAY, roughness=0.8), departures="never")
-    model, light = found.model, found.light
+    return found.model, found.light
+
+
+def test_evidence_alone_makes_nothing_rougher(as_said, monkeypatch):
+    """A light that is plainer is worth evidence, though it explains less of the photo."""
+    model, light = as_said
     monkeypatch.setattr(roughness, "_hopeful", lambda *_: 0.9)
 
     def taken(grown: float):
@@ -140,6 +146,21 @@ def test_evidence_alone_makes_nothing_rougher(photographed, monkeypatch):
 
     assert taken(1.02) is None
     assert taken(1.0)[2] == 0.9 and taken(0.5)[2] == 0.9
+
+
+def test_the_further_from_what_is_said_the_more_evidence_is_needed(as_said, monkeypatch):
+    model, light = as_said
+    share = light.share_left(model.problems)
+
+    def is_taken(rough: float, gained: float) -> bool:
+        other = SimpleNamespace(fit=SimpleNamespace(evidence=light.fit.evidence + gained), share_left=lambda _: share)
+        monkeypatch.setattr(roughness, "_hopeful", lambda *_: rough)
+        monkeypatch.setattr(roughness, "_on_all", lambda *_: (model, other))
+        return roughness._rougher_or_smoother(model, light, 0, 0.8) is not None
+
+    far = roughness.CLEARLY + 0.5 * (0.4 / roughness.USUAL) ** 2  # of a normal distribution about what is said
+    assert not is_taken(0.4, far - 0.1) and is_taken(0.4, far + 0.1)
+    assert is_taken(0.75, far - 0.1) and not is_taken(0.75, roughness.CLEARLY - 0.1)
 
 
 def test_a_gloss_of_a_photo_that_is_explained_becomes_no_rougher(photographed, monkeypatch):
