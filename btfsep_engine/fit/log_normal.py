@@ -60,7 +60,7 @@ class LightSolver:
     ----------
     basis : (p, terms, 3) float, A, of order 9
     normals : (p, 3) float, unit, world
-    photographs : as of `fit.products.Basis`
+    parts : as of `fit.products.Basis`
     order : the order that is reported; it does not change the numbers
     seed : of the samples
     coarsening : how many times less a pixel counts than in an estimate
@@ -73,11 +73,9 @@ class LightSolver:
         Without pixels, or where the material reflects nothing.
     """
 
-    def __init__(
-        self, basis, *, normals, order: int, photographs=None, seed: int = 0, coarsening=1.0, given=(), hidden=None
-    ):
+    def __init__(self, basis, *, normals, order: int, parts=None, seed: int = 0, coarsening=1.0, given=(), hidden=None):
         with one_thread():  # so that the number of threads changes no digit of what is found
-            self.basis = Basis(basis, normals, photographs)
+            self.basis = Basis(basis, normals, parts)
         self.order, self.seed, self.coarsening = order, seed, coarsening
         self.given = tuple((np.asarray(d, np.float64), float(degrees)) for d, degrees in given)
         self.slopes, self.departing, self.dye, self.stated_colour = None, None, 0.0, False
@@ -93,7 +91,7 @@ class LightSolver:
         return self._with(slopes=slopes)
 
     def with_departing(self, departing) -> "LightSolver":
-        """The same for photographs that may depart from the model ``departing`` (p,) times as far as others."""
+        """The same where objects may depart from the model ``departing`` (p,) times as far as others."""
         return self._with(departing=departing)
 
     def with_dye(self, dye) -> "LightSolver":

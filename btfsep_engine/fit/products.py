@@ -8,9 +8,9 @@ Channel by channel, at unit response, a photograph is taken to be
 F is what a model that is nearly right misses: reflectance, tone and shape that are off by a part D, smoothly over the
 normals (Y: harmonics of the normal up to `SMOOTH_ORDER`, each pixel's size as a first fit x' predicts it), and where
 it is told so what the photo changes by if the camera is a little off (`slopes`). Light can imitate such a misfit;
-under this model it need not. Of several photographs each has a misfit of its own, and that of one which is explained
-worse than others is as many times larger (`departing`). How right the model is, D, is for the evidence to say
-(`fit.log_normal`). a is integrated out, so that the inverse covariance is, with W = 1 / (h v),
+under this model it need not. Of several objects, of one photograph or more, each has a misfit of its own, and that of
+one which is explained worse than others is as many times larger (`departing`). How right the model is, D, is for the
+evidence to say (`fit.log_normal`). a is integrated out, so that the inverse covariance is, with W = 1 / (h v),
 
     N^-1 = W - W F (I + F^T W F)^-1 F^T W
 
@@ -44,7 +44,7 @@ SMOOTH_ORDER = 4
 NEARLY_RIGHT = 0.08  # D, root mean square over the normals, of a material that is taken for another's
 NEGLIGIBLE = 1e-2  # an eigenvalue of A^T N^-1 A, where the prior of the light has variances of some 1
 SEEN = 0.15  # of the largest mean response of the pixels: a lamp that hardly reaches them has any strength it likes
-MOST_APART = 8  # photographs with a misfit of their own; of more, neighbours share one
+MOST_APART = 8  # parts with a misfit of their own; of more, neighbours share one
 CHUNK = 1 << 13  # pixels: the basis images of a large photo are never copied whole
 SINGLE = np.sqrt(4 * np.pi)  # the first coefficient of light of radiance 1
 
@@ -56,7 +56,7 @@ class Basis:
     ----------
     basis : (p, terms, 3) float, A: radiance of each pixel under each basis light
     normals : (p, 3) float, unit, world
-    photographs : (p,) int from 0 on, the number of the one that each pixel is of, where there are several; None: of one
+    parts : (p,) int from 0 on, of which of several objects or photographs each pixel is; None: of one
 
     Raises
     ------
@@ -64,7 +64,7 @@ class Basis:
         Without pixels, or where the material reflects nothing.
     """
 
-    def __init__(self, basis, normals, photographs=None):
+    def __init__(self, basis, normals, parts=None):
         self.images = np.asarray(basis)
         self.pixels, self.terms = self.images.shape[:2]
         if self.pixels == 0:
@@ -79,9 +79,9 @@ class Basis:
                 )
         smooth = sh.evaluate(SMOOTH_ORDER, np.asarray(normals, np.float64))[:, 1:]
         self.smooth = smooth * (SINGLE / np.sqrt(smooth.shape[1]))  # Y: its rows are of length 1
-        if photographs is not None:
-            count = int(np.max(photographs)) + 1
-            apart = np.asarray(photographs) * min(MOST_APART, count) // count
+        if parts is not None:
+            count = int(np.max(parts)) + 1
+            apart = np.asarray(parts) * min(MOST_APART, count) // count
             of_each = apart[:, None] == np.arange(min(MOST_APART, count))
             self.smooth = (of_each[:, :, None] * self.smooth[:, None]).reshape(self.pixels, -1)
         self._prepare()
@@ -202,7 +202,7 @@ class Photograph:
     weights : (p, 3) float >= 0, 1 over the variance of each channel of each pixel; None: all 1
     coarsening : how many times less a pixel counts than it would
     effective : how many independent channels the misfit is taken to have; None: learned from a first fit
-    departing : (p,) float, how many times as far as D a pixel's photograph may be from what the model has of it, where
+    departing : (p,) float, how many times as far as D the object of a pixel may be from what the model has of it, where
         there are several; None: once
     slopes : (p, k, 3) float, what the photo may differ by beside noise, each as large as it usually is: what a camera
         that is a little off makes; None: nothing

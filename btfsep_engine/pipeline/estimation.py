@@ -16,7 +16,7 @@ from btfsep_engine.pipeline.mirrors import softened
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
-from btfsep_engine.pipeline.refine.each_photo import each_photo_by_itself
+from btfsep_engine.pipeline.refine.each_object import each_object_by_itself
 from btfsep_engine.pipeline.refine.finish import finished
 from btfsep_engine.pipeline.refine.ground import ground
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
@@ -151,7 +151,7 @@ REFINEMENTS = (
     as_the_photo_shows,
     light_between_surfaces,
     without_things_in_front,
-    each_photo_by_itself,
+    each_object_by_itself,
     left_as_it_is,
     finished,
     as_rough_as_seen,

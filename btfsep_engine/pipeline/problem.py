@@ -28,8 +28,8 @@ class Problem:
     transport : how the basis images were made, for ``result.json``
     measured : (p, 3), what is fitted instead of the photograph's own values; None: these (`pipeline.real_photo`)
     weights : (p, 3) >= 0, 1 over the variance of each value; None: all 1
-    counts : what of ``weights`` is that of all of the photograph beside the others of the same light, 1 in the mean
-        (`pipeline.refine.each_photo`)
+    counts : what of ``weights`` is that of all of an object beside the others, of each, 1 in the mean over all pixels
+        (`pipeline.refine.each_object`); empty: all alike
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     correction : (p, 3), what lamps make of the values beside what the basis images have of them, which is taken off
         (`pipeline.refine.near`, `pipeline.refine.sharp`); or None
@@ -51,7 +51,7 @@ class Problem:
     transport: dict
     measured: np.ndarray | None = None
     weights: np.ndarray | None = None
-    counts: float = 1.0
+    counts: tuple = ()
     scales: np.ndarray | None = None
     correction: np.ndarray | None = None
     slopes: np.ndarray | None = None
@@ -186,10 +186,16 @@ class Problem:
         """The same whose photograph may differ by ``more`` (p, k, 3) beside what it may differ by (`slopes`)."""
         return replace(self, slopes=more if self.slopes is None else np.concatenate([self.slopes, more], 1))
 
-    def counting(self, counts: float) -> "Problem":
-        """The same whose pixels count by ``counts`` beside those of other photographs."""
+    @property
+    def counts_of_each(self) -> np.ndarray:
+        """(objects,), `counts`."""
+        return np.array(self.counts or (1.0,) * len(self.points))
+
+    def counting(self, counts) -> "Problem":
+        """The same whose objects' pixels count by ``counts`` (objects,)."""
         known = np.ones((len(self.pixels), 3)) if self.weights is None else self.weights
-        return replace(self, weights=known * (counts / self.counts), counts=counts)
+        change = np.repeat(np.asarray(counts) / self.counts_of_each, [len(p) for p in self.points])
+        return replace(self, weights=known * change[:, None], counts=tuple(map(float, counts)))
 
     def up_to(self, order: int) -> "Problem":
         """The same with fewer basis lights."""

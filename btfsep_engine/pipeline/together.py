@@ -83,28 +83,48 @@ def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: 
     order = min(settings.order, settings.fit_order)
 
     given, hidden = given_lamps([p.scene.job for p in problems]), hidden_directions(problems)
+    things = things_of(problems)
 
     def made() -> LightSolver:
         normals = np.concatenate([p.normals for p in problems])
         how = {"order": order, "seed": settings.seed, "coarsening": coarsening, "given": given, "hidden": hidden}
-        return LightSolver(stacked(problems)[0], normals=normals, photographs=of_photographs(problems), **how)
+        return LightSolver(stacked(problems)[0], normals=normals, parts=things, **how)
 
     parts = [[a, p.normal] for problem in problems for a, p in zip(problem.basis, problem.points, strict=True)]
-    of = [parts, [len(problem.points) for problem in problems], order, settings.seed, float(coarsening), list(given)]
+    of = [parts, [] if things is None else things, order, settings.seed, float(coarsening), list(given)]
     of.append([] if hidden is None else hidden)
     solver = kept.recalled("solver", of, made)
     solver = solver if (dye := common_dye(problems)) is None else solver.with_dye(dye)
     solver = solver.with_stated_colour() if stated_colour(problems) else solver
     solver = solver.with_vivid() if any(p.vivid for p in problems) else solver
-    if len({p.counts for p in problems}) > 1:
-        known = counts(problems)
+    known = counts(problems)
+    if np.ptp(known):
         solver = solver.with_departing(np.sqrt(known.max() / known))
     return solver if (slopes := all_slopes(problems)) is None else solver.with_slopes(slopes)
 
 
-def of_photographs(problems: list[Problem]) -> np.ndarray | None:
-    """(p,) int, the number of the photograph of each pixel; None of one alone."""
-    return None if len(problems) == 1 else np.repeat(np.arange(len(problems)), [len(p.pixels) for p in problems])
+def parts_of(problems: list[Problem]) -> np.ndarray | None:
+    """(p,) int, the number of the object of each pixel, in every photograph another; None of one alone."""
+    sizes = [len(points) for p in problems for points in p.points if len(points)]
+    return None if len(sizes) == 1 else np.repeat(np.arange(len(sizes)), sizes)
+
+
+def things_of(problems: list[Problem]) -> np.ndarray | None:
+    """(p,) int, the number of the object of each pixel, the same in every photograph; None of one alone.
+
+    One of the same name and of the same faces is the same, wherever it stands.
+    """
+    known, numbers, sizes = [], [], []
+    for problem in problems:
+        for thing, points in zip(problem.scene.job.objects, problem.points, strict=True):
+            if not len(points):
+                continue
+            same = (i for i, o in enumerate(known) if o.name == thing.name)
+            number = next((i for i in same if np.array_equal(known[i].mesh.faces, thing.mesh.faces)), len(known))
+            known += [thing] * (number == len(known))
+            numbers.append(number)
+            sizes.append(len(points))
+    return None if len(known) == 1 else np.repeat(numbers, sizes)
 
 
 def hidden_directions(problems: list[Problem]) -> np.ndarray | None:
@@ -152,8 +172,8 @@ def all_weights(problems: list[Problem]):
 
 
 def counts(problems: list[Problem]) -> np.ndarray:
-    """(p,), how much each pixel of all photos counts beside the other photos' (`Problem.counts`)."""
-    return np.repeat([p.counts for p in problems], [len(p.pixels) for p in problems])
+    """(p,), how much each pixel of all photos counts beside those of other objects (`Problem.counts`)."""
+    return np.concatenate([np.repeat(p.counts_of_each, [len(points) for points in p.points]) for p in problems])
 
 
 def all_slopes(problems: list[Problem]):

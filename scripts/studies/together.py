@@ -10,7 +10,7 @@ photograph with the next ones in the folder; whole estimates, preset balanced, t
 
     alone      every photograph by itself, and of each group the better and the worse one
     together   as `btfsep estimate JOB --with JOB` has it
-    alike      together, every photograph counting alike, whatever is left over in it
+    alike      together, every object counting alike, whatever is left over in it
 
 The error is up to order 2, with one free scale; *over stated* is the error over the one that the estimate expects.
 """
@@ -27,7 +27,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
 from btfsep_engine.pipeline.mending import mended
-from btfsep_engine.pipeline.refine.each_photo import each_photo_by_itself
+from btfsep_engine.pipeline.refine.each_object import each_object_by_itself
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.storage.atomic import write_json
 from scripts.studies import parser, photos, tables
@@ -90,7 +90,7 @@ def solved(group, refinements=None) -> dict:
     found = estimate(first, library(), settings, others=others, refinements=refinements)
     row = {"photographs": [p["name"] for p in group], "count": len(group), "light": group[0]["light"]}
     row |= worth(found, group[0]["truth"], free_scale=True)
-    return row | {"over": row["order2"] / row["stated2"], "chosen": found.choice.get("photographs")}
+    return row | {"over": row["order2"] / row["stated2"], "chosen": found.choice.get("counts")}
 
 
 def study(every: list[dict], most: int) -> list[dict]:
@@ -103,7 +103,7 @@ def study(every: list[dict], most: int) -> list[dict]:
         each = sorted((alone[p["name"]] for p in group), key=lambda row: row["order2"])
         rows += [row | {"way": way, "count": len(group)} for way, row in ((BETTER, each[0]), (WORSE, each[-1]))]
         rows.append(solved(group) | {"way": TOGETHER, "best": each[0]["order2"]})
-        alike = tuple(r for r in REFINEMENTS if r is not each_photo_by_itself)
+        alike = tuple(r for r in REFINEMENTS if r is not each_object_by_itself)
         rows.append(solved(group, alike) | {"way": ALIKE, "best": each[0]["order2"]})
     return rows
 

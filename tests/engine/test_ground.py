@@ -146,8 +146,8 @@ def test_the_axes_of_a_coloured_gloss_leave_out_no_more_than_those_of_all_channe
     response = np.stack([share * base + 0.3 * gloss for share in (1.0, 0.4, 0.1)], 2).astype(np.float32)
     ground = Ground(response, np.zeros((places, 3)), np.zeros(places, int), np.zeros((places, 2)))
     seen = np.moveaxis(response, 2, 0).reshape(-1, 1800).astype(np.float64)
-    axes, (_, sizes, rows) = ground.axes, np.linalg.svd(seen, full_matrices=False)
-    kept = rows[sizes > NULL * sizes[0]].T
+    axes, (squares, of_all) = ground.axes, np.linalg.eigh(seen.T @ seen)
+    kept = of_all[:, squares > NULL**2 * squares[-1]]
     lost, least = (np.linalg.norm(seen - seen @ a @ a.T) for a in (axes, kept))
     assert lost < 1.05 * least + 1e-6 * np.linalg.norm(seen)
     assert axes.shape == kept.shape  # of two responses their mean and what is off it leave nothing out
