@@ -51,7 +51,7 @@ def patch_misfit(problems, light) -> float:
     mean, square = (np.stack([np.bincount(patch, v) for v in each.T], 1) / count for each in (left, np.square(left)))
     by_chance = (square - np.square(mean)) / np.maximum(count - 1, 1)
     kept = count[:, 0] >= LEAST_POINTS
-    weight = np.bincount(patch, counted)[kept, None]  # of a photo that counts for little, so do its patches
+    weight = np.bincount(patch, counted)[kept, None]  # of an object that counts for little, so do its patches
     power = (weight * (np.square(mean) - by_chance)[kept]).sum() / max(float(weight.sum()), 1e-300)
     return float(np.sqrt(max(power, 0.0) / max(float(np.average(np.square(b).sum(1), weights=counted)), 1e-300)))
 
