@@ -62,14 +62,7 @@ def study(pair: dict, folder: Path) -> list[dict]:
     return out
 
 
-COLUMNS = (
-    ("photographs", len),
-    ("error", tables.spread_of("order2")),
-    ("direction", tables.spread_of("direction", "{:.1f}°")),
-    ("stated", tables.median_of("stated2")),
-    ("over stated", tables.spread_of("over")),
-    ("95 % range", tables.percent_of("inside")),
-)
+COLUMNS = (("photographs", len), *tables.OF_LIGHT)
 
 
 def grouped(rows):

@@ -59,6 +59,16 @@ def percent_of(key: str):
     return lambda rows: percent([r[key] for r in rows])
 
 
+# of rows that have `measures.judged`, and ``over``: the error over the one that is stated
+OF_LIGHT = (
+    ("error", spread_of("order2")),
+    ("direction", spread_of("direction", "{:.1f}°")),
+    ("stated", median_of("stated2")),
+    ("over stated", spread_of("over")),
+    ("95 % range", percent_of("inside")),
+)
+
+
 def summary(heads, columns, grouped) -> str:
     """A table with a line for each of some groups of rows.
 

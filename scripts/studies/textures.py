@@ -77,14 +77,7 @@ def study(photograph, surfaces: dict, way: str) -> dict:
     return row | {"over": row["order2"] / row["stated2"]}
 
 
-COLUMNS = (
-    ("photographs", lambda rows: len(rows)),
-    ("error", tables.spread_of("order2")),
-    ("direction", tables.spread_of("direction", "{:.1f}°")),
-    ("stated", tables.median_of("stated2")),
-    ("over stated", tables.spread_of("over")),
-    ("95 % range", tables.percent_of("inside")),
-)
+COLUMNS = (("photographs", len), *tables.OF_LIGHT)
 
 
 def groups(rows):

@@ -108,14 +108,7 @@ def study(every: list[dict], most: int) -> list[dict]:
     return rows
 
 
-COLUMNS = (
-    ("estimates", len),
-    ("error", tables.spread_of("order2")),
-    ("direction", tables.spread_of("direction", "{:.1f}°")),
-    ("stated", tables.median_of("stated2")),
-    ("over stated", tables.spread_of("over")),
-    ("95 % range", tables.percent_of("inside")),
-)
+COLUMNS = (("estimates", len), *tables.OF_LIGHT)
 
 
 def grouped(rows):
