@@ -11,6 +11,7 @@ from ..photo import photo
 
 GAIN, POWER = 2.1, 0.58  # as the engine's
 READ_BY = "a camera's usual curve"  # the engine's words
+BY_CAMERA = ("camera", "phone")  # of the panel's curves
 RADIANCE = (0.0, 0.005, 0.015, 0.03, 0.055, 0.09, 0.14, 0.2, 0.28, 0.38, 0.5, 0.63, 0.78, 1.0)
 CLOSE = 1e-4
 
@@ -25,11 +26,11 @@ def shown(radiance) -> np.ndarray:
 def is_wanted(scene) -> bool:
     """Whether the scene's photo was, or is to be, read by the usual curve of cameras."""
     settings = scene.btfsep
-    if settings.image is None or photo.of_floats(settings.image) or settings.curve not in ("auto", "camera"):
+    if settings.image is None or photo.of_floats(settings.image) or settings.curve not in ("auto", *BY_CAMERA):
         return False
     light = kept_light.kept(scene)
     said = kept_light.card(light).get("details", ()) if light else ()
-    return settings.curve == "camera" or any(READ_BY in each for each in said)
+    return settings.curve in BY_CAMERA or any(READ_BY in each for each in said)
 
 
 def is_set(view) -> bool:

@@ -38,10 +38,16 @@ CURVES = (
         "auto",
         "Automatic",
         "As the image's colour space says: PNG, JPEG, TIFF and WebP in sRGB, EXR and HDR linear; a file that names its "
-        "camera (EXIF) by the usual curve of cameras, one that says that Blender rendered it by the view found for it",
+        "camera (EXIF) by the usual curve of cameras, a phone's as Phone, and one that says that Blender rendered it "
+        "by the view found for it",
     ),
     ("srgb", "sRGB", "The file's whole numbers are coded in sRGB, and nothing else was done to them"),
-    ("camera", "Camera", "A camera's or phone's own picture, with more contrast and softer highlights than sRGB alone"),
+    ("camera", "Camera", "A camera's own picture, with more contrast and softer highlights than sRGB alone"),
+    (
+        "phone",
+        "Phone",
+        "A phone's own picture: as a camera's, with shadows raised place by place, as far as it shows that",
+    ),
     ("linear", "Linear", "The file's whole numbers are in proportion to the light"),
     ("unknown", "Unknown", "sRGB, the curve of a camera, or a rarer one: that which explains the photo best"),
     ("blender", "Blender Render", "A render that Blender saved: by the view transform that explains it best"),
@@ -50,7 +56,7 @@ CURVES = (
         for name, view in VIEWS.items()
     ),
 )
-RENDERS = 5  # of CURVES come before those of renders, from which a line parts them in the list
+RENDERS = 6  # of CURVES come before those of renders, from which a line parts them in the list
 OVERLAYS = (
     ("OFF", "Off", "Nothing is drawn over the photo"),
     ("OUTLINE", "Outline", "The outlines of the objects"),

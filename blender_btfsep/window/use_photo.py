@@ -18,6 +18,7 @@ PRESS = "its file asks for it to be turned, which Blender does not do: if it lie
 READ = {
     "srgb": "read as sRGB",
     "camera": "read by the usual curve of cameras",
+    "phone": "read as a phone's own picture",
     "linear": "read as linear light",
     "blender": "its view transform is found from the photo",
     **{name: f"read as a render saved with {each.words}" for name, each in blender_views.VIEWS.items()},

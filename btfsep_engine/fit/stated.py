@@ -236,6 +236,23 @@ def restated(fit: Fit, samples) -> Fit:
     return replace(fit, state=lambda: stated)
 
 
+def mixed(fit: Fit, others) -> Fit:
+    """The fit with samples of others among its own, each in the fit's own scale.
+
+    ``others`` : (Fit, its share of the samples) of each; what is left of them are the fit's own
+    """
+    samples, x = [], fit.all_coefficients
+    for other, share in others:
+        count = int(share * len(fit.samples))
+        if count:
+            y = other.all_coefficients
+            samples.append(float((y * x).sum() / max(np.square(y).sum(), 1e-300)) * other.samples[:count])
+    if not samples:
+        return fit
+    own = len(fit.samples) - sum(map(len, samples))
+    return restated(fit, np.concatenate([fit.samples[:own], *samples]))
+
+
 def widened(fit: Fit, factor: float, *, odds_even: bool = False) -> Fit:
     """The fit with all that its samples depart from it by made ``factor`` times as large.
 

@@ -109,7 +109,8 @@ class Job:
     """A validated job. ``digest`` is a hash of everything read; ``folder`` is where it came from.
 
     ``warnings`` says in words what was left out while reading; ``image_colorspace`` is one of
-    `images.COLORSPACES`, or "unknown" (the photo is then read as by "auto") or "blender" (as by "srgb");
+    `images.COLORSPACES`, or "unknown" (the photo is then read as by "auto"), "phone" (as by "camera") or "blender" (as
+    by "srgb");
     ``image_primaries`` as of `images.read_linear`.
     """
 

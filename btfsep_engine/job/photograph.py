@@ -37,7 +37,7 @@ def read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
     """
     colorspace, primaries = coding
     fits(images.declared_size(path), name, camera, path)  # before it is decoded: a small file can claim gigabytes
-    first = {"unknown": "auto", "blender": "srgb"}.get(colorspace, colorspace)
+    first = {"unknown": "auto", "blender": "srgb", "phone": "camera"}.get(colorspace, colorspace)
     image = images.read_linear(path, colorspace=first, primaries=primaries, by_camera=True)
     height, width = image.pixels.shape[:2]
     fits((width, height), name, camera, path)

@@ -115,7 +115,7 @@ class JobSchema(Strict):
     format: Literal["btfsep-job"]
     version: Literal[1]
     image: RelativePath
-    image_colorspace: Literal["auto", "srgb", "camera", "linear", "blender", *VIEWS, "unknown"] = "auto"
+    image_colorspace: Literal["auto", "srgb", "camera", "phone", "linear", "blender", *VIEWS, "unknown"] = "auto"
     image_primaries: Literal["auto", *PRIMARIES] = "auto"
     exposure_ev: Annotated[float, Field(ge=-100, le=100)] = 0.0
     camera: CameraSchema

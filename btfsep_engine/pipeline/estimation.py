@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine.fit.stated import Fit
+from btfsep_engine.fit.stated import Fit, mixed
 from btfsep_engine.light.files import MAP_SIZE, Lighting, lighting_map
 from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixture, mixture_words
 from btfsep_engine.pipeline.checks import all_doubts
@@ -14,6 +14,7 @@ from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
 from btfsep_engine.pipeline.mirrors import softened
 from btfsep_engine.pipeline.model import Model, first_model, solve_model
+from btfsep_engine.pipeline.phone import probabilities, strengths, tones_words, with_tones_undone
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.each_object import each_object_by_itself
@@ -70,17 +71,19 @@ class Estimate:
     ----------
     choice : what was chosen, and why in words
     alternatives : the lights of all materials that the objects may have, where recognition leaves several
+    otherwise : (Fit, probability) of the photo with a phone's tones undone farther or less (`pipeline.phone`)
     """
 
     model: Model
     light: SolvedLight
     choice: dict
     alternatives: tuple[Alternative, ...] = ()
+    otherwise: tuple = ()
 
     @cached_property
     def fit(self) -> Fit:
-        """The light's; where there are alternatives, with their spread and ranges."""
-        return mixture(self.alternatives) if self.alternatives else self.light.fit
+        """The light's; where there are alternatives, or tones may be otherwise, with their spread and ranges."""
+        return mixed(mixture(self.alternatives) if self.alternatives else self.light.fit, self.otherwise)
 
     @property
     def scene(self) -> PreparedScene:
@@ -207,15 +210,36 @@ def found_light(
     others : PreparedScenes of further photographs under the same light, each with an exposure of its own
     refinements : what the model may need beside its simplest form, in turn; None: what the settings ask for
     """
-    scenes, reporter = [scene, *others], scene.reporter
+    scenes, tones = [scene, *others], strengths([scene, *others], settings)
     refuse_unknown(scenes, settings)
+    usual, *more = tones
+    materials = materials_of_all([with_tones_undone(each, usual) for each in scenes], library, settings, name=material)
+
+    def found(strength, refinements) -> Estimate:
+        read = [with_tones_undone(each, strength) for each in scenes]
+        return _of_materials(read, materials, library, settings, material, refinements)
+
+    if not more:
+        return found(usual, refinements)
+    whole = refinements_of(settings) if refinements is None else refinements
+    quick = tuple(r for r in whole if r not in SLOW)
+    each = {strength: found(strength, quick) for strength in tones}
+    shares = probabilities({strength: one.light.fit.residual for strength, one in each.items()})
+    best = max(shares, key=shares.get)
+    answer = each.pop(best) if quick == tuple(whole) else found(best, whole)
+    others = tuple((each[strength].fit, shares[strength]) for strength in each if strength != best)
+    return replace(answer, choice=answer.choice | {"tones": tones_words(shares)}, otherwise=others)
+
+
+def _of_materials(scenes, materials, library, settings: Settings, material, refinements) -> Estimate:
+    """`found_light` of scenes whose objects' ``materials`` are known, as far as the photos' tone curves are."""
+    reporter = scenes[0].reporter
 
     def modelled(scenes, materials) -> Model:
         with reporter.stage("transport"):
             each = [softened(*one, settings) for one in zip(scenes, materials, strict=True)]
             return first_model(*map(list, zip(*each, strict=True)), settings)
 
-    materials = materials_of_all(scenes, library, settings, name=material)
     model = modelled(scenes, materials)
     # photos read by the curve that was chosen; those of mirrors as they were taken
     read = [s if p.scene.mirrors else p.scene for s, p in zip(scenes, model.problems, strict=True)]

@@ -21,6 +21,7 @@ from btfsep_engine.pipeline.alternatives import alternatives
 from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of, refinements_of
 from btfsep_engine.pipeline.mirrors import with_picture
 from btfsep_engine.pipeline.model import Model, first_model
+from btfsep_engine.pipeline.phone import with_tones_undone
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces, with_reflections
 from btfsep_engine.pipeline.refine.key_lights import key_lights
@@ -57,12 +58,13 @@ class Follower:
     def __init__(self, first: Estimate, library):
         self.chosen = self._elected = self._last = first
         self.library = library
-        self._curves = first.scene.curves
+        self._curves, self._tones = first.scene.curves, first.scene.tones
 
     def scene_of(self, scene: PreparedScene, photo: Photo, reporter) -> PreparedScene:
-        """A scene with another photo, read by the curve that was chosen."""
+        """A scene with another photo, read by the curve, and with a phone's tones undone as far, as was chosen."""
         out, known = copy.copy(scene), self._curves
         out.job, out.curves = replace(scene.job, photo=photo), None
+        out = with_tones_undone(out, self._tones)
         if known is not None and photo.bits is not None:
             out = read_by(out, Curves(codes_of(out.job), known.curves, known.shares))
         out = with_picture(out, out.job.photo)

@@ -58,6 +58,7 @@ class PreparedScene:
     def __init__(self, job: Job, reporter):
         self.job, self.reporter = job, reporter
         self.curves = None  # tone.Curves, where the photo's was unknown and is chosen
+        self.tones = None  # how far tones that a phone moved place by place are undone (phone.py); None: not asked
         self.greys = None  # surroundings.Greys, where occluders were of an unknown grey and it is chosen
         self.mirrors = ()  # mirrors.Mirror, of objects whose pictures in the photo are a rougher metal's
         self.mirror_lights = ()  # mirrors.MirrorLight, by these pictures

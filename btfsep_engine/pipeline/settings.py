@@ -14,7 +14,7 @@ LARGEST_ORDER = 9
 IMAGE_DIRECTIONS = 512
 MODELLED_BOUNCES = 8  # where interreflections are modelled and no number was asked for
 _VIEWS = ("agx", "agx-punchy", "agx-medium-high-contrast", "agx-high-contrast", "filmic", "khronos")
-CURVES = ("auto", "srgb", "camera", "linear", "blender", *_VIEWS, "unknown")
+CURVES = ("auto", "srgb", "camera", "phone", "linear", "blender", *_VIEWS, "unknown")
 
 APPEARANCE = (
     "The mean ABRDF, as in the paper, or the textured BTF; auto: the texture where it lines up and explains more"

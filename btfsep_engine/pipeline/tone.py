@@ -78,13 +78,13 @@ def refuse_unknown(scenes, settings: FitSettings) -> None:
 def curve_read_by(job) -> ToneCurve | Camera | View:
     """By which curve the job's photo was decoded when it was read."""
     stated, photo = job.image_colorspace, job.photo
-    if photo.bits is None and stated not in ("srgb", "camera", *VIEWS):
+    if photo.bits is None and stated not in ("srgb", "camera", "phone", *VIEWS):
         return LINEAR
     if stated in ("auto", "unknown"):
         if photo.profile is not None and photo.profile.linear:
             return LINEAR
         return CAMERA if photo.camera else SRGB
-    return {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, "blender": SRGB, **VIEWS}[stated]
+    return {"srgb": SRGB, "camera": CAMERA, "phone": CAMERA, "linear": LINEAR, "blender": SRGB, **VIEWS}[stated]
 
 
 def codes_of(job, radiance=None) -> np.ndarray:

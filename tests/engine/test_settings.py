@@ -83,7 +83,7 @@ def test_texts_of_a_command_line_are_taken_for_what_they_say():
 
 def test_a_photos_curves_are_those_of_a_job_and_of_what_reads_it():
     assert list(CURVES) == JobSchema.model_json_schema()["properties"]["image_colorspace"]["enum"]
-    assert set(CURVES) == {*images.COLORSPACES, "blender", "unknown"}
+    assert set(CURVES) == {*images.COLORSPACES, "phone", "blender", "unknown"}
 
 
 def test_values_that_do_not_go_together():

@@ -8,13 +8,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.special import expit
 
-from btfsep_engine.fit.stated import restated
+from btfsep_engine.fit.stated import mixed
 from btfsep_engine.fit.tone_curve import AGX, CAMERA, LINEAR, SRGB, VIEWS, ToneCurve, importance, log_probability
 from btfsep_engine.pipeline.together import all_weights
 from btfsep_engine.pipeline.tone import OF_BLENDER, codes_of, curve_read_by, radiance_of, sought
 
 PLAUSIBLE = 0.05  # probability of a curve whose light is among what is stated
-NAMES = {"srgb": SRGB, "camera": CAMERA, "linear": LINEAR, **VIEWS}
+NAMES = {"srgb": SRGB, "camera": CAMERA, "phone": CAMERA, "linear": LINEAR, **VIEWS}
 # Curves that may be said to explain a photo better, by that which it was read by. That a JPEG is linear, which none is,
 # is not said: three of 29 of painted plates, read rightly, look like it.
 OTHERS = {LINEAR: (SRGB, AGX, CAMERA), SRGB: (LINEAR, AGX, CAMERA), CAMERA: (SRGB,)}
@@ -51,18 +51,10 @@ def other_curves(model, light):
 
 def _mixed(problems, light, others):
     """The light with samples of others; ``others`` : of each the problems as its curve reads them, and its share."""
-    fit = light.fit
-    samples, x = [], fit.all_coefficients
+    weights, each = all_weights(problems), []
     for read, share in others:
-        count = int(share * len(fit.samples))
-        if count:
-            other = light.solver.solve(light.radiance(read), weights=all_weights(problems))
-            y = other.all_coefficients
-            samples.append(float((y * x).sum() / max(np.square(y).sum(), 1e-300)) * other.samples[:count])
-    if not samples:
-        return light
-    own = len(fit.samples) - sum(map(len, samples))
-    return replace(light, fit=restated(fit, np.concatenate([fit.samples[:own], *samples])))
+        each.append((light.solver.solve(light.radiance(read), weights=weights), share))
+    return replace(light, fit=mixed(light.fit, each)) if each else light
 
 
 def _believed(problems, light):
@@ -126,6 +118,8 @@ def _doubt(problems, light) -> Doubt | None:
     is asked."""
     jobs = [p.scene.job for p in problems]
     if light.solver is None or any(j.photo.bits != 8 or sought(j) or j.image_colorspace in VIEWS for j in jobs):
+        return None
+    if any(p.scene.tones for p in problems):  # whose values no curve has made of codes
         return None
     read_by, *more = {curve_read_by(j) for j in jobs}
     if more:
