@@ -20,7 +20,7 @@ from btfsep_engine.pipeline.settings import FitSettings
 
 USUAL = 0.3
 STRENGTHS = {USUAL: 0.4, 0.0: 0.3, 0.6: 0.3}  # how probable each is before any light is known
-DECIDES = 5.0  # times the logarithm of what is left over: that of an estimate's probability
+DECIDES = 3.0  # times the logarithm of what is left over: that of an estimate's probability
 LEAST = 0.01  # of the photo: what is less says nothing more
 
 

@@ -14,7 +14,7 @@ from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from scripts.cycles import materials, objects, studio
 from scripts.cycles import plates as studio_plates
-from scripts.studies import cameras, measures, plate_sets, plates
+from scripts.studies import cameras, measures, phones, plate_sets, plates
 from scripts.studies.estimates import scene_of
 
 
@@ -95,6 +95,10 @@ def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
     ways = {way: cameras.study(plate, tmp_path, "Canon EOS 5D II", way) for way in ("as sRGB", "as a camera's")}
     assert ways["as a camera's"]["order2"] < ways["as sRGB"]["order2"] and ways["as sRGB"]["coded"] == "by a camera"
     assert cameras.study(plate, tmp_path, cameras.FLOATS, cameras.AS_STORED)["order2"] < 0.3
+    moved = {way: load_job(phones.take(plate, tmp_path, way)).photo.radiance[..., 1] for way in phones.WAYS}
+    left, fused, pressed = (np.log(each[moved["left as they are"] > 1e-3] + 1e-4) for each in moved.values())
+    assert pressed.std() < 0.8 * left.std() and np.std(fused - left) > 0.02
+    assert load_job(tmp_path / "00" / "contrast pressed").image_colorspace == "camera"
     aside = plate | {"turn": plate["turn"] + 90}
     assert measures.order2(plate_sets.truth(aside), plate_sets.truth(plate)) > 0.4
     # on a table only light from above it is judged, and what is stated of that

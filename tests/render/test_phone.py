@@ -2,6 +2,7 @@
 """Photographs whose tones a phone moved place by place, through the estimate, against the light they were made of."""
 
 from dataclasses import replace
+from itertools import cycle
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.following import CHOSEN, Follower
 from btfsep_engine.pipeline.phone import STRENGTHS, USUAL, with_tones_undone
+from btfsep_engine.pipeline.refine import curves
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
@@ -102,11 +104,33 @@ def test_slow_refinements_are_asked_of_what_was_elected_alone(ball, monkeypatch)
     monkeypatch.setattr(estimation, "REFINEMENTS", (slow,))
     monkeypatch.setattr(estimation.refinements_of, "__defaults__", ((slow,),))
     quick, whole = (
-        estimate(seen(ball, 0.6, "phone"), Grey(), replace(SETTINGS, refine=how), material="grey")
+        estimate(seen(ball, 1.0, "phone"), Grey(), replace(SETTINGS, refine=how), material="grey")
         for how in ("quick", "all")
     )
+    assert whole.scene.tones != USUAL
     assert asked == [whole.scene.tones] and "slow" in whole.choice and "slow" not in quick.choice
     assert quick.scene.tones == whole.scene.tones and len(quick.otherwise) == len(whole.otherwise) == 2
+
+
+@pytest.mark.parametrize("said", ["camera", "phone"])
+def test_the_curve_is_not_doubted_of_what_no_curve_has_made_of_codes(ball, monkeypatch, said):
+    logs = cycle([0.0, 9.0])  # by the camera's curve, and by sRGB
+    monkeypatch.setattr(curves, "log_probability", lambda *_: next(logs))
+    scene = seen(ball, 0.6, said)
+    estimate(scene, Grey(), SETTINGS, material="grey")
+    assert any("tone curve is doubtful" in each for each in scene.reporter.warnings) == (said == "camera")
+
+
+def test_an_object_is_recognised_once_with_the_usual_undone(ball, monkeypatch):
+    asked, recognised = [], estimation.materials_of_all
+
+    def materials(scenes, *about, **how):
+        asked.append([scene.tones for scene in scenes])
+        return recognised(scenes, *about, **how)
+
+    monkeypatch.setattr(estimation, "materials_of_all", materials)
+    estimate(seen(ball, 0.6, "phone"), Grey(), SETTINGS, material="grey")
+    assert asked == [[USUAL]]
 
 
 def test_least_squares_undoes_what_is_usual(ball):
