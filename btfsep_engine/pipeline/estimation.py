@@ -221,12 +221,12 @@ def found_light(
 
     if not more:
         return found(usual, refinements)
-    whole = refinements_of(settings) if refinements is None else refinements
-    quick = tuple(r for r in whole if r not in SLOW)
+    whole = refinements_of(settings) if refinements is None else tuple(refinements)
+    quick = whole if settings.refine == "quick" else tuple(r for r in whole if r not in (*SLOW, ground))
     each = {strength: found(strength, quick) for strength in tones}
     shares = probabilities({strength: one.light.fit.residual for strength, one in each.items()})
     best = max(shares, key=shares.get)
-    answer = each.pop(best) if quick == tuple(whole) else found(best, whole)
+    answer = each.pop(best) if quick == whole else found(best, whole)
     others = tuple((each[strength].fit, shares[strength]) for strength in each if strength != best)
     return replace(answer, choice=answer.choice | {"tones": tones_words(shares)}, otherwise=others)
 
