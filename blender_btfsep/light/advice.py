@@ -109,6 +109,9 @@ KNOWN = (
     Advice("a render that was saved with that view", "The photo looks like a render saved with AgX", "AGX", "RED"),
     Advice("a camera's own picture", "The photo looks like a camera's own picture", "CAMERA", "AMBER"),
     Advice("an estimate finds it, and recognises by it", "Read as sRGB here; Estimate Light finds how it was saved"),
+    Advice(
+        "a phone moved the photo's tones", "How far the phone raised shadows is open; raw tells more", level="AMBER"
+    ),
     Advice("tone curve is doubtful", "The photo's tone curve may be another one", "CURVE", "AMBER"),
     Advice("it says that it is to be turned", "The photo's file asks for it to be turned", "UPRIGHT"),
     Advice("a depth shows one side", "The depth shows one side of it only"),

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Everything that speaks against an estimate, in words."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.fit.search import BESIDE, LAMP_COST
-from btfsep_engine.fit.stated import of_reaching, stated_by
+from btfsep_engine.fit.stated import expected_error, of_reaching, stated_by
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
@@ -26,6 +28,7 @@ from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.storage import kept
 
 IN_ITS_PLACE = 45.0  # degrees between a lamp whose direction is given and the one that a photo has in its place
+TONES_MATTER = 1.3  # times as wide as without other readings of a phone's picture
 
 
 def all_doubts(estimate) -> list[str]:
@@ -42,7 +45,24 @@ def all_doubts(estimate) -> list[str]:
                 )
     out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
     out += shape_and_colour_doubts(estimate) + in_front_doubts(estimate) + veil_doubts(estimate)
-    return out + curve_doubts(estimate.model.problems, estimate.light)
+    return out + curve_doubts(estimate.model.problems, estimate.light) + tones_doubts(estimate)
+
+
+def tones_doubts(estimate) -> list[str]:
+    """That a photo does not tell how far a phone has moved its tones (`pipeline.phone`), where that matters."""
+    if not estimate.otherwise:
+        return []
+    known, alone = (
+        expected_error(fit.all_coefficients, fit.samples)["order_2"]["median"]
+        for fit in (estimate.fit, replace(estimate, otherwise=()).fit)
+    )
+    wider = known / max(alone, 1e-9)
+    if wider < TONES_MATTER:
+        return []
+    return [
+        "a phone moved the photo's tones from place to place, and the photo does not tell how far: what is known of "
+        f"the light is stated {wider:.1f} times as wide; a picture that was taken as raw, or in a Pro mode, tells more"
+    ]
 
 
 def shape_and_colour_doubts(estimate) -> list[str]:

@@ -11,7 +11,7 @@ import pytest
 from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.fit.tone_curve import CAMERA
 from btfsep_engine.job.model import Photo
-from btfsep_engine.pipeline import estimation
+from btfsep_engine.pipeline import checks, estimation
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.following import CHOSEN, Follower
 from btfsep_engine.pipeline.phone import STRENGTHS, USUAL, with_tones_undone
@@ -89,6 +89,12 @@ def test_what_is_stated_has_the_light_of_other_tones_in_it(ball, monkeypatch):
         light = scale * fit.all_coefficients
         left = ((own.all_coefficients - light) * light).sum()  # no other scale is nearer
         assert left == pytest.approx(0, abs=1e-6 * np.square(light).sum())
+    wider = stated(found) / expected_error(own.all_coefficients, own.samples)["order_2"]["median"]
+    monkeypatch.setattr(checks, "TONES_MATTER", 0.99 * wider)
+    (said,) = checks.tones_doubts(found)
+    assert f"stated {wider:.1f} times as wide" in said and said in checks.all_doubts(found)
+    monkeypatch.setattr(checks, "TONES_MATTER", 1.01 * wider)
+    assert checks.tones_doubts(found) == checks.tones_doubts(replace(found, otherwise=())) == []
     assert stated(found) > 1.05 * expected_error(own.all_coefficients, own.samples)["order_2"]["median"]
 
 
