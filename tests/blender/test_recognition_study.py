@@ -34,7 +34,8 @@ def test_nothing_that_was_learned_on_is_judged_by(tmp_path):
     assert counts == [10] * 15
 
 
-def test_each_material_is_learned_on_every_object_and_on_one_of_twice_the_size(tmp_path):
+def test_each_material_is_learned_on_every_object_and_on_one_of_twice_the_size(tmp_path, monkeypatch):
+    monkeypatch.setattr(learn, "HEIGHT", 16)  # of 305 maps
     materials = [photos.WHITE, *open_library().entries]
     *by_size, plain = learn.shots(tmp_path, materials)
     assert len(by_size) == len(learn.RESOLUTIONS) and len({s.folder for some in by_size for s in some}) == 225
@@ -145,7 +146,7 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     library = replace(shipped, entries={name: shipped.entries[name] for name in THREE})
     shot = photos.shot(tmp_path / "photos", "sphere", THREE[1], "studio")
     photos.take([shot], resolution=96, samples=4)
-    settings = choose("draft", training_turns=1)
+    settings = choose("draft", training_turns=1, training_pixels=800, training_directions=32)
     (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings)
     known, left_out = seen.known["names"], seen.left_out["names"]
     assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome", *PLAIN} == {*left_out, THREE[1]}
