@@ -10,6 +10,12 @@ _HEADER = 2**18  # bytes in which the tag is looked for
 _MAKER, _MODEL, _ORIENTATION, _SAMPLE_FORMAT = 271, 272, 274, 339
 _RENDERED = (b"tEXtRenderTime\0", b"Blender:RenderTime:")
 _OF_A_SCENE = ((b"tEXtScene\0", b"tEXtFrame\0"), (b"Blender:Scene:", b"Blender:Frame:"))
+PHONES = (
+    "apple", "google", "samsung", "xiaomi", "redmi", "poco", "huawei", "honor", "oneplus", "oppo", "realme", "vivo",
+    "motorola", "hmd", "nokia", "nothing", "fairphone", "lge", "lg electronics", "htc", "zte", "tecno", "infinix",
+)  # fmt: skip
+# makers of phones, as the engine has them; SAMSUNG in capitals made cameras
+_LONGEST = 64  # bytes of a maker's name
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 _EXPORT = "export it as JPEG, or as 16-bit TIFF"
 _DEVELOP = "develop it, without a tone curve if you can, and save it as EXR or as 16-bit TIFF"
@@ -33,6 +39,7 @@ class FileFacts(NamedTuple):
     orientation: int = 1
     is_by_camera: bool = False
     is_render: bool = False
+    is_by_phone: bool = False
 
 
 def facts_of(file) -> FileFacts:
@@ -40,7 +47,9 @@ def facts_of(file) -> FileFacts:
     head, tags = _begin(file), _tags(file)
     turned = tags.get(_ORIENTATION)
     rendered = any(mark in head for mark in _RENDERED) or any(all(m in head for m in marks) for marks in _OF_A_SCENE)
-    return FileFacts(turned if turned in range(1, 9) else 1, bool({_MAKER, _MODEL} & set(tags)), rendered)
+    made = " ".join(tags[tag] for tag in (_MAKER, _MODEL) if isinstance(tags.get(tag), str)) + " "
+    by_phone = made.casefold().startswith(tuple(f"{maker} " for maker in PHONES)) and not made.startswith("SAMSUNG ")
+    return FileFacts(turned if turned in range(1, 9) else 1, bool({_MAKER, _MODEL} & set(tags)), rendered, by_phone)
 
 
 def holds_floats(path, file: bytes | None = None) -> bool:
@@ -64,7 +73,7 @@ def _begin(source) -> bytes:
 
 
 def _tags(source) -> dict:
-    """The tags of a TIFF, or of the EXIF in another file, each with the (first) 16-bit number that it has, or None."""
+    """The tags of a TIFF, or of the EXIF in another file, each with its text, its (first) 16-bit number, or None."""
     tags = {}
     try:
         with io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb") as file:
@@ -81,7 +90,18 @@ def _tags(source) -> dict:
                 if kind == 3 and length > 2:
                     file.seek(begin + struct.unpack(order + "I", value)[0])
                     value = file.read(2)
-                tags.setdefault(tag, struct.unpack(order + "H", value[:2])[0] if kind == 3 else None)
+                if kind == 2 and tag in (_MAKER, _MODEL):
+                    tags.setdefault(tag, _text(file, begin, order, length, value))
+                else:
+                    tags.setdefault(tag, struct.unpack(order + "H", value[:2])[0] if kind == 3 else None)
     except (OSError, struct.error):
         pass
     return tags
+
+
+def _text(file, begin: int, order: str, length: int, value: bytes) -> str:
+    """A tag's text of ``length`` bytes: ``value`` itself, or what stands in a TIFF's bytes from ``begin`` on there."""
+    if length > 4:
+        file.seek(begin + struct.unpack(order + "I", value)[0])
+        value = file.read(min(length, _LONGEST))
+    return value[:length].partition(b"\0")[0].decode("ascii", "replace").strip()

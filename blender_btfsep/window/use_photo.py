@@ -55,6 +55,8 @@ def read_as(image, curve: str) -> str:
     if space not in photo.CODED:
         return f"read as {space}, as Blender shows it"
     says = photo.facts_of_image(image)
+    if says.is_by_phone:
+        return f"read as {space} and as a phone's own picture: the file names one"
     if says.is_by_camera:
         return f"read as {space} and by the usual curve of cameras: the file names one"
     if says.is_render and space == "sRGB":

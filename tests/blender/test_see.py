@@ -208,6 +208,9 @@ def test_what_the_file_says_of_who_made_it_is_said(photographed, tmp_path):
     (tmp_path / "a.jpg").write_bytes(with_exif(".jpg", exif("Canon", "Canon EOS 6D", "<")))
     image = bpy.data.images.load(str(tmp_path / "a.jpg"))
     assert use_photo.read_as(image, "auto") == "read as sRGB and by the usual curve of cameras: the file names one"
+    (tmp_path / "p.jpg").write_bytes(with_exif(".jpg", exif("Apple", "iPhone 13", "<")))
+    image = bpy.data.images.load(str(tmp_path / "p.jpg"))
+    assert use_photo.read_as(image, "auto") == "read as sRGB and as a phone's own picture: the file names one"
     data = (tmp_path / "a.jpg").read_bytes()
     marked = data[:2] + b"\xff\xfe" + (29 + 2).to_bytes(2, "big") + b"Blender:RenderTime:00:01.00\0\0" + data[2:]
     (tmp_path / "b.jpg").write_bytes(marked.replace(b"Exif", b"Exof"))

@@ -20,7 +20,7 @@ from btfsep_engine.cli import command as engine_command
 from btfsep_engine.cli.commands import cli
 from btfsep_engine.commands import measure as measuring
 from btfsep_engine.commands import sequence
-from btfsep_engine.imaging import images
+from btfsep_engine.imaging import images, local_tones
 from btfsep_engine.imaging.colour_profile import PRIMARIES
 from btfsep_engine.imaging.images import read_linear
 from btfsep_engine.job.schema import MAX_KNOWN_LAMPS, JobSchema
@@ -28,7 +28,7 @@ from btfsep_engine.light import files
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline import settings
 from tests.engine.profiles import tiff
-from tests.engine.test_camera_curve import with_exif
+from tests.engine.test_camera_curve import exif, with_exif
 from tests.engine.test_image_kinds import turned
 
 
@@ -205,6 +205,22 @@ def test_the_frames_of_a_pattern_have_one_order(tmp_path):
     found = frames.matching(tmp_path / "*")
     assert found == sequence.frame_files(tmp_path / "*") and len(found) == 8
     assert [p.name for p in found if p.stem.startswith("a_")] == ["a_9.png", "a_10.exr"]
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(("maker", "model", "is_phone"), [
+    ("Apple", "iPhone 13", True), ("samsung", "SM-G991B", True), ("SAMSUNG", "NX500", False), ("LGE", "G6", True),
+    ("OnePlus", "ONEPLUS A6013", True), ("NIKON CORPORATION", "NIKON D750", False), ("Applesauce", "1", False),
+    ("Canon", "Canon EOS 6D", False), ("HMD Global", "Nokia 7", True),
+])  # fmt: skip
+def test_a_phone_is_one_to_both(tmp_path, maker, model, is_phone, order):
+    assert photo_file.PHONES == local_tones.MAKERS
+    for suffix in (".jpg", ".png", ".webp"):
+        path = tmp_path / f"a{suffix}"
+        path.write_bytes(with_exif(suffix, exif(maker, model, order)))
+        told = local_tones.is_phone(images.read_linear(path).camera)
+        assert photo_file.facts_of(path).is_by_phone == told == is_phone
+        assert photo_file.facts_of(path).is_by_camera
 
 
 def test_the_words_of_the_contract():

@@ -49,7 +49,7 @@ def test_a_render_says_that_it_is_one_and_other_pictures_do_not(tmp_path, kind):
     with studio.quiet():
         bpy.ops.render.render(write_still=True)
     path = tmp_path / "render"
-    assert images.read_linear(path).is_render and photo_file.facts_of(path) == (1, False, True)
+    assert images.read_linear(path).is_render and photo_file.facts_of(path) == (1, False, True, False)
     assert not images.read_linear(path).camera  # "Camera" is the scene's
     data = path.read_bytes()
     assert image_headers.is_render(data) and photo_file.facts_of(data).is_render
@@ -58,7 +58,7 @@ def test_a_render_says_that_it_is_one_and_other_pictures_do_not(tmp_path, kind):
     plain = tmp_path / f"plain.{kind.lower()}"
     bpy.data.images.new("painted", 16, 16).save_render(str(plain), scene=scene)
     assert not images.read_linear(plain).is_render and not photo_file.facts_of(plain).is_render
-    assert photo_file.facts_of(tmp_path / "missing") == (1, False, False)
+    assert photo_file.facts_of(tmp_path / "missing") == (1, False, False, False)
 
 
 def test_both_sides_name_the_same_views_and_blender_has_them():
