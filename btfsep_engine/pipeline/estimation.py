@@ -220,7 +220,8 @@ def found_light(
         return _of_materials(read, materials, library, settings, material, refinements)
 
     if not more:
-        return found(usual, refinements)
+        answer = found(usual, refinements)
+        return answer if usual is None else replace(answer, choice=answer.choice | {"tones": tones_words({})})
     whole = refinements_of(settings) if refinements is None else tuple(refinements)
     quick = whole if settings.refine == "quick" else tuple(r for r in whole if r not in (*SLOW, ground))
     each = {strength: found(strength, quick) for strength in tones}

@@ -16,7 +16,7 @@ from scipy.special import softmax
 
 from btfsep_engine.imaging.local_tones import is_phone, undone
 from btfsep_engine.pipeline.scene import PreparedScene
-from btfsep_engine.pipeline.settings import FitSettings
+from btfsep_engine.pipeline.settings import Settings
 
 USUAL = 0.3
 STRENGTHS = {USUAL: 0.4, 0.0: 0.3, 0.6: 0.3}  # how probable each is before any light is known
@@ -32,11 +32,15 @@ def moves_tones(job) -> bool:
     return stated == "phone" or (stated == "auto" and is_phone(photo.camera))
 
 
-def strengths(scenes: list[PreparedScene], settings: FitSettings) -> tuple:
-    """How far tones of photographs are undone, each to be tried, the usual first; (None,) where no phone moved any."""
+def strengths(scenes: list[PreparedScene], settings: Settings) -> tuple:
+    """How far tones of photographs are undone, each to be tried, the usual first; (None,) where no phone moved any.
+
+    The usual alone where nothing elects, or where all that takes long is left out, as of drafts that follow a user.
+    """
     if not any(moves_tones(scene.job) for scene in scenes):
         return (None,)
-    return tuple(STRENGTHS) if settings.estimator == "map" else (USUAL,)
+    in_haste = settings.refine == "quick" and settings.departures == "never"
+    return (USUAL,) if in_haste or settings.estimator != "map" else tuple(STRENGTHS)
 
 
 def with_tones_undone(scene: PreparedScene, strength: float | None) -> PreparedScene:
@@ -57,7 +61,9 @@ def probabilities(residuals: dict) -> dict:
 
 
 def tones_words(shares: dict) -> str:
-    """What was elected, and what may be as well."""
+    """What was elected, and what may be as well; of none, that it is the usual."""
+    if not shares:
+        return f"tones that a phone moves place by place: undone by {USUAL:g}, which is usual"
     best, *others = sorted(shares, key=shares.get, reverse=True)
 
     def said(strength) -> str:
