@@ -221,7 +221,7 @@ PROJECTIVE = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 1, 1]]
     ("image", "photo\0.exr", "not inside the job folder"),
     ("image_colorspace", "sRGB", "image_colorspace; it is \"sRGB\"; did you mean 'srgb'?"),
     ("image_colorspace", "liner", "did you mean 'linear'?"),
-    ("image_colorspace", 7, "choose one of 'auto', 'srgb', 'camera', 'linear', 'blender', 'agx', "),
+    ("image_colorspace", 7, "choose one of 'auto', 'srgb', 'camera', 'phone', 'linear', 'blender', 'agx', "),
     ("objects", [], "neither objects nor depth"),
     ("objects", {}, "objects; it is {}; it has to be a list"),
     ("objects.0", "cube.obj", r"objects\[0\]; it is \"cube.obj\"; it has to be an object"),
