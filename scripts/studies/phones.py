@@ -3,7 +3,7 @@
 
 scripts/study plates FOLDER --make --sets ninth        takes the plates, once
 scripts/study phones FOLDER --sets ninth
-scripts/study phones FOLDER --sets ninth --show 03 09 14 --to docs/images/phones.jpg     pictures of some
+scripts/study phones FOLDER --sets ninth --show 20 25 --to docs/images/phones.jpg     pictures of some
 
 What phones do is not published, and no phone took these. Tones are left as they are, or moved in one of two ways that
 are: two exposures of the same picture, two stops apart, fused (Mertens et al. 2007, as Hasinoff et al. 2016 have it),
