@@ -42,7 +42,7 @@ CHART = ROOT / "docs" / "images" / "accuracy-real.png"
 FACING = 0.15  # cosine to the camera: beyond, a pixel holds too many normals
 SHOWN, BRIGHT = 0.02, 98  # of a photo's largest value: what is above is no background; percentile of that, nearly white
 LIT = 0.15  # of the 99th percentile of the object's brightness
-READ = ("srgb", "camera", "linear", "unknown")
+READ = ("srgb", "camera", "phone", "linear", "unknown")
 PLAIN = {"lamp": "one lamp", "order1": "order 1", "order2": "order 2"}
 LOOKS = {"ours": ("o", 46), "lamp": ("v", 26), "order1": ("s", 20), "order2": ("^", 26)}  # marker, size
 
