@@ -51,13 +51,13 @@ def undone(displayed, strength: float) -> np.ndarray:
     if not strength or not displayed.size:
         return displayed
     luminance = displayed @ REC709_LUMINANCE.astype(np.float32)
-    brightest = float(np.percentile(luminance, BRIGHTEST))
+    side = max(luminance.shape)
+    scale, some = min(1.0, SIDE / side), (slice(None, None, max(side // SIDE, 1)),) * 2
+    brightest = float(np.percentile(luminance[some], BRIGHTEST))
     if not brightest > 0:
         return displayed
     log = np.log2(np.maximum(luminance / brightest, DARKEST)).astype(np.float32)
-    side = max(log.shape)
-    scale = min(1.0, SIDE / side)
     radius = max(round(RADIUS * side), 1)
     about = cv2.ximgproc.guidedFilter(log, log, radius, EDGE, scale=scale)
-    gain = np.exp2(strength * (about - np.percentile(about, BRIGHTEST)))
+    gain = np.exp2(strength * (about - np.percentile(about[some], BRIGHTEST)))
     return displayed * gain[..., None].astype(np.float32)
