@@ -224,11 +224,16 @@ def found_light(
         return answer if usual is None else replace(answer, choice=answer.choice | {"tones": tones_words({})})
     whole = refinements_of(settings) if refinements is None else tuple(refinements)
     quick = whole if settings.refine == "quick" else tuple(r for r in whole if r not in (*SLOW, ground))
-    each = {strength: found(strength, quick) for strength in tones}
-    shares = probabilities({strength: one.light.fit.residual for strength, one in each.items()})
+    fits, kept = {}, {}
+    for strength in tones:
+        one = found(strength, quick)
+        fits[strength] = one.fit
+        if quick == whole:  # else it goes, and its photo with it, which may be large
+            kept[strength] = one
+    shares = probabilities({strength: fit.residual for strength, fit in fits.items()})
     best = max(shares, key=shares.get)
-    answer = each.pop(best) if quick == whole else found(best, whole)
-    others = tuple((each[strength].fit, shares[strength]) for strength in each if strength != best)
+    answer = kept.get(best) or found(best, whole)
+    others = tuple((fits[strength], shares[strength]) for strength in tones if strength != best)
     return replace(answer, choice=answer.choice | {"tones": tones_words(shares)}, otherwise=others)
 
 
