@@ -224,6 +224,14 @@ def found_light(
         return answer if usual is None else replace(answer, choice=answer.choice | {"tones": tones_words({})})
     whole = refinements_of(settings) if refinements is None else tuple(refinements)
     quick = whole if settings.refine == "quick" else tuple(r for r in whole if r not in (*SLOW, ground))
+    return _elected(found, tones, quick, whole)
+
+
+def _elected(found, tones, quick, whole) -> Estimate:
+    """The Estimate with a phone's tones undone as far as is most probable, in what is stated those of the others, too.
+
+    ``found`` : (strength, refinements) -> Estimate; ``quick`` refinements are enough to choose by, ``whole`` : all
+    """
     fits, kept = {}, {}
     for strength in tones:
         one = found(strength, quick)

@@ -65,13 +65,6 @@ def study(pair: dict, folder: Path) -> list[dict]:
 COLUMNS = (("photographs", len), *tables.OF_LIGHT)
 
 
-def grouped(rows):
-    """All of each way, and of each kind of second object."""
-    for way, some in tables.groups(rows, "way", every=None):
-        yield (f"**{way}**", "**all**"), some
-        yield from (((way, kind), own) for kind, own in tables.groups(some, "second", every=None))
-
-
 def main(arguments) -> int:
     options = parser("pairs", __doc__)
     options.add_argument("folder", type=Path)
@@ -87,5 +80,5 @@ def main(arguments) -> int:
     rows = [row for pair in tqdm(there, desc="pairs") for row in study(pair, folder)]
     if given.numbers:
         write_json(given.numbers, rows)
-    print(tables.summary(("way", "pairs"), COLUMNS, grouped(rows)))
+    print(tables.summary(("way", "pairs"), COLUMNS, tables.groups_of_ways(rows, "second")))
     return 0

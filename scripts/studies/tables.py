@@ -44,6 +44,13 @@ def groups(rows, key, *, every: str | None = "**all**") -> list:
     return [*out, (every, rows)] if every else out
 
 
+def groups_of_ways(rows, key):
+    """All of each way, then those of each value of a key: ((way, value), rows)."""
+    for way, some in groups(rows, "way", every=None):
+        yield (f"**{way}**", "**all**"), some
+        yield from (((way, value), own) for value, own in groups(some, key, every=None))
+
+
 def spread_of(key: str, form: str = "{:.2f}", *, over: str | None = None, **how):
     """A column of `summary`: the `spread` of a key of the rows, or of what it is over another."""
     return lambda rows: spread([r[key] / r[over] if over else r[key] for r in rows], form, **how)

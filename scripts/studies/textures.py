@@ -80,13 +80,6 @@ def study(photograph, surfaces: dict, way: str) -> dict:
 COLUMNS = (("photographs", len), *tables.OF_LIGHT)
 
 
-def groups(rows):
-    """All of each way, then of each set."""
-    for way, some in tables.groups(rows, "way", every=None):
-        yield (f"**{way}**", "**all**"), some
-        yield from (((way, name), own) for name, own in tables.groups(some, "set", every=None))
-
-
 def main(arguments) -> int:
     options = parser("textures", __doc__)
     options.add_argument("folder", type=Path)
@@ -106,5 +99,5 @@ def main(arguments) -> int:
     rows = [study(p, surfaces, way) for way in given.ways for p in tqdm(seen, desc=way)]
     if given.numbers:
         write_json(given.numbers, rows)
-    print(tables.summary(("way", "texture set"), COLUMNS, groups(rows)))
+    print(tables.summary(("way", "texture set"), COLUMNS, tables.groups_of_ways(rows, "set")))
     return 0
