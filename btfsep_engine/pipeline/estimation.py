@@ -34,6 +34,7 @@ from btfsep_engine.pipeline.refine.painted import painted_surfaces
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.roughness import as_rough_as_seen
 from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows, unlike_surroundings
+from btfsep_engine.pipeline.refine.shaded import cast_shadows
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
@@ -153,6 +154,7 @@ def left_as_it_is(model: Model, light: SolvedLight):
 REFINEMENTS = (
     as_the_photo_shows,
     light_between_surfaces,
+    cast_shadows,
     without_things_in_front,
     each_object_by_itself,
     left_as_it_is,

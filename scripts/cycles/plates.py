@@ -127,6 +127,8 @@ def take(plate, folder: Path) -> None:
         unlike(thing, plate["thing"], plate["much"], paint=plate.get("paint"))
     for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
         studio.add_sun(lamp["direction"], lamp["irradiance"], degrees=0.53)
+    if "shade" in plate:
+        studio.add_shade(plate["sun"]["direction"], **plate["shade"])
     positions = objects.vertex_positions(thing.data)
     table, roughness = [], plate.get("table_roughness")
     if plate["table"]:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
+from mathutils import Quaternion, Vector
 
 from blender_btfsep.basics import pixels
 from scripts.cycles import materials, objects, plain
@@ -25,6 +25,7 @@ LENS_MM, SENSOR_MM = 85.0, 36.0
 FRAME_FILL = 0.84  # the object's larger extent over the frame's edge: about 60 % of the frame for a round object
 VIEW_FROM = (0.45, -1.0, 0.42)  # from the front, a little from the right and above
 BOUNCES = 8
+SHADE, SHADE_AWAY = 0.6, 1.5  # metres: the edge of what casts a shadow, and how far away it is
 
 
 @contextlib.contextmanager
@@ -196,6 +197,39 @@ def add_wall(place, edge: float, colour) -> bpy.types.Object:
     turn = (-Vector(place)).to_track_quat("Z", "Y").to_euler()
     bpy.ops.mesh.primitive_plane_add(size=edge, location=place, rotation=turn)
     return _unseen(bpy.context.object, materials.white(colour))
+
+
+def add_shade(towards, kind: str, *, turn: float, much: float, seed: int) -> bpy.types.Object:
+    """Something that keeps light from ``towards`` off a part of what lies at the origin, unseen by the camera.
+
+    ``kind`` : "edge", a straight one past the middle, or "leaves", which leave gaps; ``turn`` : about the light's
+    way, radians; ``much`` : 0 to 1, how much of the light is kept off
+    """
+    bpy.ops.mesh.primitive_plane_add(size=SHADE)
+    card, towards = bpy.context.object, Vector(towards).normalized()
+    material, bsdf = materials.shaded("shade", "ShaderNodeBsdfDiffuse", Color=(0.04, 0.05, 0.03, 1))
+    aside = 0.0
+    if kind == "edge":
+        aside = SHADE / 2 + (0.5 - much) * objects.LARGEST_SIDE / 2
+    else:
+        tree = material.node_tree
+        noise, place, gap, mix, clear = (
+            tree.nodes.new(f"ShaderNode{name}")
+            for name in ("TexNoise", "TexCoord", "Math", "MixShader", "BsdfTransparent")
+        )
+        noise.noise_dimensions = "4D"
+        for name, value in {"W": seed, "Scale": 1.5 / objects.LARGEST_SIDE, "Detail": 2}.items():
+            noise.inputs[name].default_value = value
+        gap.operation, gap.inputs[1].default_value = "GREATER_THAN", 0.42 + 0.16 * much
+        tree.links.new(place.outputs["Object"], noise.inputs["Vector"])
+        tree.links.new(noise.outputs["Fac"], gap.inputs[0])
+        for source, socket in ((gap.outputs[0], 0), (bsdf.outputs[0], 1), (clear.outputs[0], 2)):
+            tree.links.new(source, mix.inputs[socket])
+        tree.links.new(mix.outputs[0], next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL").inputs["Surface"])
+    turned = towards.to_track_quat("Z", "Y") @ Quaternion((0, 0, 1), turn)
+    card.rotation_euler = turned.to_euler()
+    card.location = SHADE_AWAY * towards + turned @ Vector((aside, 0, 0))
+    return _unseen(card, material)
 
 
 def add_table(height: float, edge: float, colour, *, checks: int = 0, roughness=None) -> bpy.types.Object:

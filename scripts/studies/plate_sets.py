@@ -29,6 +29,8 @@ SETS = {
     "unsaid anew": 202,
     "stage anew": 203,
     "painted anew": 204,
+    "shadowed": 205,
+    "shadowed again": 206,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -43,6 +45,7 @@ POLISHED = (0.0, 0.1, 0.2)  # roughness
 OF_TABLES = (0.5, 0.3)  # roughness, where they are glossy
 CURVES = ("srgb", "srgb", "agx", "floats")
 WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
+SUNLIT = (0.3, 1.2)  # the same where something casts a shadow
 SUN_COLOUR = np.array([1.05, 1.0, 0.9])
 FILTERS = {
     "red": (1, 0.03, 0.02), "amber": (1, 0.45, 0.05), "green": (0.05, 1, 0.1), "cyan": (0.05, 0.8, 1),
@@ -53,6 +56,7 @@ LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its 
 OF_OBJECTS = ("as said", "subsurface", "bumps", "mottled")
 OF_CAMERAS = ("clean", "vignette", "grain", "soft", "glare")
 PAINT, IN_THE_DARK = (0.3, 0.8), 0.5  # how much of a piece's colour is the paint's; share of plates with lamps alone
+SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
@@ -152,6 +156,18 @@ def unsaid(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def shadowed(plates: list[dict], seed: int) -> list[dict]:
+    """The plates in the sun, of which something that no job knows keeps the sun from a part of the object."""
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        towards, kind = from_in_front(random), str(random.choice(SHADES))
+        strength = random.uniform(*SUNLIT) * np.sqrt(4 * np.pi) * true_lighting(plate["light"], 0).mean()
+        shade = {"kind": kind, "turn": random.uniform(0, 2 * np.pi), "much": random.uniform(), "seed": plate["seed"]}
+        sun = {"direction": towards, "irradiance": list(strength * SUN_COLOUR)}
+        out.append(plate | {"sun": sun, "shade": shade, "kinds": [*plate["kinds"], kind]})
+    return out
+
+
 def by_eye(true: dict, random) -> dict:
     """A surface as a user fills it in who looks at the photo."""
     scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
@@ -199,7 +215,7 @@ def from_in_front(random) -> list[float]:
 def of_set(name: str, lights=None) -> list[dict]:
     """The plates of a set by its name; ``lights`` as of `drawn`."""
     plates, seed = drawn(SETS[name], lights), SETS[name]
-    for kind, made_of in (("unsaid", unsaid), ("painted", painted), ("stage", on_stage)):
+    for kind, made_of in (("unsaid", unsaid), ("painted", painted), ("stage", on_stage), ("shadowed", shadowed)):
         if name.startswith(kind):
             return made_of(plates, seed)
     return {"several": several, "chrome": mirroring, "glossy tables": on_gloss}.get(name, list)(plates)
