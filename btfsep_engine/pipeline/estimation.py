@@ -31,10 +31,10 @@ from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.painted import painted_surfaces
+from btfsep_engine.pipeline.refine.parted import in_parts
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
 from btfsep_engine.pipeline.refine.roughness import as_rough_as_seen
 from btfsep_engine.pipeline.refine.said_surface import as_the_photo_shows, unlike_surroundings
-from btfsep_engine.pipeline.refine.shaded import cast_shadows
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.shift import shifted
 from btfsep_engine.pipeline.refine.surroundings import surroundings
@@ -83,8 +83,9 @@ class Estimate:
 
     @cached_property
     def fit(self) -> Fit:
-        """The light's; where there are alternatives, or tones may be otherwise, with their spread and ranges."""
-        return mixed(mixture(self.alternatives) if self.alternatives else self.light.fit, self.otherwise)
+        """The light's; where there are alternatives, or shadows or tones may be otherwise, with their spread."""
+        fit = mixture(self.alternatives) if self.alternatives else self.light.fit
+        return mixed(mixed(fit, self.model.otherwise), self.otherwise)
 
     @property
     def scene(self) -> PreparedScene:
@@ -154,7 +155,7 @@ def left_as_it_is(model: Model, light: SolvedLight):
 REFINEMENTS = (
     as_the_photo_shows,
     light_between_surfaces,
-    cast_shadows,
+    in_parts,
     without_things_in_front,
     each_object_by_itself,
     left_as_it_is,

@@ -122,18 +122,19 @@ class Follower:
             fit = light.solver.again(problem.radiance(), stated, self._last.light.fit)
             if not stands_still(fit, stated):
                 return None
-        model = replace(elected.model, looks={elected.model.appearance: [problem]})
+        model = replace(elected.model, looks={elected.model.appearance: [problem]}, otherwise=())  # the fit has them
         model, light, _ = key_lights(model, replace(light, fit=fit))
         return Estimate(model, light, elected.choice)
 
     def _followed(self, model: Model, beside: Fit | None) -> SolvedLight | None:
         """The light of a model from the last one on, of another view; None where it does not stand still.
 
-        Nor is a lamp followed whose image was settled in the other view, or a light that a ground is evidence of.
+        Nor is a lamp or a paint followed that was settled in the other view, or a light that a ground is evidence of.
         ``beside`` : as of `fit_together`
         """
         (problem,), solver = model.problems, light_solver(model.problems, model.settings)
-        if self._last.model.problems[0].correction is not None or self._last.light.alone:
+        last = self._last.model.problems[0]
+        if last.correction is not None or last.paint is not None or self._last.light.alone:
             return None
         with model.reporter.stage("fit"):
             before, b = self._last.light.fit, problem.radiance()

@@ -36,6 +36,7 @@ class Model:
     bounces : reflections in the basis images
     materials : for each photograph the ObjectMaterial of each object
     untried : why textures are not tried beside the mean ABRDFs, in words; None where they are
+    otherwise : (Fit, probability) of lights that the photo may show as well (`refine.parted`)
     departed : number of an object -> the Material near its own that stands for it (`refine.reflectance`)
     """
 
@@ -46,6 +47,7 @@ class Model:
     materials: tuple = ()
     untried: str | None = "as asked for"
     departed: dict = field(default_factory=dict)
+    otherwise: tuple = ()
 
     @property
     def problems(self) -> list[Problem]:

@@ -33,6 +33,8 @@ class Problem:
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     correction : (p, 3), what lamps make of the values beside what the basis images have of them, which is taken off
         (`pipeline.refine.near`, `pipeline.refine.sharp`); or None
+    paint : (p, 3), how much more of the light each pixel reflects than its object does in the mean, by which the values
+        are divided (`pipeline.refine.pieces`); or None
     slopes : (p, k, 3), what it may differ by in the first photograph's exposure, since camera or sun may be a little
         off; or None
     veil : (3,), light over the photograph that never met the objects, which is taken off (`pipeline.refine.veil`); or
@@ -54,6 +56,7 @@ class Problem:
     counts: tuple = ()
     scales: np.ndarray | None = None
     correction: np.ndarray | None = None
+    paint: np.ndarray | None = None
     slopes: np.ndarray | None = None
     veil: np.ndarray | None = None
     vivid: bool = False
@@ -131,6 +134,8 @@ class Problem:
             values = self.means_of(self.scene.job.photo.radiance if photo is None else photo)
         if self.veil is not None:
             values = values - self.as_measured(self.veil_of_all)
+        if self.paint is not None:
+            values = values / self.paint
         return values if self.correction is None else values - self.correction
 
     @property
@@ -172,6 +177,7 @@ class Problem:
             measured=None if self.measured is None else self.measured[used],
             weights=None if self.weights is None else self.weights[used],
             correction=None if self.correction is None else self.correction[used],
+            paint=None if self.paint is None else self.paint[used],
             slopes=None if self.slopes is None else self.slopes[used],
             around=None if self.around is None else self.around[used],
         )

@@ -150,6 +150,8 @@ def near_lamps(model, light):
         return model, light, {}
     if any(problem.scene.mirrors for problem in model.problems):
         return model, light, {"near": "light is taken to come from far away: what mirrors show was put together so"}
+    if any(problem.correction is not None for problem in model.problems):
+        return model, light, {"near": "light is taken to come from far away: a shadow falls on the objects"}
     with model.reporter.stage("fit"):
         scene = Photographed(model, light)
         direction = light.solver.brightest_direction(light.fit)

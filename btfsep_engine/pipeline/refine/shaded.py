@@ -2,156 +2,159 @@
 """Shadows of what no job knows: a branch, a wall or a hand that keeps the sun from a part of the objects.
 
 The objects' own shadows are in the basis images. One from elsewhere is not, and its edges leave much over, which light
-from all over then imitates. Where whole parts of the objects are not explained, it is asked whether a lamp is kept from
-some of the pixels (`fit.cast_shadows`): of beams from all over, which one leaves least over beside smooth light, and
-which pixels see it. Its own image, as far as it is seen, takes the place of what the basis images have of it
-(`fit.sharp_lamp`); the light, how much of the lamp each pixel sees, and where it stands are then found by turns. In
-half-shade pixels count for less. It is kept where that explains the photo far better than a lamp that lights all.
+from all over then imitates. Of beams from all over it is asked which one leaves least over beside smooth light, and
+which pixels see it (`fit.two_kinds`). Its own image, as far as it is seen, takes the place of what the basis images
+have of it (`fit.sharp_lamp`); the light, how much of the lamp each pixel sees, and where it stands are then found by
+turns. In half-shade pixels count for less.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from btfsep_engine.conventions import across, fibonacci_sphere
-from btfsep_engine.fit.cast_shadows import FINE, FINEST, ShadowSearch, neighbours, seen_of_lamp
+from btfsep_engine.fit.sharp_lamp import SharpLight
+from btfsep_engine.fit.two_kinds import edges_of, share_of
 from btfsep_engine.light.sun import cap_around
-from btfsep_engine.pipeline.refine.misshapen import patch_misfit
 from btfsep_engine.pipeline.refine.sharp import OwnImage, OwnImages, asked_move, model_beside, with_its_lamp
-from btfsep_engine.pipeline.together import APART, all_weights, fit_together
+from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.render.beams import beam_radiance
 
-MUCH, POOR = 0.05, 0.08  # misfit of patches, and of all that is left over, with which it is asked
-BEAMS, PIXELS = 400, 700  # directions, 10 degrees apart, and how many of all pixels are asked about all of them
+BEAMS = 400  # directions, 10 degrees apart
 LEAST = 0.03  # of the brightest beam's: one that lights less is none that casts a shadow
-BEST, ASIDE, FINER = 3, np.radians(12), 24  # of them; apart from each other; beams about each
-ROUNDS = 5  # of the light, of what pixels see of the lamp, and of where it stands
-CLEARLY, FALLS = 50.0, 0.7  # of the logarithm of the evidence; of what is left over
-FOUND = "something that the job does not know casts a shadow on the objects: {} % of what faces the lamp does not see it"
+BEST, ASIDE, FINER = 5, np.radians(24), 24  # of them; farther apart from each other than that; beams about each,
+AROUND = np.radians(6)  # so far away
+ROUNDS, MORE, WORTH = 3, 8, 0.99  # of all of them; of the best; of what is left over: another round leaves less
+AS_WELL, SAME = 1.25, np.radians(5)  # of what the best leaves over: others leave no more; nearer, two lamps are one
+FOUND = (
+    "something that the job does not know casts a shadow on the objects: {} % of what faces the lamp does not see it"
+)
 
 
 @dataclass(frozen=True)
 class Shaded:
-    """A lamp that some pixels see: its direction (3,), how much of it each sees (p,), 0 to 1, what is left over."""
+    """A lamp that some pixels see.
 
-    direction: np.ndarray
+    Attributes
+    ----------
+    own : OwnImage of it where all see it; seen : (p,), how much of it each does
+    found : OwnImages of it as it is seen; light : SharpLight of it and of a free sky
+    left : what these leave over of the photo, relative
+    """
+
+    own: OwnImage
     seen: np.ndarray
+    found: OwnImages
+    light: SharpLight
     left: float
 
 
-def in_shadow(lamp: OwnImage, seen) -> OwnImage:
-    """A lamp's image where ``seen`` (p,), 0 to 1, of it is seen; how much is, is not known where it is a part."""
+def in_shadow(lamp: OwnImage, seen, unsure) -> OwnImage:
+    """A lamp's image where ``seen`` (p,), 0 to 1, of it is seen, which is known to ``unsure`` (p,)."""
     out, part = object.__new__(OwnImage), seen[:, None]
     out.direction, out.image, out.slopes = lamp.direction, part * lamp.image, part * lamp.slopes
-    out.spread = np.hypot(part * lamp.spread, np.sqrt(part * (1 - part)) * lamp.image)
+    out.spread = np.hypot(part * lamp.spread, unsure[:, None] * lamp.image)
     out.excess = lamp.excess - (1 - part) * lamp.image
     return out
 
 
+def _close(one: Shaded, other: Shaded) -> bool:
+    return bool(one.own.direction @ other.own.direction > np.cos(SAME))
+
+
+def beams_of(problems, directions, some) -> np.ndarray:
+    """Images of beams (n, 3) on ``some`` (p,) bool of all photographs' pixels: (some, n, 3)."""
+    ends, out = np.cumsum([len(p.pixels) for p in problems])[:-1], []
+    for problem, used in zip(problems, np.split(some, ends), strict=True):
+        part, unit = problem.subset(used), problem.scene.millimetres_per_unit
+        for points, material in zip(part.points, part.materials, strict=True):
+            own = beam_radiance(problem.scene.tracer, points, material, directions, millimetres_per_unit=unit)
+            out.append(own)
+    return np.concatenate(out)
+
+
 class Shadows:
-    """The search for what casts shadows, in all photographs' pixels."""
+    """The search for a lamp that some pixels do not see; ``pixels`` : `parted.Pixels`."""
 
-    def __init__(self, model, light):
-        self.problems, self.light, self.solver = model.problems, light, light.solver
-        self.b, own = light.radiance(self.problems), all_weights(self.problems)
-        clipped = np.concatenate([p.clipped for p in self.problems])
-        self.known = np.where(clipped, 0.0, 1.0 if own is None else own)
-        self.rms = np.sqrt((self.known * self.b**2).sum(0) / np.maximum(self.known.sum(0), 1.0))
-        self.pixels = np.concatenate([p.pixels + [i * APART, 0] for i, p in enumerate(self.problems)])
-        self.around = neighbours(self.pixels, deviation=FINE, farthest=FINEST)
+    def __init__(self, pixels):
+        self.pixels, self.solver = pixels, pixels.light.solver
 
-    def beams(self, directions, some) -> np.ndarray:
-        """Images of beams (n, 3) on ``some`` (p,) bool of the pixels: (some, n, 3)."""
-        ends, out = np.cumsum([len(p.pixels) for p in self.problems])[:-1], []
-        for problem, used in zip(self.problems, np.split(some, ends), strict=True):
-            part = problem.subset(used)
-            for points, material in zip(part.points, part.materials, strict=True):
-                unit = problem.scene.millimetres_per_unit
-                how = {"millimetres_per_unit": unit}
-                out.append(beam_radiance(problem.scene.tracer, points, material, directions, **how))
-        return np.concatenate(out)
+    def found(self) -> list[Shaded]:
+        """The likeliest lamps, the best first; none where no lamp has any light."""
+        tried = [one for one in map(self._settled, self._likely()) if one is not None]
+        each = sorted((self._onward(one, MORE) for one in tried), key=lambda one: one.left)
+        kept: list[Shaded] = []
+        for one in each:
+            if one.left < AS_WELL * each[0].left and not any(_close(one, other) for other in kept):
+                kept.append(one)
+        return kept
 
-    def likely(self) -> list[Shaded]:
-        """The lamps that leave least over, the best first, no two of them close together."""
-        step = -(-len(self.b) // PIXELS)
-        some = np.arange(len(self.b)) % step == 0
-        basis = np.concatenate([p.all_basis for p in self.problems])[some]
-        around = neighbours(self.pixels[some])
-        search = ShadowSearch(basis, self.b[some], self.known[some], around)
+    def _likely(self):
+        """Directions (3,) and which pixels (p,) see a lamp there, of those lamps that leave least over."""
+        pixels, kinds = self.pixels, self.pixels.kinds
         directions = fibonacci_sphere(BEAMS)
-        images = self.beams(directions, some)
+        images = beams_of(pixels.problems, directions, pixels.some)
         bright = images.mean((0, 2))
         there = bright > LEAST * bright.max()
         directions, images = directions[there], images[:, there]
-        lit, _, left = search.lit(images)
-        out = []
-        while len(out) < BEST and np.isfinite(left).any():
-            i = int(left.argmin())
-            finer = cap_around(directions[i], ASIDE / 2, FINER)
-            seen, _, rest = search.lit(self.beams(finer, some), lit[:, i])
-            k = int(rest.argmin())
-            # each pixel as the nearest of those that were asked
-            out.append(Shaded(finer[k], self._of_all(seen[:, k], some), float(rest[k])))
-            left = np.where(directions @ directions[i] > np.cos(2 * ASIDE), np.inf, left)
-        return out
-
-    def _of_all(self, values, some) -> np.ndarray:
-        nearest = cKDTree(self.pixels[some]).query(self.pixels)[1]
-        return values[nearest].astype(np.float64)
-
-    def settled(self, first: Shaded):
-        """A lamp, what is seen of it and the light, found by turns: (OwnImages, evidence, seen) of the best."""
-        direction, seen, best, last = first.direction, first.seen, None, None
-        own = OwnImage(self.problems, direction)
-        irradiance = self._irradiance(own, seen)
-        for _ in range(ROUNDS):
-            found = OwnImages((in_shadow(own, seen),)).at(irradiance[None], self.rms, self.known)
-            how = {"weights": found.weights, "start": last}
-            excess = found.lamps[0].excess[:, None]
-            last = self.solver.sharp_lamps(self.b, self.light.fit, direction[None], excess, **how)
-            irradiance = last.irradiances[0]
-            found = replace(found, irradiances=last.irradiances)
-            predicted = self.solver.basis.predicted(last.x)
-            left = self.b - predicted - found.excess
-            if best is None or last.evidence > best[1]:
-                best = found, last.evidence, seen
-            if not irradiance.any():
+        lit, left = kinds.lit(images, kinds.brighter)
+        for _ in range(BEST):
+            if not np.isfinite(left).any():
                 break
-            scale = 1 / self.solver.basis.response**2
-            move = asked_move(left, irradiance * found.lamps[0].slopes, found.weights * scale)
-            turned = own.direction + move @ across(own.direction)
-            of_lamp = self.b - predicted + irradiance * (own.image - own.excess)
-            seen = seen_of_lamp(of_lamp, irradiance * own.image, self.known * scale, self.around)
-            own = OwnImage(self.problems, turned)
-            direction = own.direction
-        return best
+            i = int(left.argmin())
+            finer = cap_around(directions[i], AROUND, FINER)
+            seen, rest = kinds.lit(beams_of(pixels.problems, finer, pixels.some), lit[:, i])
+            k = int(rest.argmin())
+            yield finer[k], pixels.of_all(seen[:, k])
+            left = np.where(directions @ directions[i] > np.cos(ASIDE), np.inf, left)
 
-    def _irradiance(self, own, seen):
+    def _settled(self, one) -> Shaded | None:
+        direction, seen = one
+        own = OwnImage(self.pixels.problems, direction)
         image = seen[:, None] * own.image
-        power = (self.known * image**2).sum(0)
-        return np.maximum(0.5 * (self.known * image * self.b).sum(0) / np.maximum(power, 1e-300), 0)
+        power = (self.pixels.known * image**2).sum(0)
+        half = 0.5 * (self.pixels.known * image * self.pixels.b).sum(0) / np.maximum(power, 1e-300)
+        first = self._solved(own, seen, np.maximum(half, 0), None)
+        return self._onward(first, ROUNDS - 1) if first.found.irradiances.any() else None
+
+    def _solved(self, own, seen, irradiance, start) -> Shaded:
+        pixels = self.pixels
+        found = OwnImages((in_shadow(own, seen, edges_of(seen, pixels.around)),)).at(
+            irradiance[None], pixels.rms, pixels.known
+        )
+        how = {"weights": found.weights, "start": start}
+        excess = found.lamps[0].excess[:, None]
+        light = self.solver.sharp_lamps(pixels.b, pixels.light.fit, own.direction[None], excess, **how)
+        found = replace(found, irradiances=light.irradiances)
+        left = pixels.b - self.solver.basis.predicted(light.x) - found.excess
+        return Shaded(own, seen, found, light, pixels.share(left, pixels.known))
+
+    def _onward(self, at: Shaded, rounds: int) -> Shaded:
+        """A lamp moved to where it is asked to, and seen anew, as long as that leaves less over."""
+        scale = 1 / self.solver.basis.response**2
+        for _ in range(rounds):
+            (irradiance,), (lamp,) = at.found.irradiances, at.found.lamps
+            rest = self.pixels.b - self.solver.basis.predicted(at.light.x)
+            left, of_lamp = rest - irradiance * lamp.excess, rest + irradiance * (at.own.image - at.own.excess)
+            move = asked_move(left, irradiance * lamp.slopes, at.found.weights * scale)
+            own = OwnImage(self.pixels.problems, lamp.direction + move @ across(lamp.direction))
+            image = irradiance * (at.own.image + np.einsum("a,apc->pc", move, at.own.slopes))
+            seen = share_of(of_lamp, image, self.pixels.known * scale, self.pixels.around)
+            now = self._solved(own, seen, irradiance, at.light)
+            if now.left > WORTH * at.left:
+                break
+            at = now
+        return at
+
+    def lights(self, model, shaded: Shaded):
+        """The model whose photos are less what the lamp makes of them, and its light."""
+        free = model_beside(model, self.pixels.light, shaded.found)
+        settings = replace(model.settings, order=self.pixels.light.order)
+        answer = fit_together(free.problems, settings, beside=self.pixels.light.fit)
+        return free, with_its_lamp(answer, shaded.own.direction)
 
 
-def cast_shadows(model, light):
-    """The refinement: a lamp that something keeps from a part of the objects."""
-    if light.solver is None or light.solver.given or light.fit.residual < POOR:
-        return model, light, {}
-    if patch_misfit(model.problems, light) < MUCH:
-        return model, light, {}
-    with model.reporter.stage("fit"):
-        shadows = Shadows(model, light)
-        tried = [shadows.settled(one) for one in shadows.likely()]
-        found, _, seen = max(tried, key=lambda each: each[1])
-        if not found.irradiances.any():
-            return model, light, {}
-        free = model_beside(model, light, found)
-        answer = fit_together(free.problems, replace(model.settings, order=light.order), beside=light.fit)
-        answer = with_its_lamp(answer, found.lamps[0].direction)
-    if DEBUG: DEBUG.append(dict(tried=tried, before=light.fit, after=answer.fit, seen=seen, found=found, shadows=shadows))
-    if answer.fit.evidence < light.fit.evidence + CLEARLY or answer.fit.residual > FALLS * light.fit.residual:
-        return model, light, {}
-    facing = found.lamps[0].image.sum(1) > 0
-    return free, answer, {"shadow": FOUND.format(round(100 * float(1 - seen[facing].mean())))}
-
-DEBUG = []
+def shadow_words(shaded: Shaded) -> str:
+    """How much of what faces the lamp is in the shadow."""
+    facing = shaded.own.image.sum(1) > 0
+    return FOUND.format(round(100 * float(1 - shaded.seen[facing].mean())))

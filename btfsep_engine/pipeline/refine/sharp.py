@@ -129,8 +129,8 @@ def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sharp_lamps(model, light):
-    """The refinement: lamps with images of their own; where lamps are given or near, none is sought."""
-    if light.solver is None or light.solver.given or light.near:
+    """The refinement: lamps with images of their own; where lamps are given or near, or shaded, none is sought."""
+    if light.solver is None or light.solver.given or light.near or _has_one(model):
         return model, light, {}
     with model.reporter.stage("fit"):
         found = Pursuit(model, light).lamps()
@@ -141,6 +141,10 @@ def sharp_lamps(model, light):
         for lamp in found.lamps:
             answer = with_its_lamp(answer, lamp.direction)
     return free, answer, {"sharp": FOUND if len(found.lamps) == 1 else SEVERAL.format(len(found.lamps))}
+
+
+def _has_one(model) -> bool:
+    return any(problem.correction is not None for problem in model.problems)
 
 
 def with_its_lamp(light, direction):
