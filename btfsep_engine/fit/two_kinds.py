@@ -136,10 +136,15 @@ class TwoKinds:
 
 
 def share_of(rest, image, weights, around) -> np.ndarray:
-    """(p,) in [0, 1], how much of an ``image`` (p, 3) each pixel has in what is left for it, ``rest`` (p, 3)."""
+    """(p,) in [0, 1], how much of an ``image`` (p, 3) each pixel has in what is left for it, ``rest`` (p, 3).
+
+    Away from edges all of it or nothing: a part of it everywhere would explain anything.
+    """
     power = (weights * np.square(image)).sum(1)
     own = (weights * image * rest).sum(1)
-    return np.clip((around @ own) / np.maximum(around @ power, 1e-12 * max(float(power.max()), 1e-300)), 0, 1)
+    share = np.clip((around @ own) / np.maximum(around @ power, 1e-12 * max(float(power.max()), 1e-300)), 0, 1)
+    whole = (around @ share > 0.5).astype(np.float64)
+    return np.where(edges_of(whole, around) > 0, share, whole)
 
 
 def edges_of(share, around) -> np.ndarray:

@@ -24,7 +24,11 @@ from btfsep_engine.pipeline.together import APART, all_weights
 
 MUCH, POOR = 0.05, 0.08  # misfit of patches, and of all that is left over, with which it is asked
 SOME = 700  # pixels, of which what they are is asked first
-FALLS = 0.7  # of what is left over
+SHADOW_LEAVES, PAINT_LEAVES = (
+    0.6,
+    0.4,
+)  # of what is left over without: of stained plaster paint leaves 0.6, of real balls
+# whose shape comes from shading 0.4 to 0.7; of 32 painted plates 0.2 to 0.7
 DECIDES = 8.0  # power of what is left over, inverse, by which other lamps are as probable
 # Of what paint leaves over: where a shadow leaves so much, either is as probable; and the power of it by which one is
 # more so. Of 32 plates with a shadow 20 leave less than that, three 0.55 to 0.75; of 32 painted ones none, six to 0.8.
@@ -101,18 +105,18 @@ def in_parts(model, light):
         of_shadows = [shadows.lights(model, one) for one in shaded]
         of_paint = [] if painted is None else [pieces.lights(model, painted)]
         left = left_over(pixels, [*plain, *of_shadows[:1], *of_paint])
-    enough = FALLS * min(left[: len(plain)])
+    without = min(left[: len(plain)])
     paint = left[-1] if of_paint else np.inf
     shadow = left[len(plain)] if shaded else np.inf
-    if min(shadow, paint) >= enough:
+    if min(shadow, paint) >= SHADOW_LEAVES * without:
         return model, light, {}
     is_paint = 1 / (1 + (paint * UNLIKE_PAINT / shadow) ** JUDGES)
-    if is_paint < 0.5:
+    if is_paint < 0.5 and shadow < SHADOW_LEAVES * without:
         shares = (1 - is_paint) * likely(shaded)
         others = [*zip(of_shadows[1:], shares[1:], strict=True), *((each, is_paint) for each in of_paint)]
         model, light = of_shadows[0]
         return with_others(model, others), light, {"shadow": shadow_words(shaded[0])}
-    if paint >= enough or any(shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems):
+    if paint >= PAINT_LEAVES * without or any(shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems):
         return model, light, {}
     others = zip(of_shadows, (1 - is_paint) * likely(shaded), strict=True)
     model, light = of_paint[0]
