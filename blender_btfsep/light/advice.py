@@ -57,6 +57,11 @@ KNOWN = (
         "Something that is not in the scene throws light on the object; add it",
         level="AMBER",
     ),
+    Advice(
+        "casts a shadow on the objects",
+        "Something that is not in the scene casts a shadow on the object; add it",
+        level="AMBER",
+    ),
     Advice(LOOK_ALIKE, "{0} has a texture that nobody measured; choose or measure its material", "MATERIAL", "AMBER"),
     Advice(MISFIT, "The material does not quite fit the photo", "MATERIAL", "AMBER"),
     Advice("poorly (relative residual", "The light explains {0} poorly: material, shape or camera", "ALIGN", "RED"),

@@ -23,6 +23,7 @@ from btfsep_engine.pipeline.refine.look_alike import LOOK_ALIKE
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
 from btfsep_engine.pipeline.refine.roughness import OTHERWISE as ROUGH_OTHERWISE
 from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
+from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.storage import kept
@@ -66,9 +67,9 @@ def tones_doubts(estimate) -> list[str]:
 
 
 def shape_and_colour_doubts(estimate) -> list[str]:
-    """What was said on the way of shapes (`refine.misshapen`), surroundings (`refine.said_surface`), roughness and
-    textures."""
-    keys = UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
+    """What was said on the way of shadows (`refine.shaded`), shapes (`refine.misshapen`), surroundings
+    (`refine.said_surface`), roughness and textures."""
+    keys = SHADOW, UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
     return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 

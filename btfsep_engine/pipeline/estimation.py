@@ -51,7 +51,10 @@ UNSEEN = (
     "a depth shows one side: what lies behind it is taken as solid, closed and of the same material; of shadows and "
     "reflections by what the camera does not see, the stated uncertainty knows nothing"
 )
-QUICK = "quick: lamps sharper than the harmonics, lamps nearby, things in front and haze were not looked for"
+QUICK = (
+    "quick: lamps sharper than the harmonics, lamps nearby, things in front, shadows of what no job knows and haze "
+    "were not looked for"
+)
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,7 @@ REFINEMENTS = (
 )
 # On 32 plates these took half of the time; left out of a draft, whose camera stays, they cost its light nothing in the
 # mean (0.97 times the error). What they are worth to an estimate: `scripts/study refinements`.
-SLOW = (without_things_in_front, near_lamps, sharp_lamps, veiled)
+SLOW = (in_parts, without_things_in_front, near_lamps, sharp_lamps, veiled)
 
 
 def refinements_of(settings: Settings, of=REFINEMENTS) -> tuple:

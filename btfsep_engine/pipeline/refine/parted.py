@@ -17,7 +17,7 @@ from btfsep_engine.fit.two_kinds import FINE, FINEST, TwoKinds, neighbours
 from btfsep_engine.pipeline.refine.in_front import shining
 from btfsep_engine.pipeline.refine.misshapen import patch_misfit
 from btfsep_engine.pipeline.refine.pieces import Pieces, paint_words
-from btfsep_engine.pipeline.refine.shaded import Shadows, shadow_words
+from btfsep_engine.pipeline.refine.shaded import SHADOW, Shadows, shadow_words
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.refine.uneven import HIGHLIGHTS
 from btfsep_engine.pipeline.together import APART, all_weights
@@ -115,7 +115,7 @@ def in_parts(model, light):
         shares = (1 - is_paint) * likely(shaded)
         others = [*zip(of_shadows[1:], shares[1:], strict=True), *((each, is_paint) for each in of_paint)]
         model, light = of_shadows[0]
-        return with_others(model, others), light, {"shadow": shadow_words(shaded[0])}
+        return with_others(model, others), light, {SHADOW: shadow_words(shaded[0])}
     if paint >= PAINT_LEAVES * without or any(shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems):
         return model, light, {}
     others = zip(of_shadows, (1 - is_paint) * likely(shaded), strict=True)

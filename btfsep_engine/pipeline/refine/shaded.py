@@ -26,8 +26,10 @@ BEST, ASIDE, FINER = 5, np.radians(24), 24  # of them; farther apart from each o
 AROUND = np.radians(6)  # so far away
 ROUNDS, MORE, WORTH = 3, 8, 0.99  # of all of them; of the best; of what is left over: another round leaves less
 AS_WELL, SAME = 1.25, np.radians(5)  # of what the best leaves over: others leave no more; nearer, two lamps are one
+SHADOW = "shadow"  # its name among what is chosen
 FOUND = (
-    "something that the job does not know casts a shadow on the objects: {} % of what faces the lamp does not see it"
+    "something that the job does not know casts a shadow on the objects: {} % of what faces the lamp does not see it "
+    "(by evidence); the light goes by that, and is known better if what casts it is in the scene"
 )
 
 
