@@ -25,6 +25,10 @@ TURNS = 15
 AROUND, FARTHEST = 1.2, 3.0  # pixels' spacings: deviation of neighbours that go together, and how far they reach
 FINE, FINEST = 0.6, 1.8  # the same where parts of a pixel may be of either kind
 HOLDS = 0.01  # of a lamp's own power: what other light does not explain has to be as much
+HOPEFUL = (
+    0.7  # of what one light of all leaves over: where two kinds leave more, they are none. Of 18 stained things that
+)
+# no shadow fell on a lamp leaves 0.74 to 0.83, of 32 in a shadow 20 that were rightly found 0.3 to 0.68.
 DARKEST = 0.02  # of the other paint's reflectance
 
 
@@ -70,6 +74,11 @@ class TwoKinds:
         """(p,) bool, the pixels that are brighter, with those around them, than one light makes them all."""
         return self._around @ self._left.sum(1) > 0
 
+    @property
+    def left(self) -> float:
+        """What one light of all leaves over, relative."""
+        return float(self._share(np.square(self._left).sum()))
+
     def _beside(self, c: int, values):
         """What is left of values (p, …) of a channel beside one light of all."""
         u, size = self._axes[c]
@@ -110,8 +119,11 @@ class TwoKinds:
             lit = now
         return lit, self._share(left)
 
-    def painted(self, start) -> np.ndarray:
-        """(p,) bool, which pixels are of the other of two paints; ``start`` : (p,) bool."""
+    def painted(self, start):
+        """Which pixels are of the other of two paints, (p,) bool, and what is left over then, relative.
+
+        ``start`` : (p,) bool
+        """
         other, best, least = start, start, np.inf
         more = np.ones(3)
         for _ in range(TURNS):
@@ -126,7 +138,7 @@ class TwoKinds:
             if np.array_equal(now, other) or now.all() or not now.any():
                 break
             other = now
-        return best
+        return best, float(self._share(least))
 
     def _under(self, c: int, factor) -> np.ndarray:
         """(p,), what light makes of a channel where pixels reflect ``factor`` (p,) times as much, less that factor."""

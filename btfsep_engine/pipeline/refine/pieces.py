@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from btfsep_engine.fit.two_kinds import DARKEST, TwoKinds, edges_of, share_of
+from btfsep_engine.fit.two_kinds import DARKEST, HOPEFUL, TwoKinds, edges_of, share_of
 from btfsep_engine.pipeline.refine.sharp import NOISE, UNSURE
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.render.homogeneous import homogeneous
@@ -84,8 +84,10 @@ class Pieces:
         rest = p.b - self._reflected(fit.shown)
         kinds = TwoKinds(below[p.some], rest[p.some], p.known[p.some], p.around_some)
         starts = [kinds.brighter, *(each[p.some] > 0.5 for each in likely)]
-        each = [self._settled(p.of_all(kinds.painted(start))) for start in starts]
-        tried = [found for found in each if found is not None]
+        tried = []
+        for other, left in map(kinds.painted, starts):
+            one = self._settled(p.of_all(other)) if left < HOPEFUL * kinds.left else None
+            tried += [] if one is None else [one]
         return min(tried, key=lambda found: p.share(found.left, p.known), default=None)
 
     def _settled(self, other) -> Painted | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from btfsep_engine.conventions import across, fibonacci_sphere
 from btfsep_engine.fit.sharp_lamp import SharpLight
-from btfsep_engine.fit.two_kinds import edges_of, share_of
+from btfsep_engine.fit.two_kinds import HOPEFUL, edges_of, share_of
 from btfsep_engine.light.sun import cap_around
 from btfsep_engine.pipeline.refine.sharp import OwnImage, OwnImages, asked_move, model_beside, with_its_lamp
 from btfsep_engine.pipeline.together import fit_together
@@ -101,7 +101,7 @@ class Shadows:
         directions, images = directions[there], images[:, there]
         lit, left = kinds.lit(images, kinds.brighter)
         for _ in range(BEST):
-            if not np.isfinite(left).any():
+            if not left.min() < HOPEFUL * kinds.left:
                 break
             i = int(left.argmin())
             finer = cap_around(directions[i], AROUND, FINER)
