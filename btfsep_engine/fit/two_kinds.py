@@ -29,6 +29,7 @@ HOPEFUL = (
     0.7  # of what one light of all leaves over: where two kinds leave more, they are none. Of 18 stained things that
 )
 # no shadow fell on a lamp leaves 0.74 to 0.83, of 32 in a shadow 20 that were rightly found 0.3 to 0.68.
+ROUNDING = 1e-6  # of a share
 DARKEST = 0.02  # of the other paint's reflectance
 
 
@@ -156,7 +157,7 @@ def share_of(rest, image, weights, around) -> np.ndarray:
     own = (weights * image * rest).sum(1)
     share = np.clip((around @ own) / np.maximum(around @ power, 1e-12 * max(float(power.max()), 1e-300)), 0, 1)
     whole = (around @ share > 0.5).astype(np.float64)
-    return np.where(edges_of(whole, around) > 0, share, whole)
+    return np.where(edges_of(whole, around) > ROUNDING, share, whole)
 
 
 def edges_of(share, around) -> np.ndarray:
