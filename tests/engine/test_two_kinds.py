@@ -124,7 +124,7 @@ def test_neighbours_are_a_mean_of_what_is_near_in_any_unit(bumpy, rng):
     row = middle[SIDE * SIDE // 2 + SIDE // 2 :][: int(FARTHEST) + 1]
     assert (np.diff(row) < 0).all()  # what is nearer counts for more
     np.testing.assert_allclose(neighbours(7 * bumpy.pixels + 3).toarray(), around, atol=1e-12)
-    apart = neighbours(np.concatenate([bumpy.pixels, bumpy.pixels + [0, 1 << 30]])).toarray()
+    apart = neighbours(np.concatenate([bumpy.pixels, bumpy.pixels + np.array([0, 1 << 30])])).toarray()
     assert not apart[: SIDE**2, SIDE**2 :].any() and not apart[SIDE**2 :, : SIDE**2].any()
     np.testing.assert_allclose(apart[: SIDE**2, : SIDE**2], around, atol=1e-12)
     few = neighbours(bumpy.pixels, deviation=0.6, farthest=1.0).toarray()

@@ -2,6 +2,7 @@
 """A shadow of what no job knows, and paint that it does not say: told apart, and the light is better for it."""
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -150,7 +151,7 @@ def test_how_much_of_what_faces_the_lamp_is_in_its_shadow_is_said_as_a_doubt(in_
 
 
 def test_what_is_fitted_is_then_a_photo_that_all_of_the_lamp_reaches(in_the_dark):
-    """As the basis images have it: what lies in the shadow gets what it lacks, and the rest stays but for their errors."""
+    """As the basis images have it: what lies in the shadow gets what it lacks; the rest stays but for errors."""
     (before,), (after,) = in_the_dark[0].problems, in_the_dark[2].model.problems
     lit, dark = (side & away(before) for side in sides(before))
     assert misfit(before, before.radiance(), dark) > 0.3
@@ -340,11 +341,11 @@ def test_pixels_of_each_object_are_apart_and_have_a_mean_of_their_own(things):
     sizes = [len(p) for p in problem.points]
     ends = np.cumsum([0, *sizes, *sizes])
     around = pixels.around.toarray()
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in pairwise(ends):
         assert not around[a:b, :a].any() and not around[a:b, b:].any()
     factor = np.random.default_rng(1).random((ends[-1], 3)) + 1
     of_mean = pixels.of_mean(factor)
-    for a, b in zip(ends[:-1], ends[1:], strict=True):
+    for a, b in pairwise(ends):
         np.testing.assert_allclose(of_mean[a:b].mean(0), 1)
         np.testing.assert_allclose(of_mean[a:b] / factor[a:b], np.broadcast_to(of_mean[a] / factor[a], (b - a, 3)))
     np.testing.assert_allclose(pixels.b[ends[2] :], pixels.b[: ends[2]] / 2)  # in the first's exposure
