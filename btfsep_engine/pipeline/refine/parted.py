@@ -26,7 +26,7 @@ MUCH, POOR = 0.05, 0.08  # misfit of patches, and of all that is left over, with
 SOME = 700  # pixels, of which what they are is asked first
 # Of what is left over without: of stained plaster paint leaves 0.6, of balls whose shape comes from shading 0.4 to 0.7,
 # of 32 painted plates 0.2 to 0.7.
-SHADOW_LEAVES, PAINT_LEAVES = 0.6, 0.4
+SHADOW_LEAVES, PAINT_LEAVES = 0.5, 0.4
 DECIDES = 8.0  # power of what is left over, inverse, by which other lamps are as probable
 # Of what paint leaves over: where a shadow leaves so much, either is as probable; and the power of it by which one is
 # more so. Of 19 plates with a shadow, where both are found, 13 leave less than that; of 31 painted ones one.

@@ -18,7 +18,7 @@ from btfsep_engine.render.homogeneous import homogeneous
 ROUNDS, WORTH = 8, 0.99  # of light, reflectance and pixels; of what is left over: another round leaves less
 LEAST = 0.02  # of an even light's image: objects of which less is below the surface have no paint
 KNOWN = 0.1  # deviation of how much more a paint reflects, once it is found
-FOUND = "the objects are painted in two colours that the job does not say, {} % of what is seen in the {} one"
+FOUND = "the objects are painted in two colours, in pieces, which the job does not say: {} % is of the {} one"
 
 
 @dataclass(frozen=True)
