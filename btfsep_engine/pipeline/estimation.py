@@ -158,8 +158,8 @@ def left_as_it_is(model: Model, light: SolvedLight):
 REFINEMENTS = (
     as_the_photo_shows,
     light_between_surfaces,
-    in_parts,
     without_things_in_front,
+    in_parts,
     each_object_by_itself,
     left_as_it_is,
     finished,

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether parts of the objects, with edges, are brighter than others because a shadow falls on them, or by their paint.
 
-Asked where whole parts of the objects are not explained. A shadow of what no job knows (`refine.shaded`) and paints of
-several colours (`refine.pieces`) may be anywhere in the picture, so that either explains much; but a lamp lights what
-faces it, and a paint reflects whatever falls on it. Both are tried, and what leaves least over is kept, where that is
-far less than without, and than with lamps that are sharper than the harmonics (`refine.sharp`).
+Asked where whole parts of objects without highlights are not explained, be it with things in front left out. A shadow
+of what no job knows (`refine.shaded`) and paints of several colours (`refine.pieces`) may be anywhere in the picture,
+so that either explains much; but a lamp lights what faces it, and a paint reflects whatever falls on it. Both are
+tried, and what leaves least over is kept, where that is far less than without, and than with lamps that are sharper
+than the harmonics (`refine.sharp`).
 """
 
 from dataclasses import replace
@@ -92,7 +93,9 @@ def in_parts(model, light):
     """The refinement: a shadow that falls on a part of the objects, or paint that the job does not say."""
     if light.solver is None or light.solver.given or light.fit.residual < POOR:
         return model, light, {}
-    if patch_misfit(model.problems, light) < MUCH:
+    if patch_misfit(model.problems, light) < MUCH or any(
+        shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems
+    ):
         return model, light, {}
     with model.reporter.stage("fit"):
         pixels = Pixels(model, light)
@@ -114,7 +117,7 @@ def in_parts(model, light):
         others = [*zip(of_shadows[1:], shares[1:], strict=True), *((each, is_paint) for each in of_paint)]
         model, light = of_shadows[0]
         return with_others(model, others), light, {SHADOW: shadow_words(shaded[0])}
-    if paint >= PAINT_LEAVES * without or any(shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems):
+    if paint >= PAINT_LEAVES * without:
         return model, light, {}
     others = zip(of_shadows, (1 - is_paint) * likely(shaded), strict=True)
     model, light = of_paint[0]
