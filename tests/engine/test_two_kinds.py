@@ -95,6 +95,25 @@ def test_another_paint_is_found_be_it_lighter_or_darker_or_of_another_colour(bum
     assert only_at_the_edge(kinds.painted(kinds.brighter)[0], lighter, bumpy.edge)
 
 
+def test_a_paint_that_reflects_as_much_is_told_by_its_colour(bumpy, rng):
+    photo = noisy(bumpy.soft * np.where(bumpy.half[:, None], [1.5, 1.0, 0.65], 1.0), rng)
+    kinds = TwoKinds(bumpy.basis, photo, COUNTS, bumpy.around)
+    found, left = kinds.painted(some_of(bumpy.half, rng))
+    assert only_at_the_edge(found, bumpy.half, bumpy.edge) and left < 0.5 * kinds.left
+
+
+def test_what_is_left_over_is_relative_and_less_of_two_kinds_than_of_one_light(bumpy, rng):
+    """Of stains that have no edges, no two paints leave much less."""
+    for factor in (1.0, 1e-6):  # in any unit
+        kinds = TwoKinds(bumpy.basis, factor * noisy(bumpy.soft, np.random.default_rng(1)), COUNTS, bumpy.around)
+        assert kinds.left == pytest.approx(0.01, rel=0.3)  # the noise
+    half = np.where(bumpy.half[:, None], 0.4, 1.0)
+    waves = np.exp(0.5 * np.sin(bumpy.pixels @ [0.5, 0.4]))[:, None]
+    stained, painted = (TwoKinds(bumpy.basis, noisy(bumpy.soft * f, rng), COUNTS, bumpy.around) for f in (waves, half))
+    assert painted.painted(bumpy.half)[1] < 0.3 * painted.left
+    assert 0.4 * stained.left < stained.painted(stained.brighter)[1] <= stained.left
+
+
 def test_pixels_that_do_not_count_may_show_anything(bumpy, rng):
     lamp = beams(bumpy.normals, TOWARDS, [0.0, 0.0, 1.0])
     lit_photo = noisy(bumpy.soft + bumpy.half[:, None] * LAMP * lamp[:, 0], rng)

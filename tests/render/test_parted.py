@@ -23,18 +23,19 @@ from btfsep_engine.pipeline.following import Follower
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.model import Model, first_model, solve_model, view_problem
 from btfsep_engine.pipeline.refine import parted, sharp
+from btfsep_engine.pipeline.refine import shaded as shaded_by
 from btfsep_engine.pipeline.refine.misshapen import patch_misfit
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.parted import POOR, Pixels, in_parts, left_over, likely
 from btfsep_engine.pipeline.refine.pieces import Pieces, on_the_surface
-from btfsep_engine.pipeline.refine.shaded import SHADOW, beams_of, in_shadow
+from btfsep_engine.pipeline.refine.shaded import SHADOW, Shadows, beams_of, in_shadow
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.render.homogeneous import homogeneous
 from scripts.studies.measures import order2
 from tests.render.scenes import as_mesh, egg_and_pebble, job_of, looking_down, picture, scene_of, with_photo
 
-WHITE = "reference/white-diffuse"
+WHITE, GLOSS = "reference/white-diffuse", "wood/walnut-lacquered"
 SETTINGS = choose("draft", refine="all", bounces=1, directions=512)
 TOWARDS = np.array([-0.45, 0.3, 0.84]) / np.linalg.norm([-0.45, 0.3, 0.84])
 LAMP = 3.0  # irradiance
@@ -48,22 +49,30 @@ def beyond(pixels):
     return pixels @ [0.6, 0.8] - 67
 
 
-@pytest.fixture(scope="module")
-def things():
-    """Balls on a larger one, of white, under a soft sky and a lamp: scene, what either makes of it, where the line is.
-
-    And what the library has of white.
-    """
+def lit_things(name):
+    """Balls on a larger one, of a material, under a soft sky and a lamp: what either makes of it, and a half of it."""
     parts = [trimesh.creation.icosphere(4, 0.55)]
     for i, a in enumerate(2 * np.pi * np.arange(6) / 6):
         place = 0.5 * np.cos(a), 0.5 * np.sin(a), 0.25 + 0.05 * i
         parts.append(trimesh.creation.icosphere(3, 0.22).apply_translation(place))
     scene = scene_of(job_of([as_mesh(trimesh.util.concatenate(parts))], looking_down()))
-    points, white = scene.points(0, region=scene.view.mesh == 0, textured=False), open_library(None).load(WHITE)
-    sky = scene.radiance(points, white, SHLighting(np.repeat(SKY[:, None], 3, 1)), directions=4096)[:, 0]
-    lamp = scene.sun_radiance(points, white, Sun(TOWARDS, np.full(3, LAMP), np.zeros(3)))
-    half = beyond(points.pixels)[:, None] > 0
-    return SimpleNamespace(scene=scene, points=points, white=white, sky=sky, lamp=lamp, half=half)
+    points, material = scene.points(0, region=scene.view.mesh == 0, textured=False), open_library(None).load(name)
+    sky = scene.radiance(points, material, SHLighting(np.repeat(SKY[:, None], 3, 1)), directions=4096)[:, 0]
+    lamp = scene.sun_radiance(points, material, Sun(TOWARDS, np.full(3, LAMP), np.zeros(3)))
+    half, known = beyond(points.pixels)[:, None] > 0, ObjectMaterial(name, material, True)
+    return SimpleNamespace(scene=scene, points=points, known=known, sky=sky, lamp=lamp, half=half)
+
+
+@pytest.fixture(scope="module")
+def things():
+    """White ones."""
+    return lit_things(WHITE)
+
+
+@pytest.fixture(scope="module")
+def glossy_things():
+    """Lacquered ones."""
+    return lit_things(GLOSS)
 
 
 def photo_of(things, values, *, seed=0, noise=0.02, **more):
@@ -84,7 +93,7 @@ def painted(things, colour):
 
 def solved(things, *scenes, settings=SETTINGS):
     """The model of photographs, and its light, before anything is refined."""
-    return solve_model(first_model(list(scenes), [[ObjectMaterial(WHITE, things.white, True)]] * len(scenes), settings))
+    return solve_model(first_model(list(scenes), [[things.known]] * len(scenes), settings))
 
 
 @pytest.fixture(scope="module")
@@ -235,6 +244,16 @@ def test_a_paint_of_another_colour_is_told_from_a_shadow(things):
     assert shares and 0 < sum(shares) < 0.5
 
 
+def test_what_shows_highlights_is_not_asked(glossy_things, monkeypatch):
+    """Two paints imitate these, and the light is worse for it."""
+    monkeypatch.setattr(parted, "Pixels", None)
+    for values in (shaded(glossy_things), painted(glossy_things, GREY)):
+        model, light, _ = solved(glossy_things, photo_of(glossy_things, values))
+        found = in_parts(model, light)
+        assert patch_misfit(model.problems, light) > parted.MUCH and light.fit.residual > POOR
+        assert found[0] is model and found[1] is light and not found[2]
+
+
 def test_at_the_edge_of_a_paint_pixels_count_for_less(in_two_paints):
     (problem,) = in_two_paints[2][0].problems
     at = np.abs(beyond(problem.pixels)) < 1
@@ -317,6 +336,24 @@ def test_in_a_shadow_a_lamp_has_a_part_of_its_image_and_the_basis_images_still_a
         np.testing.assert_array_equal(getattr(whole, what), getattr(lamp, what))
 
 
+def test_lamps_that_are_tried_are_apart_and_the_likeliest_comes_first(in_the_dark):
+    model, light, _ = in_the_dark
+    tried = np.array([direction for direction, _ in Shadows(Pixels(model, light))._likely()])
+    cosines = (tried @ tried.T)[np.triu_indices(len(tried), 1)]
+    assert 1 < len(tried) <= shaded_by.BEST and cosines.max() < np.cos(shaded_by.ASIDE - 2 * shaded_by.AROUND)
+    assert np.degrees(np.arccos(tried[0] @ TOWARDS)) < 6
+
+
+def test_lamps_that_leave_more_over_or_are_one_are_not_kept(monkeypatch):
+    aside = np.array([0.0, 0.0, 1.0])
+    tried = [(TOWARDS, 0.11), (TOWARDS, 0.1), (aside, 0.12), (-aside, 0.13), None]
+    tried = [one and SimpleNamespace(own=SimpleNamespace(direction=one[0]), left=one[1]) for one in tried]
+    search = Shadows(SimpleNamespace(light=SimpleNamespace(solver=None)))
+    for name, stand_in in (("_likely", lambda: tried), ("_settled", lambda one: one), ("_onward", lambda one, _: one)):
+        monkeypatch.setattr(search, name, stand_in)
+    assert search.found() == [tried[1], tried[2]]
+
+
 def test_images_of_beams_are_suns_on_some_pixels_of_all_photographs(things, plain):
     (problem,) = plain[0].problems
     problems = [problem, problem.subset(np.arange(len(problem.pixels)) % 2 == 0)]
@@ -335,7 +372,9 @@ def test_pixels_of_each_object_are_apart_and_have_a_mean_of_their_own(things):
     image = np.random.default_rng(0).random((96, 96, 3)).astype(np.float32)
     clipped = np.zeros(image.shape, bool)
     clipped[40:44, :, 1] = True
-    problem = view_problem(scene_of(with_photo(scene.job, image, clipped=clipped)), [things.white] * 2, SETTINGS)
+    problem = view_problem(
+        scene_of(with_photo(scene.job, image, clipped=clipped)), [things.known.material] * 2, SETTINGS
+    )
     light = fit_together([problem], replace(SETTINGS, order=2))
     pixels = Pixels(Model(SETTINGS, {"mean": [problem, problem]}), replace(light, exposures=[1.0, 2.0]))
     sizes = [len(p) for p in problem.points]

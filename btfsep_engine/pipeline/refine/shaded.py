@@ -101,7 +101,7 @@ class Shadows:
         directions, images = directions[there], images[:, there]
         lit, left = kinds.lit(images, kinds.brighter)
         for _ in range(BEST):
-            if not left.min() < HOPEFUL * kinds.left:
+            if not left.min(initial=np.inf) < HOPEFUL * kinds.left:
                 break
             i = int(left.argmin())
             finer = cap_around(directions[i], AROUND, FINER)
