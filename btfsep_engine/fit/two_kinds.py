@@ -25,10 +25,9 @@ TURNS = 15
 AROUND, FARTHEST = 1.2, 3.0  # pixels' spacings: deviation of neighbours that go together, and how far they reach
 FINE, FINEST = 0.6, 1.8  # the same where parts of a pixel may be of either kind
 HOLDS = 0.01  # of a lamp's own power: what other light does not explain has to be as much
-HOPEFUL = (
-    0.7  # of what one light of all leaves over: where two kinds leave more, they are none. Of 18 stained things that
-)
-# no shadow fell on a lamp leaves 0.74 to 0.83, of 32 in a shadow 20 that were rightly found 0.3 to 0.68.
+# Of what one light of all leaves over: where two kinds leave more, they are none. Of 18 stained things that no shadow
+# fell on a lamp leaves 0.74 to 0.83, of 32 in a shadow 20 that were rightly found 0.3 to 0.68.
+HOPEFUL = 0.7
 ROUNDING = 1e-6  # of a share
 DARKEST = 0.02  # of the other paint's reflectance
 
@@ -59,14 +58,13 @@ class TwoKinds:
         terms = min(sh.term_count(ORDER), basis.shape[1])
         degree = np.repeat(np.arange(ORDER + 1), 2 * np.arange(ORDER + 1) + 1)[:terms]
         prior = np.where(degree == 0, EVEN, np.maximum(degree, 1.0) ** -FALLS)
-        root, self._around = np.sqrt(weights), around
-        self._root = root
+        self._root, self._around = np.sqrt(weights), around
         self._unit = np.maximum(np.average(radiance, axis=0, weights=np.maximum(weights, 1e-12)), 1e-300)
-        self._b = root * radiance / self._unit
+        self._b = self._root * radiance / self._unit
         self._rows = []
         for c in range(3):
             rows = np.asarray(basis[:, :terms, c], np.float64)
-            self._rows.append(rows * (root[:, c, None] * prior / max(float(rows[:, 0].mean()), 1e-300)))
+            self._rows.append(rows * (self._root[:, c, None] * prior / max(float(rows[:, 0].mean()), 1e-300)))
         self._axes = [np.linalg.svd(rows, full_matrices=False)[:2] for rows in self._rows]
         self._left = np.stack([self._beside(c, self._b[:, c]) for c in range(3)], 1)
 

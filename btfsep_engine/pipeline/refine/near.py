@@ -20,6 +20,7 @@ from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Near
 from btfsep_engine.linear_algebra import product
 from btfsep_engine.pipeline.refine.curves import curve_doubts
+from btfsep_engine.pipeline.refine.sharp import has_own_images
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 
@@ -150,7 +151,7 @@ def near_lamps(model, light):
         return model, light, {}
     if any(problem.scene.mirrors for problem in model.problems):
         return model, light, {"near": "light is taken to come from far away: what mirrors show was put together so"}
-    if any(problem.correction is not None for problem in model.problems):
+    if has_own_images(model):
         return model, light, {"near": "light is taken to come from far away: a shadow falls on the objects"}
     with model.reporter.stage("fit"):
         scene = Photographed(model, light)

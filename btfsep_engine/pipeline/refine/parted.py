@@ -93,9 +93,8 @@ def in_parts(model, light):
     """The refinement: a shadow that falls on a part of the objects, or paint that the job does not say."""
     if light.solver is None or light.solver.given or light.fit.residual < POOR:
         return model, light, {}
-    if patch_misfit(model.problems, light) < MUCH or any(
-        shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems
-    ):
+    shines = any(shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems)
+    if shines or patch_misfit(model.problems, light) < MUCH:
         return model, light, {}
     with model.reporter.stage("fit"):
         pixels = Pixels(model, light)

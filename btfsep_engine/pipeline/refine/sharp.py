@@ -130,7 +130,7 @@ def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
 
 def sharp_lamps(model, light):
     """The refinement: lamps with images of their own; where lamps are given or near, or shaded, none is sought."""
-    if light.solver is None or light.solver.given or light.near or _has_one(model):
+    if light.solver is None or light.solver.given or light.near or has_own_images(model):
         return model, light, {}
     with model.reporter.stage("fit"):
         found = Pursuit(model, light).lamps()
@@ -143,7 +143,8 @@ def sharp_lamps(model, light):
     return free, answer, {"sharp": FOUND if len(found.lamps) == 1 else SEVERAL.format(len(found.lamps))}
 
 
-def _has_one(model) -> bool:
+def has_own_images(model) -> bool:
+    """Whether lamps have been taken off the photos already, by images of their own."""
     return any(problem.correction is not None for problem in model.problems)
 
 
