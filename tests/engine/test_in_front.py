@@ -10,7 +10,8 @@ import pytest
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import Problem
-from btfsep_engine.pipeline.refine.in_front import highlights, shining, without_things_in_front
+from btfsep_engine.pipeline.refine.highlights import highlights, shining
+from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.progress import Reporter

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from btfsep_engine.fit.two_kinds import FINE, FINEST, TwoKinds, neighbours
-from btfsep_engine.pipeline.refine.in_front import shining
+from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.refine.misshapen import patch_misfit
 from btfsep_engine.pipeline.refine.pieces import Pieces, paint_words
 from btfsep_engine.pipeline.refine.shaded import SHADOW, Shadows, shadow_words

@@ -21,7 +21,7 @@ from btfsep_engine.conventions import across
 from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import USUAL
-from btfsep_engine.pipeline.refine.in_front import shining
+from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.refine.lamp_search import LampSearch
 from btfsep_engine.pipeline.together import all_weights, fit_together, stacked
 from btfsep_engine.render.beams import beam_radiance

@@ -20,7 +20,7 @@ from btfsep_engine.fit.noise_law import precision
 from btfsep_engine.fit.search import FLOOR
 from btfsep_engine.fit.stated import ERROR_ORDERS, Fit, expected_error
 from btfsep_engine.pipeline.doubts import THRESHOLDS
-from btfsep_engine.pipeline.refine.in_front import shining
+from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.together import all_weights, followed
 
 HIGHLIGHTS = 0.055  # as `in_front.GLOSSY`: roughness 0.3
