@@ -36,7 +36,7 @@ def neighbours(pixels, *, deviation: float = AROUND, farthest: float = FARTHEST)
     """(p, p), the mean over what lies around each of the pixels (p, 2), in units of their spacing."""
     pixels = np.asarray(pixels, np.float64)
     tree = cKDTree(pixels)
-    spacing = float(np.median(tree.query(pixels, min(5, len(pixels)))[0][:, -1])) or 1.0
+    spacing = float(np.median(tree.query(pixels, [min(5, len(pixels))])[0])) or 1.0
     near = tree.sparse_distance_matrix(tree, farthest * spacing, output_type="coo_matrix")
     weight = np.exp(-0.5 * np.square(near.data / (deviation * spacing)))
     out = sparse.csr_array((weight, (near.row, near.col)), shape=near.shape) + sparse.eye_array(len(pixels))
@@ -88,13 +88,14 @@ class TwoKinds:
     def _share(self, left) -> np.ndarray:
         return np.sqrt(left / max(float(np.square(self._b).sum()), 1e-300))
 
-    def lit(self, images, start):
+    def lit(self, images, start, turns: int = TURNS):
         """Which pixels each of n lamps lights, beside light that reaches all.
 
         Parameters
         ----------
         images : (p, n, 3), R of each
         start : (p,) or (p, n) bool
+        turns : the most of them
 
         Returns
         -------
@@ -102,7 +103,7 @@ class TwoKinds:
         """
         lit = np.broadcast_to(np.reshape(start, (len(self._b), -1)), images.shape[:2])
         images = [self._root[:, c, None] * images[:, :, c] / self._unit[c] for c in range(3)]
-        for _ in range(TURNS):
+        for _ in range(turns):
             gain, left = 0.0, 0.0
             for c, image in enumerate(images):
                 column = lit * image
@@ -146,16 +147,31 @@ class TwoKinds:
         return product(self._rows[c], np.linalg.solve(gram, product(rows.T, self._b[:, c])))
 
 
+def part_of(rest, image, weights, around) -> tuple[np.ndarray, np.ndarray]:
+    """(p,) in [0, 1], how much of an ``image`` (p, 3) pixels have, with those around them, in what is left for it,
+    ``rest`` (p, 3); and (p,), how much of the image they show."""
+    power = (weights * np.square(image)).sum(1)
+    own = (weights * image * rest).sum(1)
+    return np.clip((around @ own) / np.maximum(around @ power, 1e-12 * max(float(power.max()), 1e-300)), 0, 1), power
+
+
 def share_of(rest, image, weights, around) -> np.ndarray:
     """(p,) in [0, 1], how much of an ``image`` (p, 3) each pixel has in what is left for it, ``rest`` (p, 3).
 
     Away from edges all of it or nothing: a part of it everywhere would explain anything.
     """
-    power = (weights * np.square(image)).sum(1)
-    own = (weights * image * rest).sum(1)
-    share = np.clip((around @ own) / np.maximum(around @ power, 1e-12 * max(float(power.max()), 1e-300)), 0, 1)
+    share, _ = part_of(rest, image, weights, around)
     whole = (around @ share > 0.5).astype(np.float64)
     return np.where(edges_of(whole, around) > ROUNDING, share, whole)
+
+
+def in_between(rest, image, weights, around) -> float:
+    """How far from all of it or nothing pixels away from edges are, if they may have any part: 0 to 0.5, a mean by how
+    much of the image they show."""
+    part, power = part_of(rest, image, weights, around)
+    away = edges_of((around @ part > 0.5).astype(np.float64), around) <= ROUNDING
+    shown = power * away
+    return float((shown * np.minimum(part, 1 - part)).sum() / max(float(shown.sum()), 1e-300))
 
 
 def edges_of(share, around) -> np.ndarray:

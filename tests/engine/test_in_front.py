@@ -10,6 +10,7 @@ import pytest
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import Problem
+from btfsep_engine.pipeline.refine import in_front
 from btfsep_engine.pipeline.refine.highlights import highlights, shining
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.settings import choose
@@ -88,8 +89,11 @@ def rim(across, down):
 
 
 @pytest.mark.parametrize(("level", "gloss"), [(4.0, 0.0), (0.02, 0.0), (0.02, 4.0)])
-def test_what_stands_apart_is_left_out_and_of_gloss_what_is_darker_than_the_light_explains(rng, level, gloss):
+def test_what_stands_apart_is_left_out_and_of_gloss_what_is_darker_than_the_light_explains(
+    rng, level, gloss, monkeypatch
+):
     """No highlight is darker than all around it: a dark thing need not be seen at two places."""
+    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: False)  # which traces rays
     model, light = photographed(rng, patch, level, gloss=gloss)
     assert shining(model.problems[0])[0].all() == (gloss > 0)
     freed, answer, words = without_things_in_front(model, light)

@@ -6,7 +6,8 @@ Where a few pixels are left over far more than all the others, those that stand 
 much neither a texture, nor the edges of shadows, nor highlights make of a photograph of the objects alone, and these
 are what lamps are found by. Of an object with gloss, what is brighter than the light explains may be a highlight, and
 stays. Where most of them lie along outlines, the camera is off, or the mesh. Light between surfaces that was left out
-of what the photo seemed to show is asked for again.
+of what the photo seemed to show is asked for again. Nor are those left out that are shaded as objects are which a lamp
+lights there and nowhere else, or only elsewhere (`refine.parted`).
 """
 
 from dataclasses import replace
@@ -17,6 +18,7 @@ from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import highlights
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
+from btfsep_engine.pipeline.refine.parted import lit_otherwise
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 
 TAILS = 1.4  # root mean square of what is left over, over what its median would be of noise: 1 of noise, 1.2 to 1.4
@@ -56,8 +58,8 @@ def without_things_in_front(model, light):
         if followed(freed.problems, light, ordered).residual > HOPEFUL * light.fit.residual:
             return model, light, {}
         answer = fit_together(freed.problems, ordered)
-    if answer.fit.residual > EXPLAINED * light.fit.residual:
-        return model, light, {}
+        if answer.fit.residual > EXPLAINED * light.fit.residual or lit_otherwise(model, light, lost):
+            return model, light, {}
     words = {"robust": left_out_words(freed.problems)}
     freed, answer, more = light_between_surfaces(freed, answer)
     return freed, answer, words | more

@@ -17,6 +17,7 @@ from btfsep_engine.render.homogeneous import homogeneous
 
 ROUNDS, WORTH = 8, 0.99  # of light, reflectance and pixels; of what is left over: another round leaves less
 LEAST = 0.02  # of an even light's image: objects of which less is below the surface have no paint
+MOST = 1.1  # of the light, that a paint reflects: more is none; a material's reflectance is known to about a tenth
 KNOWN = 0.1  # deviation of how much more a paint reflects, once it is found
 FOUND = "the objects are painted in two colours, in pieces, which the job does not say: {} % is of the {} one"
 
@@ -57,6 +58,8 @@ class Pieces:
     def __init__(self, pixels, settings):
         self.pixels, self.solver = pixels, pixels.light.solver
         self._above = [self._on_the_surface(p, settings) for p in pixels.problems]
+        objects = [one for p in pixels.problems for one in zip(p.materials, p.points, strict=True)]
+        self._albedo = np.concatenate([np.tile(m.diffuse_albedo(), (len(points), 1)) for m, points in objects])
 
     @staticmethod
     def _on_the_surface(problem, settings) -> list:
@@ -87,8 +90,13 @@ class Pieces:
         tried = []
         for other, left in map(kinds.painted, starts):
             one = self._settled(p.of_all(other)) if left < HOPEFUL * kinds.left else None
-            tried += [] if one is None else [one]
+            tried += [] if one is None or self._too_light(one) else [one]
         return min(tried, key=lambda found: p.share(found.left, p.known), default=None)
+
+    def _too_light(self, painted: Painted) -> bool:
+        """Whether a paint would have to reflect more than all light."""
+        paint = self.pixels.of_mean(1 + (painted.more - 1) * painted.other[:, None])
+        return bool((self._albedo * paint).max() > MOST)
 
     def _settled(self, other) -> Painted | None:
         """Which pixels are of the other paint, and the light, found by turns."""

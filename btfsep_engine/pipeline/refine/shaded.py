@@ -14,18 +14,23 @@ import numpy as np
 
 from btfsep_engine.conventions import across, fibonacci_sphere
 from btfsep_engine.fit.sharp_lamp import SharpLight
-from btfsep_engine.fit.two_kinds import HOPEFUL, edges_of, share_of
+from btfsep_engine.fit.two_kinds import HOPEFUL, edges_of, in_between, share_of
 from btfsep_engine.light.sun import cap_around
 from btfsep_engine.pipeline.refine.sharp import OwnImage, OwnImages, asked_move, model_beside, with_its_lamp
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.render.beams import beam_radiance
 
 BEAMS = 400  # directions, 10 degrees apart
+FIRST, FOLLOWED = 3, 60  # turns of which pixels see all of them, and those that are then followed to the end
 LEAST = 0.03  # of the brightest beam's: one that lights less is none that casts a shadow
 BEST, ASIDE, FINER = 5, np.radians(24), 24  # of them; farther apart from each other than that; beams about each,
 AROUND = np.radians(6)  # so far away
 ROUNDS, MORE, WORTH = 3, 8, 0.99  # of all of them; of the best; of what is left over: another round leaves less
+PROMISING = 1.5  # of what the best leaves over after the first rounds: others that leave more are given up
 AS_WELL, SAME = 1.25, np.radians(5)  # of what the best leaves over: others leave no more; nearer, two lamps are one
+# How far from seeing all of the lamp or nothing pixels may be away from edges: in shadows 0.01 to 0.06, of grey stains
+# without edges 0.08 to 0.13.
+HALF_SEEN = 0.07
 SHADOW = "shadow"  # its name among what is chosen
 FOUND = (
     "something that the job does not know casts a shadow on the objects: {} % of what faces the lamp does not see it "
@@ -41,13 +46,14 @@ class Shaded:
     ----------
     own : OwnImage of it where all see it; seen : (p,), how much of it each does
     found : OwnImages of it as it is seen; light : SharpLight of it and of a free sky
-    left : what these leave over of the photo, relative
+    rest : (p, 3), what these leave over of the photo; left : the same, relative
     """
 
     own: OwnImage
     seen: np.ndarray
     found: OwnImages
     light: SharpLight
+    rest: np.ndarray
     left: float
 
 
@@ -84,10 +90,12 @@ class Shadows:
     def found(self) -> list[Shaded]:
         """The likeliest lamps, the best first; none where no lamp has any light."""
         tried = [one for one in map(self._settled, self._likely()) if one is not None]
-        each = sorted((self._onward(one, MORE) for one in tried), key=lambda one: one.left)
+        least = PROMISING * min((one.left for one in tried), default=np.inf)
+        each = sorted((self._onward(one, MORE) for one in tried if one.left <= least), key=lambda one: one.left)
         kept: list[Shaded] = []
         for one in each:
-            if one.left < AS_WELL * each[0].left and not any(_close(one, other) for other in kept):
+            known = one.left < AS_WELL * each[0].left and not any(_close(one, other) for other in kept)
+            if known and self._half_seen(one) < HALF_SEEN:
                 kept.append(one)
         return kept
 
@@ -99,7 +107,10 @@ class Shadows:
         bright = images.mean((0, 2))
         there = bright > LEAST * bright.max()
         directions, images = directions[there], images[:, there]
-        lit, left = kinds.lit(images, kinds.brighter)
+        lit, left = kinds.lit(images, kinds.brighter, FIRST)
+        likely = np.argsort(left)[:FOLLOWED]
+        directions, images = directions[likely], images[:, likely]
+        lit, left = kinds.lit(images, lit[:, likely])
         for _ in range(BEST):
             if not left.min(initial=np.inf) < HOPEFUL * kinds.left:
                 break
@@ -128,8 +139,13 @@ class Shadows:
         excess = found.lamps[0].excess[:, None]
         light = self.solver.sharp_lamps(pixels.b, pixels.light.fit, own.direction[None], excess, **how)
         found = replace(found, irradiances=light.irradiances)
-        left = pixels.b - self.solver.basis.predicted(light.x) - found.excess
-        return Shaded(own, seen, found, light, pixels.share(left, pixels.known))
+        rest = pixels.b - self.solver.basis.predicted(light.x) - found.excess
+        return Shaded(own, seen, found, light, rest, pixels.share(rest, pixels.known))
+
+    def _half_seen(self, one: Shaded) -> float:
+        image = one.found.irradiances[0] * one.own.image
+        weights = self.pixels.known / self.solver.basis.response**2
+        return in_between(one.rest + one.seen[:, None] * image, image, weights, self.pixels.around)
 
     def _onward(self, at: Shaded, rounds: int) -> Shaded:
         """A lamp moved to where it is asked to, and seen anew, as long as that leaves less over."""

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a lamp lights in one place only is told from a thing in front, and a lamp's shadow from paint by its colour."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from btfsep_engine.fit.two_kinds import neighbours
+from btfsep_engine.job.model import KnownLamp
+from btfsep_engine.pipeline.estimation import light_of
+from btfsep_engine.pipeline.refine import parted
+from btfsep_engine.pipeline.refine.in_front import without_things_in_front
+from btfsep_engine.pipeline.refine.parted import Pixels, coloured_as_light, in_parts, lit_otherwise
+from btfsep_engine.pipeline.refine.pieces import Pieces
+from btfsep_engine.pipeline.refine.shaded import SHADOW
+from tests.render.lit_things import TOWARDS, degrees_off, lit_things, off, photo_of, solved
+
+WARM = np.array([1.3, 1.0, 0.75])  # beside skylight: a sun that stands low
+
+
+@pytest.fixture(scope="module")
+def things():
+    return lit_things()
+
+
+def spot(pixels):
+    """(p,) bool, where a lamp comes through a gap."""
+    return np.linalg.norm(pixels - np.array([50, 30]), axis=1) < 11
+
+
+@pytest.fixture(scope="module")
+def through_a_gap(things):
+    """The model of a photo of which a lamp lights a spot, ten times as strong, and its light."""
+    lit = spot(things.points.pixels)[:, None] * things.lamp
+    return solved(things, photo_of(things, things.sky + 4 * lit))[:2]
+
+
+@pytest.fixture(scope="module")
+def covered(things):
+    """The same of a photo with a bright disc in front there, of one colour."""
+    values = things.sky + things.lamp
+    disc = spot(things.points.pixels)[:, None]
+    return solved(things, photo_of(things, np.where(disc, 4 * values.max(), values)))[:2]
+
+
+def apart(model):
+    return spot(model.problems[0].pixels)
+
+
+def test_what_a_lamp_lights_through_a_gap_is_no_thing_in_front(through_a_gap):
+    model, light = through_a_gap
+    assert lit_otherwise(model, light, apart(model))
+    same, as_before, words = without_things_in_front(model, light)
+    assert same is model and as_before is light and not words
+    found = light_of(model, None, (without_things_in_front, in_parts))
+    assert SHADOW in found.choice and "robust" not in found.choice and degrees_off(found.light) < 6
+
+
+def test_that_it_is_none_is_worth_the_lamp(through_a_gap, monkeypatch):
+    """Left out, its pixels take all that is known of the lamp with them."""
+    model, _ = through_a_gap
+    monkeypatch.setattr("btfsep_engine.pipeline.refine.in_front.lit_otherwise", lambda *_: False)
+    left = light_of(model, None, (without_things_in_front, in_parts))
+    assert "robust" in left.choice and SHADOW not in left.choice
+
+
+def test_a_disc_of_one_colour_is_a_thing_in_front(covered):
+    model, light = covered
+    assert not lit_otherwise(model, light, apart(model))
+    freed, answer, words = without_things_in_front(model, light)
+    assert "robust" in words and off(answer) < 0.3 * off(light)
+    assert not apart(freed).any()
+
+
+def test_how_well_a_lamp_explains_is_asked_beside_one_colour_for_each_part(covered, monkeypatch):
+    """Not one for all that stands apart: two discs may be of two colours."""
+    model, light = covered
+    pixels, some = Pixels(model, light), apart(model)
+    rest = pixels.b.copy()
+    rest[some] = 0.1 * (pixels.b[some] - pixels.b[some].mean(0)) + 1e-9
+    for factor, expected in ((1, True), (7, False)):
+        shaded = SimpleNamespace(rest=factor * rest, left=0.0)
+        monkeypatch.setattr(parted.Shadows, "found", lambda _, one=shaded: [one])
+        assert lit_otherwise(model, light, some) is expected
+    halves = some & (model.problems[0].pixels[:, 0] % 20 < 10)  # of another colour, and not connected
+    assert neighbours(pixels.at[halves]).shape == (halves.sum(),) * 2
+    monkeypatch.setattr(parted.Shadows, "found", lambda _: [])
+    assert not lit_otherwise(model, light, some)
+
+
+def test_where_lamps_are_given_nothing_is_lit_otherwise(things, monkeypatch):
+    monkeypatch.setattr(parted, "Pixels", None)
+    lit = spot(things.points.pixels)[:, None] * things.lamp
+    photo = photo_of(things, things.sky + 4 * lit, known_lamps=(KnownLamp(TOWARDS, 1.0),))
+    model, light, _ = solved(things, photo)
+    assert not lit_otherwise(model, light, apart(model))
+
+
+def of_colours(lamp, other):
+    light = SimpleNamespace(irradiances=np.atleast_2d(lamp), x=np.atleast_2d(other))
+    return coloured_as_light(SimpleNamespace(light=light))
+
+
+def test_a_lamp_has_a_colour_that_lights_have():
+    even = np.ones(3)
+    assert of_colours(even, even) > 1.5
+    assert of_colours(2 * even, even) == pytest.approx(of_colours(even, even))  # however bright
+    assert of_colours(WARM, even) > 0 and of_colours(WARM, WARM + 1 / WARM) > 0
+    assert of_colours(WARM, WARM) == pytest.approx(of_colours(even, even))  # whatever colour the other light has
+    for strong in ([1.0, 0.3, 0.2], [0.3, 1.0, 0.3], [1.0, 0.4, 1.0]):
+        assert of_colours(strong, even) < -1
+
+
+def test_no_paint_reflects_more_than_all_light(things):
+    """A half that is four times as light as the other would have to, of white things; of dark ones it is found."""
+    values = (things.sky + things.lamp) * np.where(things.half, 1, 0.25)
+    model, light, _ = solved(things, photo_of(things, values))
+    pixels = Pixels(model, light)
+    pieces = Pieces(pixels, model.modelled)
+    found = pieces.found()
+    assert found is not None and found.more.max() > 3
+    lighter = pieces._albedo.max() * pixels.of_mean(1 + (found.more - 1) * found.other[:, None]).max()
+    assert 0.4 < lighter < 1
+    pieces._albedo = 2 * pieces._albedo
+    assert pieces._too_light(found) and pieces.found() is None
+    assert not pieces._too_light(replace(found, more=np.full(3, 1.01)))
