@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pixels of two kinds: those that a lamp lights and those in a shadow of it; those of one paint and those of another.
+"""Pixels of two kinds: those that a lamp lights and those in a shadow of it; those of one paint and those of another;
+those of the objects and those of something else.
 
 With s in {0, 1} of each pixel, what a photograph shows is in each channel either of
 
@@ -8,17 +9,22 @@ With s in {0, 1} of each pixel, what a photograph shows is in each channel eithe
 
 with x smooth light of a low order and a Gaussian prior. With s known, x is linear, and E and r follow from it; with
 these known, a pixel is of the kind that explains it and those around it better. Both are found by turns, as mixtures of
-regressions are by classification (Celeux and Govaert 1992): the first of many lamps at once.
+regressions are by classification (Celeux and Govaert 1992): the first of many lamps at once. Of something else nothing
+is known: pixels are of it where those around them, too, are far from what light makes of the others.
 """
+
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
 from btfsep_engine import sh
 from btfsep_engine.linear_algebra import product
 
 ORDER = 5  # of the light
+NORMAL = 1.4826  # standard deviation over the median absolute deviation
 EVEN, FALLS = 10.0, 1.2  # deviation of its mean over that of order 1; the others' fall by this power of the order
 NOISE = 0.02  # of the photo's mean: what a pixel may differ by, for the prior
 TURNS = 15
@@ -29,6 +35,13 @@ HOLDS = 0.01  # of a lamp's own power: what other light does not explain has to 
 # fell on a lamp leaves 0.74 to 0.83, of 32 in a shadow 20 that were rightly found 0.3 to 0.68.
 HOPEFUL = 0.7
 ROUNDING = 1e-6  # of a share
+OFF, LEAST_OFF = (
+    3.5,
+    0.05,
+)  # of the spread of what light explains, and of the photo's mean: pixels farther off are apart
+MOST = 0.5  # of the pixels, that are apart
+GROUPS, FEW, MANY = (2, 3, 4), 0.01, 0.6  # of pixels that differ alike; the least and the most of them in one
+DIM, NIGHT, UNLIKE = 1e-3, 0.05, 3.0  # least radiance and light, over their mean; most of a logarithm
 DARKEST = 0.02  # of the other paint's reflectance
 
 
@@ -65,8 +78,14 @@ class TwoKinds:
         for c in range(3):
             rows = np.asarray(basis[:, :terms, c], np.float64)
             self._rows.append(rows * (self._root[:, c, None] * prior / max(float(rows[:, 0].mean()), 1e-300)))
-        self._axes = [np.linalg.svd(rows, full_matrices=False)[:2] for rows in self._rows]
-        self._left = np.stack([self._beside(c, self._b[:, c]) for c in range(3)], 1)
+
+    @cached_property
+    def _axes(self) -> list:
+        return [np.linalg.svd(rows, full_matrices=False)[:2] for rows in self._rows]
+
+    @cached_property
+    def _left(self) -> np.ndarray:
+        return np.stack([self._beside(c, self._b[:, c]) for c in range(3)], 1)
 
     @property
     def brighter(self) -> np.ndarray:
@@ -139,6 +158,40 @@ class TwoKinds:
                 break
             other = now
         return best, float(self._share(least))
+
+    def unlike(self):
+        """Pixels (p,) bool that differ alike, with those around them, from what one light makes of all: some groups."""
+        light = np.stack([self._under(c, np.ones(len(self._b))) for c in range(3)], 1)
+        seen = np.log(np.maximum(self._b, DIM))
+        colour = seen - seen.mean(1, keepdims=True)
+        unlike = np.clip(np.hstack([seen - np.log(np.maximum(light, NIGHT)), 2 * colour]), -UNLIKE, UNLIKE)
+        unlike = self._around @ unlike
+        for groups in GROUPS:
+            if len(unlike) > groups:
+                of = kmeans2(unlike, groups, minit="++", seed=0)[1]
+                each = [of == i for i in range(groups)]
+                yield from (group for group in each if FEW < group.mean() < MANY)
+
+    def apart(self, start):
+        """Which pixels show something else than what one light makes of the others, (p,) bool; and what that leaves
+        over of these, relative: inf where too many are apart.
+
+        ``start`` : (p,) bool
+        """
+        apart = start
+        for _ in range(TURNS):
+            light = np.stack([self._under(c, ~apart) for c in range(3)], 1)
+            off = np.square(self._b - light).sum(1)
+            around = np.sqrt(np.maximum(self._around @ off, 0) / 3)
+            if apart.all():
+                return apart, np.inf
+            now = around > max(OFF * NORMAL * float(np.median(around[~apart])), LEAST_OFF)
+            if now.mean() > MOST:
+                return now, np.inf
+            if np.array_equal(now, apart):
+                break
+            apart = now
+        return apart, float(self._share(off[~apart].sum()))
 
     def _under(self, c: int, factor) -> np.ndarray:
         """(p,), what light makes of a channel where pixels reflect ``factor`` (p,) times as much, less that factor."""

@@ -18,7 +18,7 @@ from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import highlights
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
-from btfsep_engine.pipeline.refine.parted import lit_otherwise
+from btfsep_engine.pipeline.refine.parted import Pixels, lit_otherwise, shines
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 
 TAILS = 1.4  # root mean square of what is left over, over what its median would be of noise: 1 of noise, 1.2 to 1.4
@@ -32,30 +32,52 @@ RIM, WITHIN = 2, 0.5  # rings of `render.outlines`; share of what is left out th
 MOST = 0.5  # of the pixels
 
 
-def without_things_in_front(model, light):
-    """The refinement: pixels that the light does not explain are left out, where all else is then explained."""
+def pixels_apart(model, light):
+    """(p,) bool, pixels that a stiff light explains far worse than most; None where no few of them are left over."""
     problems, settings = model.problems, model.settings
-    settled = any(problem.left_out is not None for problem in problems)
-    if light.solver is None or settled or light.fit.residual < POOR:
-        return model, light, {}
     weights = all_weights(problems)
     left = light.left_over(problems) / light.solver.basis.response * (1.0 if weights is None else np.sqrt(weights))
     size = np.sqrt(np.square(left).sum(1))
     if np.sqrt(np.square(size).mean()) < TAILS * NORMAL * np.median(size):
+        return None
+    solving, lost = replace(settings, order=settings.fit_order), []
+    ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
+    for problem, brighter in zip(problems, np.split(left.sum(1) > 0, ends), strict=True):
+        stiff = light_solver([problem], solving, coarsening=STIFF)
+        apart = outliers(stiff, problem.radiance(), weights=problem.weights)
+        lost.append(apart & ~highlights(problem, apart & brighter))
+    return np.concatenate(lost)
+
+
+def parts_apart(model, light):
+    """(p,) bool, pixels that smooth light explains not at all, and those around them neither; None: not asked."""
+    return None if shines(model) else Pixels(model, light).apart()
+
+
+def without(model, lost):
+    """The model of all pixels but those ``lost`` (p,) bool; None where these are too many, or lie along outlines."""
+    problems = model.problems
+    ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
+    kept = [some_of_each(p, ~some) for p, some in zip(problems, np.split(lost, ends), strict=True)]
+    lost, rings = ~np.concatenate(kept), np.concatenate([p.rings for p in problems])
+    if not 0 < lost.mean() < MOST or (rings[lost] > RIM).mean() < WITHIN:
+        return None
+    return model.changed(lambda p, some: replace(p, left_out=int((~some).sum())).subset(some), kept)
+
+
+def without_things_in_front(model, light):
+    """The refinement: pixels that the light does not explain are left out, where all else is then explained."""
+    settled = any(problem.left_out is not None for problem in model.problems)
+    if light.solver is None or settled or light.fit.residual < POOR:
         return model, light, {}
     with model.reporter.stage("fit"):
-        solving, kept = replace(settings, order=settings.fit_order), []
-        ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
-        for problem, brighter in zip(problems, np.split(left.sum(1) > 0, ends), strict=True):
-            stiff = light_solver([problem], solving, coarsening=STIFF)
-            apart = outliers(stiff, problem.radiance(), weights=problem.weights)
-            kept.append(some_of_each(problem, ~apart | highlights(problem, apart & brighter)))
-        lost, rings = ~np.concatenate(kept), np.concatenate([p.rings for p in problems])
-        if not 0 < lost.mean() < MOST or (rings[lost] > RIM).mean() < WITHIN:
-            return model, light, {}
-        freed = model.changed(lambda p, some: replace(p, left_out=int((~some).sum())).subset(some), kept)
-        ordered = replace(settings, order=light.order)
-        if followed(freed.problems, light, ordered).residual > HOPEFUL * light.fit.residual:
+        ordered, tried = replace(model.settings, order=light.order), []
+        for lost in (pixels_apart(model, light), parts_apart(model, light)):
+            freed = None if lost is None else without(model, lost)
+            if freed is not None:
+                tried.append((followed(freed.problems, light, ordered).residual, lost, freed))
+        left, lost, freed = min(tried, key=lambda one: one[0], default=(np.inf, None, None))
+        if left > HOPEFUL * light.fit.residual:
             return model, light, {}
         answer = fit_together(freed.problems, ordered)
         if answer.fit.residual > EXPLAINED * light.fit.residual or lit_otherwise(model, light, lost):

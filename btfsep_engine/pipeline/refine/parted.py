@@ -37,7 +37,7 @@ DECIDES = 8.0  # power of what is left over, inverse, by which other lamps are a
 UNLIKE_PAINT, JUDGES = 0.6, 4.0
 # What a lamp leaves over where pixels stand apart, over what one colour for each part of them leaves: of six plates in
 # a shadow 0.1 to 0.4, of things in front of 12 plates 1.0 to 2.4.
-AS_LIT = 0.6
+AS_LIT, WITHIN = 0.6, 0.999  # asked of pixels around which so much is apart
 
 
 class Pixels:
@@ -72,6 +72,25 @@ class Pixels:
         """Of some."""
         some = self.some
         return TwoKinds(self.basis[some], self.b[some], self.known[some], self.around_some)
+
+    def apart(self) -> np.ndarray:
+        """(p,) bool, those that are of no object, as far as smooth light tells; none where that is most of them."""
+        some = self.some
+        around = neighbours(self.at[some], deviation=FINE, farthest=FINEST)
+        kinds = TwoKinds(self.basis[some], self.b[some], self.known[some], around)
+        tried = map(kinds.apart, (np.zeros(some.sum(), bool), *kinds.unlike()))
+        likely, _ = min(tried, key=lambda one: one[1])
+        kinds = TwoKinds(self.basis, self.b, self.known, self.around)
+        apart, left = kinds.apart(self.of_all(likely) > 0.5)
+        return apart & np.isfinite(left)
+
+    def unlike_the_rest(self, apart, left) -> bool:
+        """Whether what some model leaves over, (a, 3), of pixels that stand ``apart`` (p,) bool is about as much as one
+        colour for each part of them leaves."""
+        known, b, part = self.known[apart], self.b[apart], connected_components(neighbours(self.at[apart]))[1]
+        sums, counts = (np.stack([np.bincount(part, v) for v in each.T], 1) for each in (known * b, known))
+        uneven = b - (sums / np.maximum(counts, 1e-12))[part]
+        return float((known * np.square(left)).sum()) >= AS_LIT**2 * float((known * np.square(uneven)).sum())
 
     @cached_property
     def _nearest(self) -> np.ndarray:
@@ -115,14 +134,10 @@ def lit_otherwise(model, light, apart) -> bool:
     if not asked(model, light):
         return False
     pixels = Pixels(model, light)
-    shaded = Shadows(pixels).found()
-    if not shaded or shaded[0].left >= SHADOW_LEAVES * light.fit.residual:
-        return False
-    known, b, part = pixels.known[apart], pixels.b[apart], connected_components(neighbours(pixels.at[apart]))[1]
-    sums, counts = (np.stack([np.bincount(part, v) for v in each.T], 1) for each in (known * b, known))
-    uneven = b - (sums / np.maximum(counts, 1e-12))[part]
-    left, of_one_colour = (float((known * np.square(each)).sum()) for each in (shaded[0].rest[apart], uneven))
-    return left < AS_LIT**2 * of_one_colour
+    inner = apart & (pixels.around @ apart.astype(np.float64) > WITHIN)
+    found = Shadows(pixels).found() if inner.any() else []
+    lit = bool(found) and found[0].left < SHADOW_LEAVES * light.fit.residual
+    return lit and not pixels.unlike_the_rest(inner, found[0].rest[inner])
 
 
 def in_parts(model, light):
