@@ -35,10 +35,9 @@ HOLDS = 0.01  # of a lamp's own power: what other light does not explain has to 
 # fell on a lamp leaves 0.74 to 0.83, of 32 in a shadow 20 that were rightly found 0.3 to 0.68.
 HOPEFUL = 0.7
 ROUNDING = 1e-6  # of a share
-OFF, LEAST_OFF = (
-    3.5,
-    0.05,
-)  # of the spread of what light explains, and of the photo's mean: pixels farther off are apart
+# Of the spread of what light explains: pixels farther off are apart; the same where that finds nothing, as among
+# shadows of what is apart; and of the photo's mean.
+OFF, NEARER_OFF, LEAST_OFF = 3.5, 2.5, 0.05
 MOST = 0.5  # of the pixels, that are apart
 GROUPS, FEW, MANY = (2, 3, 4), 0.01, 0.6  # of pixels that differ alike; the least and the most of them in one
 DIM, NIGHT, UNLIKE = 1e-3, 0.05, 3.0  # least radiance and light, over their mean; most of a logarithm
@@ -172,26 +171,26 @@ class TwoKinds:
                 each = [of == i for i in range(groups)]
                 yield from (group for group in each if FEW < group.mean() < MANY)
 
-    def apart(self, start):
+    def apart(self, start, off: float = OFF):
         """Which pixels show something else than what one light makes of the others, (p,) bool; and what that leaves
         over of these, relative: inf where too many are apart.
 
-        ``start`` : (p,) bool
+        ``start`` : (p,) bool; ``off`` : as `OFF`
         """
         apart = start
         for _ in range(TURNS):
             light = np.stack([self._under(c, ~apart) for c in range(3)], 1)
-            off = np.square(self._b - light).sum(1)
-            around = np.sqrt(np.maximum(self._around @ off, 0) / 3)
+            left = np.square(self._b - light).sum(1)
+            around = np.sqrt(np.maximum(self._around @ left, 0) / 3)
             if apart.all():
                 return apart, np.inf
-            now = around > max(OFF * NORMAL * float(np.median(around[~apart])), LEAST_OFF)
+            now = around > max(off * NORMAL * float(np.median(around[~apart])), LEAST_OFF)
             if now.mean() > MOST:
                 return now, np.inf
             if np.array_equal(now, apart):
                 break
             apart = now
-        return apart, float(self._share(off[~apart].sum()))
+        return apart, float(self._share(left[~apart].sum()))
 
     def _under(self, c: int, factor) -> np.ndarray:
         """(p,), what light makes of a channel where pixels reflect ``factor`` (p,) times as much, less that factor."""

@@ -129,6 +129,8 @@ def take(plate, folder: Path) -> None:
         studio.add_sun(lamp["direction"], lamp["irradiance"], degrees=0.53)
     if "shade" in plate:
         studio.add_shade(plate["sun"]["direction"], **plate["shade"])
+    if "cover" in plate:
+        studio.add_cover(**plate["cover"])
     positions = objects.vertex_positions(thing.data)
     table, roughness = [], plate.get("table_roughness")
     if plate["table"]:

@@ -25,6 +25,7 @@ LENS_MM, SENSOR_MM = 85.0, 36.0
 FRAME_FILL = 0.84  # the object's larger extent over the frame's edge: about 60 % of the frame for a round object
 VIEW_FROM = (0.45, -1.0, 0.42)  # from the front, a little from the right and above
 BOUNCES = 8
+COVER_AWAY, FINGER, LEAF = 0.11, 0.008, 0.018  # metres: how far before the object's middle what covers it is; radii
 SHADE, SHADE_AWAY = 0.6, 1.5  # metres: the edge of what casts a shadow, and how far away it is
 
 
@@ -230,6 +231,46 @@ def add_shade(towards, kind: str, *, turn: float, much: float, seed: int) -> bpy
     card.rotation_euler = turned.to_euler()
     card.location = SHADE_AWAY * towards + turned @ Vector((aside, 0, 0))
     return _unseen(card, material)
+
+
+def add_cover(kind: str, *, turn: float, much: float, seed: int, colour) -> None:
+    """Something between the camera and a part of what lies at the origin: matte, and in the light as all else.
+
+    ``kind`` : "fingers", side by side from outside, or "leaves"; ``turn`` : from where, radians in the picture;
+    ``much`` : 0 to 1, how far they reach, or how many they are
+    """
+    random, radius = np.random.default_rng(seed), objects.LARGEST_SIDE / 2
+    towards = Vector(VIEW_FROM).normalized()
+    facing, middle = towards.to_track_quat("Z", "Y"), COVER_AWAY * towards
+    skin = materials.principled({"colour": colour, "roughness": 0.6, "metallic": 0})
+    inward = np.array([-math.cos(turn), -math.sin(turn)])
+    for i in range(3) if kind == "fingers" else range(3 + round(5 * much)):
+        if kind == "fingers":
+            at = -1.4 * radius * inward + (i - 1) * 2.4 * FINGER * np.array([-inward[1], inward[0]])
+            reach = radius * (0.7 + 0.9 * much + 0.2 * random.uniform(-1, 1))
+            curve = bpy.data.curves.new("finger", "CURVE")
+            curve.dimensions, curve.bevel_depth, curve.use_fill_caps = "3D", FINGER, True
+            spline = curve.splines.new("NURBS")
+            spline.points.add(4)
+            for k, point in enumerate(spline.points):
+                x, y = at + k / 4 * reach * inward
+                bend = 0.012 * math.sin(2.5 * k / 4)
+                point.co, point.radius = (x, y, bend, 1), (1, 1, 1, 0.9, 0.4)[k]
+            spline.use_endpoint_u, spline.order_u = True, 3
+            thing = bpy.data.objects.new("finger", curve)
+            bpy.context.collection.objects.link(thing)
+            thing.rotation_euler, thing.location = facing.to_euler(), middle
+        else:
+            bpy.ops.mesh.primitive_uv_sphere_add(segments=24, ring_count=12)
+            thing = bpy.context.object
+            thing.data.shade_smooth()
+            way, far = random.uniform(0, 2 * math.pi), radius * math.sqrt(random.uniform(0, 0.8))
+            thing.location = middle + facing @ Vector((far * math.cos(way), far * math.sin(way), 0))
+            tilt = Quaternion((0, 0, 1), random.uniform(0, 2 * math.pi)) @ Quaternion(
+                (1, 0, 0), random.uniform(-0.6, 0.6)
+            )
+            thing.scale, thing.rotation_euler = (LEAF, LEAF / 2, LEAF / 15), (facing @ tilt).to_euler()
+        thing.data.materials.append(skin)
 
 
 def add_table(height: float, edge: float, colour, *, checks: int = 0, roughness=None) -> bpy.types.Object:

@@ -31,6 +31,8 @@ SETS = {
     "painted anew": 204,
     "shadowed": 205,
     "shadowed again": 206,
+    "covered": 207,
+    "covered again": 208,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -56,6 +58,7 @@ LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its 
 OF_OBJECTS = ("as said", "subsurface", "bumps", "mottled")
 OF_CAMERAS = ("clean", "vignette", "grain", "soft", "glare")
 PAINT, IN_THE_DARK = (0.3, 0.8), 0.5  # how much of a piece's colour is the paint's; share of plates with lamps alone
+COVERS = ("fingers", "leaves")  # what is before a part of the object
 SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
@@ -168,6 +171,16 @@ def shadowed(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def covered(plates: list[dict], seed: int) -> list[dict]:
+    """The plates with something before a part of the object that no job knows."""
+    random, out, colours = np.random.default_rng(seed), [], list(plain.COLOURS.values())
+    for plate in plates:
+        kind, colour = str(random.choice(COVERS)), colours[random.integers(len(colours))]
+        cover = {"kind": kind, "turn": random.uniform(0, 2 * np.pi), "much": random.uniform(), "seed": plate["seed"]}
+        out.append(plate | {"cover": cover | {"colour": colour}, "kinds": [*plate["kinds"], kind]})
+    return out
+
+
 def by_eye(true: dict, random) -> dict:
     """A surface as a user fills it in who looks at the photo."""
     scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
@@ -215,7 +228,8 @@ def from_in_front(random) -> list[float]:
 def of_set(name: str, lights=None) -> list[dict]:
     """The plates of a set by its name; ``lights`` as of `drawn`."""
     plates, seed = drawn(SETS[name], lights), SETS[name]
-    for kind, made_of in (("unsaid", unsaid), ("painted", painted), ("stage", on_stage), ("shadowed", shadowed)):
+    made = {"unsaid": unsaid, "painted": painted, "stage": on_stage, "shadowed": shadowed, "covered": covered}
+    for kind, made_of in made.items():
         if name.startswith(kind):
             return made_of(plates, seed)
     return {"several": several, "chrome": mirroring, "glossy tables": on_gloss}.get(name, list)(plates)

@@ -18,7 +18,8 @@ from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import highlights
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
-from btfsep_engine.pipeline.refine.parted import Pixels, lit_otherwise, shines
+from btfsep_engine.pipeline.refine.parted import Pixels, in_parts, lit_otherwise, shines
+from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 
 TAILS = 1.4  # root mean square of what is left over, over what its median would be of noise: 1 of noise, 1.2 to 1.4
@@ -30,6 +31,7 @@ HOPEFUL = 0.6  # the same by the light's own model, which is in the way of thing
 # within 0.001 of an election's
 RIM, WITHIN = 2, 0.5  # rings of `render.outlines`; share of what is left out that lies farther from outlines
 MOST = 0.5  # of the pixels
+SHADOWS = 0.02  # of the pixels: shadows of things in front that are worth a search
 
 
 def pixels_apart(model, light):
@@ -65,6 +67,20 @@ def without(model, lost):
     return model.changed(lambda p, some: replace(p, left_out=int((~some).sum())).subset(some), kept)
 
 
+def with_shadows_kept(model, light, lost, freed):
+    """What is left without things in front, but with their shadows on the objects, where it is found what casts them.
+
+    ``lost`` : (p,) bool, both; ``freed`` : (Model, SolvedLight, words) without both, returned where it is not found
+    """
+    shown = np.concatenate([problem.predicted(freed[1].fit.shown) for problem in model.problems])
+    shadow = lost & Pixels(model, light).darker(shown)
+    again = without(model, lost & ~shadow) if shadow.mean() > SHADOWS else None
+    if again is None:
+        return freed
+    found = in_parts(again, fit_together(again.problems, replace(model.settings, order=light.order)))
+    return found if SHADOW in found[2] else freed
+
+
 def without_things_in_front(model, light):
     """The refinement: pixels that the light does not explain are left out, where all else is then explained."""
     settled = any(problem.left_out is not None for problem in model.problems)
@@ -82,6 +98,7 @@ def without_things_in_front(model, light):
         answer = fit_together(freed.problems, ordered)
         if answer.fit.residual > EXPLAINED * light.fit.residual or lit_otherwise(model, light, lost):
             return model, light, {}
-    words = {"robust": left_out_words(freed.problems)}
+    freed, answer, words = with_shadows_kept(model, light, lost, (freed, answer, {}))
+    words = {"robust": left_out_words(freed.problems)} | words
     freed, answer, more = light_between_surfaces(freed, answer)
     return freed, answer, words | more

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from btfsep_engine.fit.colour import ANY, LIGHT, tint_of
-from btfsep_engine.fit.two_kinds import FINE, FINEST, TwoKinds, neighbours
+from btfsep_engine.fit.two_kinds import FINE, FINEST, HOPEFUL, NEARER_OFF, OFF, TwoKinds, neighbours
 from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.refine.misshapen import patch_misfit
 from btfsep_engine.pipeline.refine.pieces import Pieces, paint_words
@@ -38,6 +38,8 @@ UNLIKE_PAINT, JUDGES = 0.6, 4.0
 # What a lamp leaves over where pixels stand apart, over what one colour for each part of them leaves: of six plates in
 # a shadow 0.1 to 0.4, of things in front of 12 plates 1.0 to 2.4.
 AS_LIT, WITHIN = 0.6, 0.999  # asked of pixels around which so much is apart
+
+AS_LIGHT = 2.0  # deviations of a light's tint: what differs more is not of less light
 
 
 class Pixels:
@@ -78,11 +80,20 @@ class Pixels:
         some = self.some
         around = neighbours(self.at[some], deviation=FINE, farthest=FINEST)
         kinds = TwoKinds(self.basis[some], self.b[some], self.known[some], around)
-        tried = map(kinds.apart, (np.zeros(some.sum(), bool), *kinds.unlike()))
-        likely, _ = min(tried, key=lambda one: one[1])
+        starts = [np.zeros(some.sum(), bool), *kinds.unlike()]
+        for off in (OFF, NEARER_OFF):
+            likely, left = min((kinds.apart(start, off) for start in starts), key=lambda one: one[1])
+            if left < HOPEFUL * kinds.left:
+                break
         kinds = TwoKinds(self.basis, self.b, self.known, self.around)
-        apart, left = kinds.apart(self.of_all(likely) > 0.5)
+        apart, left = kinds.apart(self.of_all(likely) > 0.5, off)
         return apart & np.isfinite(left)
+
+    def darker(self, light) -> np.ndarray:
+        """(p,) bool, those that would show what ``light`` (p, 3) makes of the objects if they had less of it."""
+        b, light = (np.maximum(self.around @ each, 1e-6 * self.rms) for each in (self.b, light))
+        less, tints = (b / light).mean(1), np.stack([tint_of(each) for each in b / light])
+        return (less < 1) & (np.square(tints / (np.sqrt(2) * LIGHT)).sum(1) < AS_LIGHT**2)
 
     def unlike_the_rest(self, apart, left) -> bool:
         """Whether what some model leaves over, (a, 3), of pixels that stand ``apart`` (p,) bool is about as much as one
@@ -115,8 +126,10 @@ class Pixels:
 
 
 def asked(model, light) -> bool:
-    """Whether parts of the objects are looked for: whole ones are not explained, and the lamps are not given."""
+    """Whether parts of the objects are looked for: whole ones are not explained, lamps are not given, none is found."""
     if light.solver is None or light.solver.given or light.fit.residual < POOR:
+        return False
+    if any(p.correction is not None or p.paint is not None for p in model.problems):
         return False
     return patch_misfit(model.problems, light) >= MUCH
 
@@ -136,7 +149,7 @@ def lit_otherwise(model, light, apart) -> bool:
     pixels = Pixels(model, light)
     inner = apart & (pixels.around @ apart.astype(np.float64) > WITHIN)
     found = Shadows(pixels).found() if inner.any() else []
-    lit = bool(found) and found[0].left < SHADOW_LEAVES * light.fit.residual
+    lit = bool(found) and coloured_as_light(found[0]) > 0 and found[0].left < SHADOW_LEAVES * light.fit.residual
     return lit and not pixels.unlike_the_rest(inner, found[0].rest[inner])
 
 
