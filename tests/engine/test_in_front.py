@@ -98,7 +98,7 @@ def test_what_stands_apart_is_left_out_and_of_gloss_what_is_darker_than_the_ligh
     assert shining(model.problems[0])[0].all() == (gloss > 0)
     freed, answer, words = without_things_in_front(model, light)
     (left,) = freed.problems
-    assert not patch(*left.normals[:, [0, 2]].T).any() and left.left_out < 20 and "pixels" in words["robust"]
+    assert not patch(*left.normals[:, [0, 2]].T).any() and left.left_out < 30 and "pixels" in words["robust"]
     assert answer.fit.residual < 0.3 * light.fit.residual
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
-from btfsep_engine.fit.two_kinds import FARTHEST, TwoKinds, edges_of, neighbours, share_of
+from btfsep_engine.fit.two_kinds import FARTHEST, FEW, MANY, TwoKinds, edges_of, in_between, neighbours, share_of
 
 SIDE = 24  # pixels
 TOWARDS = np.array([-0.45, 0.3, 0.84]) / np.linalg.norm([-0.45, 0.3, 0.84])
@@ -186,3 +186,60 @@ def test_edges_are_where_a_share_differs_and_by_how_much(bumpy, rng):
     at = np.abs(bumpy.pixels @ [0.6, 0.8] - 0.7 * SIDE)  # from the line
     edges = edges_of(bumpy.half.astype(float), bumpy.around)
     assert edges[at < 0.5].min() > 0.3 and edges[at > FARTHEST].max() < 1e-6
+
+
+def with_a_thing(bumpy, colour, share):
+    """What is seen where a thing of one colour is before so much of the pixels; and where."""
+    there = np.argsort(np.argsort(bumpy.pixels @ [0.6, 0.8])) < share * len(bumpy.pixels)
+    return np.where(there[:, None], np.array(colour) * bumpy.soft.mean(0), bumpy.soft), there
+
+
+@pytest.mark.parametrize("colour", [(3.0, 1.0, 1.0), (0.2, 0.2, 0.2), (2.0, 2.0, 2.0), (1.0, 0.3, 1.5)])
+@pytest.mark.parametrize("share", [0.1, 0.35])
+def test_pixels_of_something_else_are_found_whatever_its_colour(bumpy, rng, colour, share):
+    photo, there = with_a_thing(bumpy, colour, share)
+    kinds = TwoKinds(bumpy.basis, noisy(photo, rng), COUNTS, neighbours(bumpy.pixels, deviation=0.6, farthest=1.8))
+    starts = [np.zeros(SIDE**2, bool), *kinds.unlike()]
+    apart, left = min((kinds.apart(start) for start in starts), key=lambda one: one[1])
+    assert apart[there].mean() > 0.97 and apart[~there].mean() < 0.12  # those beside it go with it
+    assert left < 0.05 < 0.15 < kinds.left
+
+
+def test_where_light_explains_all_or_most_would_be_apart_none_are(bumpy, rng):
+    kinds = TwoKinds(bumpy.basis, noisy(bumpy.soft, rng), COUNTS, bumpy.around)
+    for start in (np.zeros(SIDE**2, bool), bumpy.half):
+        apart, left = kinds.apart(start)
+        assert not apart.any() and left == pytest.approx(kinds.left, rel=0.05)
+    assert kinds.apart(np.ones(SIDE**2, bool))[1] == np.inf
+    strange = rng.random((SIDE**2, 3)) * np.where(bumpy.pixels[:, :1] < 0.75 * SIDE, 1, 0) + 1e-3 * bumpy.soft
+    assert TwoKinds(bumpy.basis, strange, COUNTS, bumpy.around).apart(bumpy.pixels[:, 0] < 0.75 * SIDE)[1] == np.inf
+
+
+def test_nearer_ones_are_apart_if_asked(bumpy, rng):
+    photo, there = with_a_thing(bumpy, (1.25, 1.0, 0.8), 0.2)
+    kinds = TwoKinds(bumpy.basis, photo * rng.normal(1, 0.06, photo.shape), COUNTS, bumpy.around)
+    far, near = (kinds.apart(there, off)[0] for off in (20, 1.5))
+    assert not far.any() and near[there].mean() > 0.8
+
+
+def test_groups_that_differ_alike_are_neither_few_nor_nearly_all(bumpy, rng):
+    photo, there = with_a_thing(bumpy, (3.0, 1.0, 1.0), 0.3)
+    groups = list(TwoKinds(bumpy.basis, noisy(photo, rng), COUNTS, bumpy.around).unlike())
+    assert groups and all(FEW < group.mean() < MANY for group in groups)
+    assert max((group == there).mean() for group in groups) > 0.9
+
+
+def test_how_far_from_all_or_nothing_pixels_are_is_told_away_from_edges(bumpy):
+    image = LAMP * beams(bumpy.normals, TOWARDS)[:, 0]
+    share = bumpy.half.astype(float)[:, None]
+    assert in_between(share * image, image, COUNTS, bumpy.around) < 0.01
+    assert in_between(0.3 * image, image, COUNTS, bumpy.around) == pytest.approx(0.3, abs=1e-6)
+    assert in_between(np.where(share > 0, 0.9, 0.2) * image, image, COUNTS, bumpy.around) == pytest.approx(
+        0.15, abs=0.05
+    )
+    unseen = np.where(np.arange(SIDE**2)[:, None] % 2, image, 0)
+    assert in_between(0 * unseen, unseen, COUNTS, bumpy.around) == 0
+
+
+def test_a_pixel_alone_is_its_own_mean():
+    assert neighbours(np.array([[3, 4]])).toarray() == [[1]]

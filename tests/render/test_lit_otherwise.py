@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from btfsep_engine.fit.two_kinds import neighbours
 from btfsep_engine.job.model import KnownLamp
 from btfsep_engine.pipeline.estimation import light_of
 from btfsep_engine.pipeline.refine import parted
@@ -45,6 +44,13 @@ def covered(things):
     return solved(things, photo_of(things, np.where(disc, 4 * values.max(), values)))[:2]
 
 
+@pytest.fixture
+def plain_pixels(things):
+    """Pixels of a photo that is as the job says."""
+    model, light, _ = solved(things, photo_of(things, things.sky + things.lamp))
+    return Pixels(model, light)
+
+
 def apart(model):
     return spot(model.problems[0].pixels)
 
@@ -74,20 +80,69 @@ def test_a_disc_of_one_colour_is_a_thing_in_front(covered):
     assert not apart(freed).any()
 
 
-def test_how_well_a_lamp_explains_is_asked_beside_one_colour_for_each_part(covered, monkeypatch):
-    """Not one for all that stands apart: two discs may be of two colours."""
+def shaded_by(rest, lamp=(1.0, 1.0, 1.0)):
+    light = SimpleNamespace(irradiances=np.array([lamp]), x=np.ones((1, 3)))
+    return SimpleNamespace(rest=rest, left=0.0, light=light)
+
+
+def test_how_well_a_lamp_explains_is_asked_beside_one_colour(covered, monkeypatch):
+    """And a lamp of a colour that no light has is none."""
     model, light = covered
     pixels, some = Pixels(model, light), apart(model)
     rest = pixels.b.copy()
     rest[some] = 0.1 * (pixels.b[some] - pixels.b[some].mean(0)) + 1e-9
-    for factor, expected in ((1, True), (7, False)):
-        shaded = SimpleNamespace(rest=factor * rest, left=0.0)
-        monkeypatch.setattr(parted.Shadows, "found", lambda _, one=shaded: [one])
+    for factor, lamp, expected in ((1, np.ones(3), True), (9, np.ones(3), False), (1, np.array([1, 0.1, 0.1]), False)):
+        one = shaded_by(factor * rest, lamp)
+        monkeypatch.setattr(parted.Shadows, "found", lambda _, one=one: [one])
         assert lit_otherwise(model, light, some) is expected
-    halves = some & (model.problems[0].pixels[:, 0] % 20 < 10)  # of another colour, and not connected
-    assert neighbours(pixels.at[halves]).shape == (halves.sum(),) * 2
     monkeypatch.setattr(parted.Shadows, "found", lambda _: [])
     assert not lit_otherwise(model, light, some)
+
+
+def test_each_part_that_stands_apart_has_a_colour_of_its_own(plain_pixels):
+    """Two things in front may differ."""
+    pixels = plain_pixels
+    columns = pixels.at[:, 1]
+    halves = (columns < np.quantile(columns, 0.3)) | (columns > np.quantile(columns, 0.7))
+    pixels.b = np.where(columns[:, None] < columns.mean(), 1.0, 3.0) * np.ones(3)
+    noise = np.random.default_rng(0).normal(0, 0.01, pixels.b.shape)
+    pixels.b = pixels.b + noise
+    assert pixels.unlike_the_rest(halves, noise[halves])
+    assert not pixels.unlike_the_rest(halves, 0.1 * noise[halves])
+
+
+def test_what_has_less_light_is_told_from_what_has_another_colour(plain_pixels):
+    pixels = plain_pixels
+    light = pixels.b.copy()
+    for factor, expected in (((0.4, 0.4, 0.4), 1), ((0.45, 0.4, 0.35), 1), ((1.5, 1.5, 1.5), 0), ((0.7, 0.2, 0.6), 0)):
+        pixels.b = light * np.array(factor)
+        assert pixels.darker(light).mean() == pytest.approx(expected, abs=0.02)
+
+
+def test_a_things_shadow_stays_where_a_lamp_explains_it(things):
+    """The thing itself is left out."""
+    pixels = things.points.pixels
+    shadow = np.linalg.norm(pixels - np.array([50, 52]), axis=1) < 14
+    values = things.sky + np.where(shadow, 0, 1)[:, None] * things.lamp
+    thing = np.array([0.1, 0.5, 0.9]) * values.max()
+    model, light, _ = solved(things, photo_of(things, np.where(spot(pixels)[:, None], thing, values)))
+    freed, better, words = without_things_in_front(model, light)
+    assert "robust" in words and SHADOW in words
+    left = freed.problems[0].pixels
+    assert not spot(left).any() and (np.linalg.norm(left - np.array([50, 52]), axis=1) < 9).mean() > 0.04
+    assert degrees_off(better) < 4 and off(better) < 0.4 * off(light)
+    again, as_found, more = in_parts(freed, better)
+    assert again is freed and as_found is better and not more  # it is not asked twice
+
+
+def test_things_before_a_quarter_of_the_object_are_left_out(things):
+    """No few pixels, that would stand apart from all others."""
+    values, there = things.sky + things.lamp, things.points.pixels @ [0.6, -0.8] > 5
+    assert 0.2 < there.mean() < 0.4
+    model, light, _ = solved(things, photo_of(things, np.where(there[:, None], [0.9, 0.2, 0.4], values)))
+    freed, better, words = without_things_in_front(model, light)
+    assert "robust" in words and off(better) < 0.3 * off(light)
+    assert (freed.problems[0].pixels @ [0.6, -0.8] > 5).mean() < 0.02
 
 
 def test_where_lamps_are_given_nothing_is_lit_otherwise(things, monkeypatch):

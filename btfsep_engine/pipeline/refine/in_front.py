@@ -2,12 +2,13 @@
 """Pixels that show something else than the objects: a hand or a leaf in front, background where a mesh is too large.
 
 Where a few pixels are left over far more than all the others, those that stand apart from what a stiff light explains
-(`fit.robust`) are left out on trial. They stay out where the light explains what is left two or three times as well: so
-much neither a texture, nor the edges of shadows, nor highlights make of a photograph of the objects alone, and these
-are what lamps are found by. Of an object with gloss, what is brighter than the light explains may be a highlight, and
-stays. Where most of them lie along outlines, the camera is off, or the mesh. Light between surfaces that was left out
-of what the photo seemed to show is asked for again. Nor are those left out that are shaded as objects are which a lamp
-lights there and nowhere else, or only elsewhere (`refine.parted`).
+(`fit.robust`) are left out on trial; or whole parts that smooth light does not explain (`fit.two_kinds`), which may be
+a quarter of all. They stay out where the light explains what is left two or three times as well: so much neither a
+texture, nor the edges of shadows, nor highlights make of a photograph of the objects alone, and these are what lamps
+are found by. Of an object with gloss, what is brighter than the light explains may be a highlight, and stays. Where
+most of them lie along outlines, the camera is off, or the mesh. Light between surfaces that was left out of what the
+photo seemed to show is asked for again. Nor are those left out that are shaded as objects are which a lamp lights there
+and nowhere else, or only elsewhere (`refine.parted`); and a thing's shadow stays, where a lamp explains it.
 """
 
 from dataclasses import replace
@@ -18,7 +19,7 @@ from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import highlights
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
-from btfsep_engine.pipeline.refine.parted import Pixels, in_parts, lit_otherwise, shines
+from btfsep_engine.pipeline.refine.parted import Pixels, in_parts, lit_otherwise
 from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 
@@ -34,6 +35,15 @@ MOST = 0.5  # of the pixels
 SHADOWS = 0.02  # of the pixels: shadows of things in front that are worth a search
 
 
+def without_highlights(model, light, apart) -> np.ndarray:
+    """Pixels that stand ``apart`` (p,) bool, but for what may be highlights: where they are brighter than the light
+    explains."""
+    problems = model.problems
+    ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
+    parts = np.split(apart, ends), np.split(apart & (light.left_over(problems).sum(1) > 0), ends)
+    return np.concatenate([some & ~highlights(p, bright) for p, some, bright in zip(problems, *parts, strict=True)])
+
+
 def pixels_apart(model, light):
     """(p,) bool, pixels that a stiff light explains far worse than most; None where no few of them are left over."""
     problems, settings = model.problems, model.settings
@@ -42,18 +52,16 @@ def pixels_apart(model, light):
     size = np.sqrt(np.square(left).sum(1))
     if np.sqrt(np.square(size).mean()) < TAILS * NORMAL * np.median(size):
         return None
-    solving, lost = replace(settings, order=settings.fit_order), []
-    ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
-    for problem, brighter in zip(problems, np.split(left.sum(1) > 0, ends), strict=True):
+    solving, apart = replace(settings, order=settings.fit_order), []
+    for problem in problems:
         stiff = light_solver([problem], solving, coarsening=STIFF)
-        apart = outliers(stiff, problem.radiance(), weights=problem.weights)
-        lost.append(apart & ~highlights(problem, apart & brighter))
-    return np.concatenate(lost)
+        apart.append(outliers(stiff, problem.radiance(), weights=problem.weights))
+    return without_highlights(model, light, np.concatenate(apart))
 
 
 def parts_apart(model, light):
-    """(p,) bool, pixels that smooth light explains not at all, and those around them neither; None: not asked."""
-    return None if shines(model) else Pixels(model, light).apart()
+    """(p,) bool, pixels that smooth light explains not at all, and those around them neither."""
+    return without_highlights(model, light, Pixels(model, light).apart())
 
 
 def without(model, lost):
