@@ -11,8 +11,9 @@ from btfsep_engine.job.model import KnownLamp
 from btfsep_engine.pipeline.estimation import light_of
 from btfsep_engine.pipeline.refine import parted
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
-from btfsep_engine.pipeline.refine.parted import Pixels, coloured_as_light, in_parts, lit_otherwise
+from btfsep_engine.pipeline.refine.parted import coloured_as_light, in_parts, lit_otherwise
 from btfsep_engine.pipeline.refine.pieces import Pieces
+from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW
 from tests.render.lit_things import TOWARDS, degrees_off, lit_things, off, photo_of, solved
 

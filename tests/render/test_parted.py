@@ -23,8 +23,9 @@ from btfsep_engine.pipeline.refine import parted, sharp
 from btfsep_engine.pipeline.refine import shaded as shaded_by
 from btfsep_engine.pipeline.refine.misshapen import patch_misfit
 from btfsep_engine.pipeline.refine.near import near_lamps
-from btfsep_engine.pipeline.refine.parted import POOR, Pixels, in_parts, left_over, likely
+from btfsep_engine.pipeline.refine.parted import POOR, in_parts, left_over, likely
 from btfsep_engine.pipeline.refine.pieces import Pieces, on_the_surface
+from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW, Shadows, beams_of, in_shadow
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.render.homogeneous import homogeneous

@@ -19,7 +19,8 @@ from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import highlights
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
-from btfsep_engine.pipeline.refine.parted import Pixels, in_parts, lit_otherwise
+from btfsep_engine.pipeline.refine.parted import in_parts, lit_otherwise
+from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 

@@ -53,7 +53,7 @@ def on_the_surface(material):
 
 
 class Pieces:
-    """The search for paints; ``pixels`` : `parted.Pixels`; ``settings`` : with which basis images are made."""
+    """The search for paints; ``pixels`` : `pixels.Pixels`; ``settings`` : with which basis images are made."""
 
     def __init__(self, pixels, settings):
         self.pixels, self.solver = pixels, pixels.light.solver

@@ -82,7 +82,7 @@ def beams_of(problems, directions, some) -> np.ndarray:
 
 
 class Shadows:
-    """The search for a lamp that some pixels do not see; ``pixels`` : `parted.Pixels`."""
+    """The search for a lamp that some pixels do not see; ``pixels`` : `pixels.Pixels`."""
 
     def __init__(self, pixels):
         self.pixels, self.solver = pixels, pixels.light.solver
