@@ -13,6 +13,7 @@ regressions are by classification (Celeux and Govaert 1992): the first of many l
 is known: pixels are of it where those around them, too, are far from what light makes of the others.
 """
 
+import warnings
 from functools import cached_property
 
 import numpy as np
@@ -167,7 +168,9 @@ class TwoKinds:
         unlike = self._around @ unlike
         for groups in GROUPS:
             if len(unlike) > groups:
-                of = kmeans2(unlike, groups, minit="++", seed=0)[1]
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # of an empty group, which is left out below
+                    of = kmeans2(unlike, groups, minit="++", seed=0)[1]
                 each = [of == i for i in range(groups)]
                 yield from (group for group in each if FEW < group.mean() < MANY)
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from btfsep_engine.fit.colour import LIGHT, tint_of
+from btfsep_engine.fit.colour import LIGHT
 from btfsep_engine.fit.two_kinds import FINE, FINEST, HOPEFUL, NEARER_OFF, OFF, TwoKinds, neighbours
 from btfsep_engine.pipeline.together import APART, all_weights
 
@@ -68,8 +68,9 @@ class Pixels:
     def darker(self, light) -> np.ndarray:
         """(p,) bool, those that would show what ``light`` (p, 3) makes of the objects if they had less of it."""
         b, light = (np.maximum(self.around @ each, 1e-6 * self.rms) for each in (self.b, light))
-        less, tints = (b / light).mean(1), np.stack([tint_of(each) for each in b / light])
-        return (less < 1) & (np.square(tints / (np.sqrt(2) * LIGHT)).sum(1) < AS_LIGHT**2)
+        r, g, blue = np.log(b / light).T
+        tints = np.stack([r - blue, g - (r + blue) / 2], 1)  # as of `fit.colour`
+        return (r + g + blue < 0) & (np.square(tints / (np.sqrt(2) * LIGHT)).sum(1) < AS_LIGHT**2)
 
     def unlike_the_rest(self, apart, left) -> bool:
         """Whether what some model leaves over, (a, 3), of pixels that stand ``apart`` (p,) bool is about as much as one
