@@ -142,7 +142,7 @@ def test_a_things_shadow_stays_where_a_lamp_explains_it(beside_its_shadow):
     assert "robust" in words and SHADOW in words
     pixels, left = model.problems[0].pixels, freed.problems[0].pixels
     assert not spot(left).any() and (beneath(left) & ~spot(left)).sum() > 0.9 * (beneath(pixels) & ~spot(pixels)).sum()
-    assert degrees_off(better) < 4 and off(better) < 0.4 * off(light)
+    assert degrees_off(better) < 6 and off(better) < 0.4 * off(light)
     again, as_found, more = in_parts(freed, better)
     assert again is freed and as_found is better and not more  # it is not asked twice
 

@@ -70,7 +70,7 @@ class Pixels:
         b, light = (np.maximum(self.around @ each, 1e-6 * self.rms) for each in (self.b, light))
         r, g, blue = np.log(b / light).T
         tints = np.stack([r - blue, g - (r + blue) / 2], 1)  # as of `fit.colour`
-        return (r + g + blue < 0) & (np.square(tints / (np.sqrt(2) * LIGHT)).sum(1) < AS_LIGHT**2)
+        return ((b / light).mean(1) < 1) & (np.square(tints / (np.sqrt(2) * LIGHT)).sum(1) < AS_LIGHT**2)
 
     def unlike_the_rest(self, apart, left) -> bool:
         """Whether what some model leaves over, (a, 3), of pixels that stand ``apart`` (p,) bool is about as much as one
