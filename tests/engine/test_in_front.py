@@ -106,3 +106,13 @@ def test_what_stands_apart_along_an_outline_is_no_thing_in_front(rng):
     """The camera is off there, or the mesh; however well the light explains all else."""
     model, light = photographed(rng, rim, 4.0)
     assert without_things_in_front(model, light)[1] is light
+
+
+def test_what_is_brighter_is_told_with_channels_that_count_alike(monkeypatch):
+    """Of a red object most of what is left over is red, whatever the others say."""
+    left = np.array([[-1.0, 0.5, 0.5], [1.0, -0.5, -0.5]])
+    basis = SimpleNamespace(response=np.array([10.0, 1.0, 1.0]))
+    light = SimpleNamespace(left_over=lambda _: left, solver=SimpleNamespace(basis=basis))
+    model = SimpleNamespace(problems=[SimpleNamespace(pixels=np.zeros((2, 2)))])
+    monkeypatch.setattr(in_front, "highlights", lambda _, bright: bright)
+    np.testing.assert_array_equal(in_front.without_highlights(model, light, np.ones(2, bool)), [False, True])

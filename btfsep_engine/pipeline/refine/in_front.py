@@ -41,7 +41,8 @@ def without_highlights(model, light, apart) -> np.ndarray:
     explains."""
     problems = model.problems
     ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
-    parts = np.split(apart, ends), np.split(apart & (light.left_over(problems).sum(1) > 0), ends)
+    brighter = (light.left_over(problems) / light.solver.basis.response).sum(1) > 0  # channels count alike
+    parts = np.split(apart, ends), np.split(apart & brighter, ends)
     return np.concatenate([some & ~highlights(p, bright) for p, some, bright in zip(problems, *parts, strict=True)])
 
 
