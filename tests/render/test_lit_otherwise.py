@@ -12,7 +12,7 @@ from btfsep_engine.pipeline.estimation import Estimate, light_of
 from btfsep_engine.pipeline.following import Follower
 from btfsep_engine.pipeline.refine import parted
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
-from btfsep_engine.pipeline.refine.parted import coloured_as_light, in_parts, lit_otherwise
+from btfsep_engine.pipeline.refine.parted import asked, coloured_as_light, in_parts, lit_otherwise
 from btfsep_engine.pipeline.refine.pieces import Pieces
 from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW
@@ -171,6 +171,14 @@ def test_where_lamps_are_given_nothing_is_lit_otherwise(things, monkeypatch):
     photo = photo_of(things, things.sky + 4 * lit, known_lamps=(KnownLamp(TOWARDS, 1.0),))
     model, light, _ = solved(things, photo)
     assert not lit_otherwise(model, light, apart(model))
+
+
+def test_what_has_been_found_is_not_asked_again(through_a_gap):
+    model, light = through_a_gap
+    ones = np.ones((len(model.problems[0].pixels), 3))
+    assert asked(model, light)
+    for found in ({"paint": ones}, {"correction": 0 * ones}):
+        assert not asked(model.changed(lambda p, found=found: replace(p, **found)), light)
 
 
 def of_colours(lamp, other):
