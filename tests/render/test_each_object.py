@@ -9,7 +9,7 @@ import trimesh
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
+from btfsep_engine.pipeline.estimation import estimate, refinements_of
 from btfsep_engine.pipeline.refine.each_object import MOST, each_object_by_itself, precisions
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import all_weights, counts, light_solver, parts_of, things_of
@@ -17,7 +17,7 @@ from tests.render.scenes import as_mesh, egg_and_pebble, in_white, job_of, looki
 
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=512, align="never")
-OTHERS = tuple(r for r in REFINEMENTS if r is not each_object_by_itself)
+OTHERS = tuple(r for r in refinements_of(SETTINGS) if r is not each_object_by_itself)
 
 
 @pytest.fixture(scope="module")

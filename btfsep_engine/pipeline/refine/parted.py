@@ -5,8 +5,8 @@ Asked where whole parts of objects are not explained, be it with things in front
 (`refine.shaded`) and, on what has no highlights, paints of several colours (`refine.pieces`) may be anywhere in the
 picture, so that either explains much; but a lamp lights what faces it in a light's colour, and a paint reflects
 whatever falls on it, and not more. Both are tried, and what leaves least over is kept, where that is far less than
-without, and than with lamps that are sharper than the harmonics (`refine.sharp`). Pixels that stand apart may show a
-thing in front, or be those that a lamp lights: then they are shaded as the objects are.
+without, and than with lamps that are sharper than the harmonics (`refine.sharp`) or nearby (`refine.near`). Pixels that
+stand apart may show a thing in front, or be those that a lamp lights: then they are shaded as the objects are.
 """
 
 from dataclasses import replace
@@ -16,6 +16,7 @@ import numpy as np
 from btfsep_engine.fit.colour import ANY, LIGHT, tint_of
 from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.refine.misshapen import patch_misfit
+from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.pieces import Pieces, paint_words
 from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW, Shadows, shadow_words
@@ -77,8 +78,9 @@ def in_parts(model, light):
         without, *lefts = left_over(pixels, tried)
         if min(lefts, default=np.inf) >= SHADOW_LEAVES * without:
             return model, light, {}
-        without, *lefts = left_over(pixels, [sharp_lamps(model, light)[:2], *tried])
-        without = min(without, lefts.pop(0))
+        lamps = [refined(model, light)[:2] for refined in (sharp_lamps, near_lamps)]
+        lefts = left_over(pixels, [*tried, *lamps])
+        without, lefts = min(lefts[:1] + lefts[len(tried) :]), lefts[1 : len(tried)]
     paint = lefts[-1] if of_paint else np.inf
     shadow = lefts[0] if shaded else np.inf
     if min(shadow, paint) >= SHADOW_LEAVES * without:
