@@ -19,7 +19,7 @@ from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import highlights
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
-from btfsep_engine.pipeline.refine.parted import in_parts, lit_otherwise
+from btfsep_engine.pipeline.refine.parted import in_parts, lit_otherwise, shines
 from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
@@ -66,7 +66,8 @@ def pixels_apart(model, light):
 
 def parts_apart(model, light):
     """(p,) bool, pixels that smooth light explains not at all, and those around them neither."""
-    return without_highlights(model, light, Pixels(model, light).apart())
+    apart = Pixels(model, light).apart()
+    return without_highlights(model, light, apart) if shines(model) else apart
 
 
 def without(model, lost):
