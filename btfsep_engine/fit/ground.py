@@ -13,8 +13,10 @@ s is the ground's colour, as a first light x' has it, and free: Y has a constant
 grounds vary by over the place, smoothly (`DRIFT`; over the normals, as with objects, there is nothing to vary). So
 nothing but the pattern counts: how deep a shadow is, and where. F goes by what x' predicts and not by the photo, else a
 ground that is all factor and no light would explain any photo. n is all else: texture, edges, the camera's noise; v is
-found as the objects' is, so that a ground that is not as the model has it counts for little. a is integrated out as in
-`fit.products`, and what a light has to explain of the ground is stacked on what it has to explain of the objects.
+found as the objects' is, so that a ground that is not as the model has it counts for little. A pattern, or the shadow
+of something unknown, leaves over alike what lies side by side: then so many places speak as one (`WithGround.alike`).
+a is integrated out as in `fit.products`, and what a light has to explain of the ground is stacked on what it has to
+explain of the objects.
 """
 
 from dataclasses import dataclass, replace
@@ -34,6 +36,7 @@ EVIDENCE = 500  # places that count as such
 LEAST_NOISE = 0.02  # of the ground's root mean square: light between surfaces is known no better
 FREE, DRIFT = 1.0, 0.03  # of the ground's reflectance: its own; its deviation over the place
 SHADOWED = 0.1  # of the most light that a direction gives the ground: deviation between places that shows a lamp there
+BESIDE, STEPS = 1.0, 8  # of the objects' radius: what lies nearer may be of one plank, check or vein; of distances
 NULL = 2e-3  # of the largest singular value of G
 
 
@@ -95,10 +98,11 @@ class WithGround:
     photo : Photograph, of the objects
     ground : Ground, in the photo's exposure
     first : Solution for the objects alone
+    alike : how many places speak as one
     """
 
-    def __init__(self, photo: Photograph, ground: Ground, first: Solution):
-        self.photo, self.ground = photo, ground
+    def __init__(self, photo: Photograph, ground: Ground, first: Solution, *, alike: float = 1.0):
+        self.photo, self.ground, self._alike = photo, ground, alike
         self.basis, self.level, self.mean_square = photo.basis, photo.level, photo.mean_square
         self._columns, beside = ground.columns, partial(_between, ground.axes)
         self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in photo.fields)
@@ -123,7 +127,7 @@ class WithGround:
 
     @property
     def _stiffness(self) -> float:
-        return 3 / self.effective * (1 + len(self.ground.radiance) / EVIDENCE)
+        return self._alike * 3 / self.effective * (1 + len(self.ground.radiance) / EVIDENCE)
 
     @property
     def noise_unit(self) -> np.ndarray:
@@ -184,13 +188,35 @@ class WithGround:
 
     def noise(self, x, v, discrepancy: float) -> np.ndarray:
         """(6,), as of `Photograph`."""
+        left = np.square(self._left_over(x, v)).mean(1)
+        return np.concatenate([self.photo.noise(x[:, : self.basis.terms], v[:3], discrepancy), left])
+
+    def _left_over(self, x, v) -> np.ndarray:
+        """(3, p): what neither the light explains of the ground, nor what its surfaces vary by."""
         out = []
         for c, columns in enumerate(self._columns):
             w, f = 1 / (v[3 + c] * self._stiffness), self._departures[c]
             left = self._seen[c] - columns @ x[c, self.basis.terms :]
             a = np.linalg.solve(np.eye(f.shape[1]) + w * product(f.T, f), w * product(f.T, left))
-            out.append(np.square(left - product(f, a)).mean())
-        return np.concatenate([self.photo.noise(x[:, : self.basis.terms], v[:3], discrepancy), out])
+            out.append(left - product(f, a))
+        return np.array(out)
+
+    def alike(self, found: Solution) -> float:
+        """How many places speak as one, by how what a solution leaves over goes together with that beside it; >= 1.
+
+        One, and of all places up to `BESIDE` away the correlation at their distance: where it is not negative, as
+        between checks, since a shadow may end between them.
+        """
+        at, surface = self.ground.at, self.ground.surface
+        away = (np.linalg.norm(at[:, None] - at, axis=2) / BESIDE * STEPS).astype(int)
+        away[surface[:, None] != surface] = STEPS
+        np.fill_diagonal(away, STEPS)
+        near = away < STEPS
+        left = self._left_over(found.x, found.v)
+        left = left / np.maximum(np.sqrt(np.square(left).mean(1, keepdims=True)), 1e-300)
+        products = np.einsum("cp,cq->pq", left, left) / len(left)
+        together = np.bincount(away[near], products[near], STEPS)
+        return 1 + float(np.maximum(together, 0).sum()) / len(at)
 
     def misfit(self, x) -> np.ndarray:
         """As of `Photograph`: of the objects."""

@@ -160,10 +160,14 @@ class LightSolver:
             fit = self._fit(photo, best, known.rival, like=elected)
             return replace(fit, state=cache(lambda: moved(elected, fit)))
 
-    def beside_ground(self, radiance, alone: Fit, ground: Ground, *, weights=None) -> Fit:
-        """As `solve`, of what the ``ground`` shows, too; ``alone`` : the same photograph's without it."""
+    def beside_ground(self, radiance, alone: Fit, ground: Ground, *, weights=None, alike: float = 1.0) -> Fit:
+        """As `solve`, of what the ``ground`` shows, too.
+
+        ``alone`` : the same photograph's without it; ``alike`` : how many of its places speak as one
+        """
         with one_thread():
-            photo = WithGround(self._photograph(radiance, weights, alone), ground, alone.election.solution)
+            photo = self._photograph(radiance, weights, alone)
+            photo = WithGround(photo, ground, alone.election.solution, alike=alike)
             best, rival = elect(photo, **self._held)
             for _ in range(GROUND_ROUNDS):
                 moved = photo.learn_ground(best.x)

@@ -45,6 +45,49 @@ def white(albedo=WHITE_ALBEDO) -> bpy.types.Material:
     return shaded("white matte", "ShaderNodeBsdfDiffuse", Color=(*np.broadcast_to(albedo, 3), 1), Roughness=0)[0]
 
 
+def patterned(kind: str, colours, size: float, *, turn: float) -> bpy.types.Material:
+    """A perfectly diffuse material of two ``colours`` (2, 3), in a pattern of the object's own x and y.
+
+    ``kind`` : "planks", "tiles", "checks", "marble" or "speckles"; ``size`` : a plank's width, a tile's or a check's
+    side, a vein's distance, ten speckles'; metres; ``turn`` : of the pattern, radians
+    """
+    material, bsdf = shaded(kind, "ShaderNodeBsdfDiffuse", Roughness=0)
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    place, turned = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeMapping")
+    turned.inputs["Rotation"].default_value = (0, 0, turn)
+    links.new(place.outputs["Object"], turned.inputs["Vector"])
+    first, second = ((*colour, 1) for colour in colours)
+    if kind in ("planks", "tiles"):
+        node = nodes.new("ShaderNodeTexBrick")
+        planks = kind == "planks"
+        node.offset = 0.5 if planks else 0
+        joint = tuple(0.3 * np.array(first[:3])) if planks else second[:3]
+        long = size * (8 if planks else 1)
+        numbers = {"Scale": 1, "Brick Width": long, "Row Height": size, "Mortar Size": 0.02 * size}
+        shades = {"Color1": first, "Color2": second if planks else first, "Mortar": (*joint, 1)}
+        for name, value in (numbers | shades).items():
+            node.inputs[name].default_value = value
+    elif kind == "checks":
+        node = nodes.new("ShaderNodeTexChecker")
+        for name, value in {"Scale": 1 / size, "Color1": first, "Color2": second}.items():
+            node.inputs[name].default_value = value
+        # the plane lies where the pattern changes from one side to the other
+        turned.inputs["Location"].default_value = (0, 0, size / 2)
+    else:
+        noise, node = nodes.new("ShaderNodeTexNoise"), nodes.new("ShaderNodeValToRGB")
+        veins = kind == "marble"
+        noise.inputs["Scale"].default_value, noise.inputs["Detail"].default_value = (1 if veins else 10) / size, 3
+        low, high = node.color_ramp.elements
+        low.position, high.position = (0.35, 0.65) if veins else (0.47, 0.53)
+        low.color, high.color = first, second
+        links.new(turned.outputs["Vector"], noise.inputs["Vector"])
+        links.new(noise.outputs["Fac"], node.inputs["Fac"])
+    if "Vector" in node.inputs:
+        links.new(turned.outputs["Vector"], node.inputs["Vector"])
+    links.new(node.outputs["Color"], bsdf.inputs["Color"])
+    return material
+
+
 def principled(surface) -> bpy.types.Material:
     """A material alike all over, of the numbers of `scripts.cycles.plain`."""
     more = {"Roughness": surface["roughness"], "Metallic": surface["metallic"]}

@@ -135,6 +135,11 @@ def take(plate, folder: Path) -> None:
     table, roughness = [], plate.get("table_roughness")
     if plate["table"]:
         table.append(studio.add_table(positions[:, 2].min(), TABLE, plate["table"], roughness=roughness))
+        if "pattern" in plate:
+            pattern = plate["pattern"]
+            table[0].data.materials[0] = materials.patterned(
+                pattern["kind"], (plate["table"], pattern["other"]), pattern["size"], turn=pattern["turn"]
+            )
     lens = studio.add_camera(scene, positions, resolution=RESOLUTION, fill=FILL).data
     studio.denoise(scene)
     linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)
@@ -142,6 +147,8 @@ def take(plate, folder: Path) -> None:
         linear = through(linear, plate["camera"], plate["much"], plate["seed"]).astype(np.float32)
         images.write_exr(folder / "linear.exr", linear)
         thing.data.materials[0] = materials.principled(plate["told"])
+    if "pattern" in plate:
+        table[0].data.materials[0] = materials.white(plate["pattern"]["told"])
     photo = coded(scene, linear, folder, plate["curve"])
     told = {"image_path": photo, "objects": [thing], "occluders": table}
     told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}

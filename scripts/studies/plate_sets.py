@@ -33,6 +33,8 @@ SETS = {
     "shadowed again": 206,
     "covered": 207,
     "covered again": 208,
+    "patterned": 209,
+    "patterned again": 210,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -59,6 +61,7 @@ OF_OBJECTS = ("as said", "subsurface", "bumps", "mottled")
 OF_CAMERAS = ("clean", "vignette", "grain", "soft", "glare")
 PAINT, IN_THE_DARK = (0.3, 0.8), 0.5  # how much of a piece's colour is the paint's; share of plates with lamps alone
 COVERS = ("fingers", "leaves")  # what is before a part of the object
+PATTERNS, PATTERN = ("planks", "tiles", "checks", "marble", "speckles"), (0.02, 0.12)  # of tables; metres
 SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
@@ -181,6 +184,23 @@ def covered(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def patterned(plates: list[dict], seed: int) -> list[dict]:
+    """The plates on tables of two colours in a pattern, of which jobs have the mean, by eye."""
+    random, out, colours = np.random.default_rng(seed), [], list(plain.COLOURS.values())
+    for i, plate in enumerate(plates):
+        own = plate["table"] or colours[random.integers(len(colours))]
+        depth, kind = random.uniform(*PAINT), PATTERNS[i % len(PATTERNS)]
+        others = [colour for colour in colours if colour != own]
+        other = (1 - depth) * np.array(own) + depth * np.array(others[random.integers(len(others))])
+        mean = {"colour": own if kind == "tiles" else (np.array(own) + other) / 2, "roughness": 1, "metallic": 0}
+        size, turn = float(np.exp(random.uniform(*np.log(PATTERN)))), random.uniform(0, 2 * np.pi)
+        pattern = {"kind": kind, "other": other.tolist(), "size": size, "turn": turn}
+        pattern["told"] = by_eye(mean, random)["colour"]
+        kinds = [*(kind for kind in plate["kinds"] if kind not in ("alone", "on a table")), kind]
+        out.append(plate | {"table": own, "pattern": pattern, "kinds": kinds})
+    return out
+
+
 def by_eye(true: dict, random) -> dict:
     """A surface as a user fills it in who looks at the photo."""
     scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
@@ -229,6 +249,7 @@ def of_set(name: str, lights=None) -> list[dict]:
     """The plates of a set by its name; ``lights`` as of `drawn`."""
     plates, seed = drawn(SETS[name], lights), SETS[name]
     made = {"unsaid": unsaid, "painted": painted, "stage": on_stage, "shadowed": shadowed, "covered": covered}
+    made["patterned"] = patterned
     for kind, made_of in made.items():
         if name.startswith(kind):
             return made_of(plates, seed)

@@ -3,8 +3,8 @@
 
 What the objects say stands: the ground's shadows are fitted beside them (`fit.ground`), light between surfaces counted,
 and the answer is taken unless it explains the objects far worse. It may be matte, satin, or as rough as the job says:
-that under which objects and ground are the most probable. Of a ground that nobody asked for, nobody has said that it is
-of one colour, and where the job has it: it is evidence where the light explains all that it shows.
+that under which objects and ground are the most probable. Nobody has said that it is of one colour: where the light
+does not explain all that it shows, it counts for less, the further what is left over goes together from place to place.
 """
 
 from dataclasses import dataclass, replace
@@ -33,11 +33,12 @@ FULL = 0.5  # of a block that has to show the ground
 FINER = 2  # rays to each pixel of the sky's map, a side
 WORSE = 1.3  # of the objects' residual: a ground that asks for so much more speaks of something else than their light
 TOO_BRIGHT = 3.0  # times the light of the objects alone: lamps that reach next to nothing may be of any strength
-NOISIEST = 0.15  # of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, checks 40 %
-# The same, of a ground that nobody asked for: light between surfaces is known to 0.02. Of 37 plates on tables, at which
-# this was chosen, 20 leave less: their light errs 0.73 times as much, two by a tenth more; of 82 others 52 (0.60 times,
-# five). Of ten that leave 0.036 to 0.09 three err 1.5 to 2.8 times as much if they are taken, and three half to 0.7.
+# Of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, light between surfaces is
+# known to 2. Where more is left over, places beside each other go together in it, and count for less. Of 37 plates on
+# tables of one colour, at which this was chosen, 20 leave less: they err 0.73 times as much, two by a tenth more.
 SURELY = 0.035
+PATTERN = 0.15  # from so much on a ground has a pattern; of less, others' shadows are as likely
+FAINTEST = 0.5  # of its square, times the places that count as one: more says nothing of the light
 WORTH, WIDEST = 1.1, 4.0  # times what is stated, of a light that a ground which was not used speaks against
 MATTE, SATIN = 1.0, 0.5  # roughnesses that are tried beside its own; the second is that of a new Blender material
 WHITE = Lambertian("ground/white", np.ones(3))
@@ -51,11 +52,11 @@ def used_as_evidence(job, settings) -> list[int]:
 
 
 def tried_as_evidence(scene, settings) -> list[int]:
-    """Of those that nobody asks for and that may be of one colour, the number of that of which most is seen."""
+    """Of those that nobody asks for and that may be matte or plastic, the number of that of which most is seen."""
     if settings.evidence != "auto" or settings.refine == "quick":
         return []
     job, count = scene.job, len(scene.job.objects)
-    plain = [k for k, o in enumerate(job.occluders) if o.surface is None or o.surface.plain]
+    plain = [k for k, o in enumerate(job.occluders) if o.surface is None or replace(o.surface, image=None).plain]
     seen = np.bincount(scene.view.mesh[scene.view.mesh >= count] - count, minlength=len(job.occluders))
     return sorted(plain, key=lambda k: -seen[k])[:1]
 
@@ -100,11 +101,15 @@ def looks_of(scene, k: int) -> dict:
     Nobody has looked at the roughness of most tables: where it is wrong, lamps explain what gloss does.
     """
     surface = scene.job.occluders[k].surface
-    colour = scene.occluder_albedos[k] if surface is None or k in scene.colours else surface.base_color
+    if surface is None or k in scene.colours:
+        colour = scene.occluder_albedos[k]
+    else:
+        colour = surface.base_color if surface.image is None else surface.image.mean((0, 1))
     base = tuple(float(c) for c in np.clip(colour, 0, 1))
     out = {MATTE: None, SATIN: Surface(base, SATIN)}
-    if surface is not None and surface.plain and surface.specular:
-        out.setdefault(surface.roughness, replace(surface, base_color=base))
+    own = surface and replace(surface, base_color=base, image=None)
+    if own and own.plain and own.specular:
+        out.setdefault(own.roughness, own)
     return out
 
 
@@ -190,54 +195,62 @@ def _ground_like(look, seen, looks, settings) -> Ground:
 def ground(model, light):
     """The refinement: the light that objects and ground explain together."""
     problems, settings = model.problems, model.modelled
-    asked = [used_as_evidence(p.scene.job, model.settings) for p in problems]
-    if any(asked):
-        return _beside(model, light, asked, NOISIEST)
-    tried = [tried_as_evidence(p.scene, model.settings) for p in problems]
-    of_kernel = settings.estimator == "map" and settings.transport == "kernel"
-    if not any(tried) or not of_kernel or light.near:
+    chosen = [used_as_evidence(p.scene.job, model.settings) for p in problems]
+    asked = any(chosen)
+    if not asked:
+        chosen = [tried_as_evidence(p.scene, model.settings) for p in problems]
+    if not any(chosen):
         return model, light, {}
-    return _beside(model, light, tried, SURELY)
-
-
-def _beside(model, light, chosen, noisiest: float):
-    """The refinement by ``chosen`` occluders, which are no ground where they leave over more than ``noisiest``."""
-    problems, settings, asked = model.problems, model.modelled, noisiest == NOISIEST
     if settings.estimator != "map" or settings.transport != "kernel":
-        return model, light, {"ground": "not used as evidence: that needs --estimator map and --transport kernel"}
+        why = "not used as evidence: that needs --estimator map and --transport kernel"
+        return model, light, {"ground": why} if asked else {}
     if light.near:
-        return model, light, {"ground": "not used as evidence: a lamp stands near"}
+        return model, light, {"ground": "not used as evidence: a lamp stands near"} if asked else {}
     with model.reporter.stage("ground"):
-        looks = grounds_of(problems, light.exposures, settings, chosen)
-        if not looks:
-            return model, light, {"ground": "not used as evidence: the photo shows too little of it"}
-        photo, how = (light.radiance(problems), light.fit), {"weights": all_weights(problems)}
-        shown = max(looks, key=lambda one: light.solver.ground_evidence(*photo, one, **how))
-        fit = light.solver.beside_ground(*photo, shown, **how)
-    noise = float(np.sqrt(np.mean(fit.election.solution.v[3:] / fit.election.photo.energy)))
-    unexplained = f"{100 * noise:.0f} % is not explained"
+        found, why = _beside(model, light, chosen, asked)
+    return model, found, {"ground": why}
+
+
+def _beside(model, light, chosen, asked: bool) -> tuple:
+    """The SolvedLight beside the ``chosen`` occluders of each photograph, and what is said of that."""
+    problems = model.problems
+    looks = grounds_of(problems, light.exposures, model.modelled, chosen)
+    if not looks:
+        return light, "not used as evidence: the photo shows too little of it"
+    photo, how = (light.radiance(problems), light.fit), {"weights": all_weights(problems)}
+    shown = max(looks, key=lambda one: light.solver.ground_evidence(*photo, one, **how))
+    fit = whole = light.solver.beside_ground(*photo, shown, **how)
+    noise, alike = unexplained(fit), 1.0
+    if noise > SURELY:
+        alike = fit.election.photo.alike(fit.election.solution)
+        if noise**2 * alike > FAINTEST:
+            why = f"it is not of one colour, or not matte ({100 * noise:.0f} % is not explained)"
+            return light, f"not used as evidence: {why}"
+        fit = light.solver.beside_ground(*photo, shown, alike=alike, **how)
     brighter = float(fit.all_coefficients[0].mean() / light.fit.all_coefficients[0].mean())
-    if noise > NOISIEST:
-        why = f"it is not of one colour, or not matte ({unexplained})"
-    elif noise > noisiest:
-        light, words = _disagreed(light, fit)
-        why = f"it shows more than this light: {unexplained}{words}"
-    elif not brighter < TOO_BRIGHT:  # nor is what is no number
-        why = f"its light would be {brighter:.0f} times the objects'"
-    elif fit.residual > WORSE * light.fit.residual:
-        light, words = _disagreed(light, fit)
-        why = f"it speaks against the objects{words}"
+    if not brighter < TOO_BRIGHT:  # nor what is no number
+        return light, f"not used as evidence: its light would be {brighter:.0f} times the objects'"
+    if fit.residual > WORSE * light.fit.residual:
         if asked:
             model.reporter.warn(
                 "what is seen of the ground does not go with the objects: the light that explains its shadows explains "
                 "them far worse, so it was left out; it may not be matte, lie elsewhere, or show other things' shadows"
             )
-    else:
-        why = (
-            f"used as evidence: the light explains what is seen of it but for {100 * noise:.0f} % (its colour is free)"
-        )
-        return model, replace(light, fit=fit, alone=light.fit), {"ground": why}
-    return model, light, {"ground": f"not used as evidence: {why}"}
+        light, words = _disagreed(light, fit)
+        return light, f"not used as evidence: it speaks against the objects{words}"
+    why = f"used as evidence: the light explains what is seen of it but for {100 * unexplained(fit):.0f} %"
+    used = replace(light, fit=fit, alone=light.fit)
+    if alike == 1:
+        return used, f"{why} (its colour is free)"
+    words = ""
+    if noise < PATTERN:
+        used, words = _disagreed(used, whole)
+    return used, f"{why}, a pattern or others' shadows, of which {alike:.0f} places count as one{words}"
+
+
+def unexplained(fit) -> float:
+    """How much of what is seen of a ground the light of a Fit beside it leaves over, relative."""
+    return float(np.sqrt(np.mean(fit.election.solution.v[3:] / fit.election.photo.energy)))
 
 
 def _disagreed(light, fit) -> tuple:
