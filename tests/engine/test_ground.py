@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
-from btfsep_engine.fit.ground import NULL, SKY, Ground, WithGround, _drift
+from btfsep_engine.fit.ground import EVIDENCE, NULL, SKY, Ground, WithGround, _drift
 from btfsep_engine.fit.log_normal import LightSolver
 from tests.engine.half_sphere import SUN, even, half_sphere, lamp, off, shown
 
@@ -92,6 +92,48 @@ def test_the_products_are_those_of_the_dense_model(case, rng):
         logs += 0.5 * (np.linalg.slogdet(covariance)[1] - 60 * np.log(unit))
     assert np.square(rows.residual(x)).sum() + rows.rest == pytest.approx(wanted, rel=1e-3)
     assert rows.log_determinant == pytest.approx(logs)
+
+
+def test_places_that_are_told_twice_count_as_once(case, rng):
+    light, _, _, _, alone = case
+    once, count = table(rng, light, places=60), 60
+    twice = Ground(*(np.repeat(each, 2, 0) for each in (once.response, once.radiance, once.surface, once.at)))
+    alike = 2 * (1 + count / EVIDENCE) / (1 + 2 * count / EVIDENCE)
+    one, other = (
+        WithGround(alone.election.photo, ground, alone.election.solution, alike=a)
+        for ground, a in ((once, 1.0), (twice, alike))
+    )
+    v, x = np.full(6, 2e-3), rng.normal(size=(3, 100 + one._columns.shape[2]))
+    x_other = x.copy()  # the same light, by the other's axes
+    x_other[:, 100:] = x[:, 100:] @ one.ground.axes.T @ other.ground.axes
+    rows, same = one.rows(v, 0.08), other.rows(v, 0.08)
+    left, left_same = (np.square(r.residual(each)).sum() + r.rest for r, each in ((rows, x), (same, x_other)))
+    assert left_same == pytest.approx(left, rel=1e-3) and same.log_determinant == pytest.approx(rows.log_determinant)
+    np.testing.assert_allclose(other.noise_count, one.noise_count)
+    full = WithGround(alone.election.photo, twice, alone.election.solution).rows(v, 0.08)
+    assert np.square(full.residual(x_other)).sum() + full.rest > 1.3 * left
+
+
+@pytest.mark.parametrize("side", [0.0, 0.5, 0.8])
+def test_how_many_places_speak_as_one_is_how_many_share_what_is_left_over(case, rng, monkeypatch, side):
+    """Of squares of which each has a colour of its own: the mean, over the places, of how many are in their square."""
+    _, _, _, _, alone = case
+    at = np.stack([a.ravel() for a in np.meshgrid(np.arange(24) / 8, np.arange(24) / 8)], 1)
+    response = np.repeat(white_under(RAYS, np.concatenate([at, np.full((576, 1), -1.0)], 1))[..., None], 3, 2)
+    surface = (at[:, 0] > 1.45).astype(int)
+    ground = Ground(response.astype(np.float32), np.ones((576, 3)), surface, at)
+    photo = WithGround(alone.election.photo, ground, alone.election.solution)
+    square = np.unique((at // side).astype(int) @ [1, 100], return_inverse=True)[1] if side else np.arange(576)
+    left, shared = rng.normal(size=(40, square.max() + 1)), np.bincount(square)[square].mean()
+    found = []
+    for each in left:  # a channel of its own each; the mean over many patterns, since one is by chance
+        monkeypatch.setattr(photo, "_left_over", lambda x, v, each=each: np.tile(each[square], (3, 1)))
+        found.append(photo.alike(alone.election.solution))
+    assert np.mean(found) == pytest.approx(shared, rel=0.3) if side else 1 <= np.mean(found) < 2
+    monkeypatch.setattr(photo, "_left_over", lambda x, v: np.tile(1.0 - 2 * surface, (3, 1)))
+    apart = photo.alike(alone.election.solution)
+    photo.ground = Ground(ground.response, ground.radiance, np.zeros(576, int), at)
+    assert photo.alike(alone.election.solution) < apart  # nothing goes on from one surface to another
 
 
 def test_the_map_of_beams_is_the_ground_under_a_light(case, rng):
