@@ -299,7 +299,7 @@ def register():
     bpy.types.Object.btfsep_evidence = BoolProperty(
         name="Use as Evidence",
         description="What the photo shows of this table or floor tells of the light, too: the shadows on it. It should "
-        "be matte and of one colour, which need not be known",
+        "be matte or plastic. Its colour need not be known; a pattern counts for less",
     )
     bpy.types.World.btfsep_kept = PointerProperty(type=BTFSEP_PG_kept)
     bpy.types.WindowManager.btfsep = PointerProperty(type=BTFSEP_PG_run)

@@ -17,8 +17,8 @@ jobs say of the object what a user sees by eye, and nothing of what light does b
 paint, nor of a lens that darkens corners, is out of focus or has glare, nor of noise; of the sets *painted*, nothing of
 a paint in pieces, half of them in the dark under lamps; of the sets *shadowed*, nothing of what keeps the sun from a
 part of the object; of the sets *covered*, nothing of what is before a part of it. Those of *glossy tables* stand on
-such; what shows of a table
-may be left unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*).
+such, those of *patterned* on tables of two colours, of which jobs have the mean; what shows of a table may be left
+unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*).
 With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
 of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """

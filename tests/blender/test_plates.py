@@ -133,6 +133,29 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
         assert np.abs(pictures[name] / pictures["as said"] - 1).max() > 0.1, name
 
 
+def test_patterned_plates_stand_on_two_colours_and_jobs_have_the_mean(tmp_path, monkeypatch):
+    drawn = plate_sets.of_set("patterned")
+    assert drawn == plate_sets.of_set("patterned") != plate_sets.of_set("patterned again")
+    assert all(plate["table"] is not None and plate["kinds"][-1] == plate["pattern"]["kind"] for plate in drawn)
+    assert {plate["pattern"]["kind"] for plate in drawn} == set(plate_sets.PATTERNS)
+    monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
+    monkeypatch.setattr(studio_plates, "SAMPLES", 16)
+    plate = drawn[0] | {"table": (0.8,) * 3, "light": "sunset", "sun": None, "curve": "floats", "off": [0, 0]}
+    pattern = {"other": [0.2] * 3, "size": 0.08, "turn": 0.3, "told": (0.5, 0.4, 0.3)}
+    pictures = {}
+    for kind in (None, *plate_sets.PATTERNS):
+        more = {} if kind is None else {"pattern": pattern | {"kind": kind}}
+        studio_plates.take({k: v for k, v in plate.items() if k != "pattern"} | more, tmp_path / str(kind))
+        pictures[kind] = images.read_linear(tmp_path / str(kind) / "linear.exr").pixels.mean(-1)
+        (table,) = load_job(tmp_path / str(kind) / "job").occluders
+        assert table.surface.base_color == pytest.approx(pattern["told"] if kind else plate["table"], abs=1e-6)
+    table = scene_of(tmp_path / "None" / "job").view.mesh == 1
+    darker = {kind: (pictures[kind] / pictures[None])[ndimage.binary_erosion(table)] for kind in plate_sets.PATTERNS}
+    for kind, ratio in darker.items():
+        assert ratio.std() > 0.04 and 0.2 < ratio.mean() < 1, kind
+    assert 0.25 < (darker["checks"] < 0.45).mean() < 0.75 and (darker["tiles"] > 0.9).mean() > 0.6
+
+
 def test_what_a_camera_adds_to_a_plate():
     even, edge = np.full((64, 64, 3), 0.5, np.float32), np.zeros((64, 64, 3), np.float32)
     edge[:, 32:] = 1
