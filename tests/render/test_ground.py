@@ -88,10 +88,11 @@ def by_itself(job, **told):
     return estimate(scene_of(job), open_library(None), choose("balanced", pixels=500, align="never", **told))
 
 
-def test_a_plain_table_is_evidence_unasked_where_the_light_explains_all_of_it():
+def test_a_plain_table_is_evidence_unasked_and_in_full_where_the_light_explains_all_of_it(monkeypatch):
     job = photographed(positive_light(2), evidence=False)
+    monkeypatch.setattr(WithGround, "alike", lambda *_: 1e9)  # nobody asks
     found, without = by_itself(job), by_itself(job, evidence="job")
-    assert found.choice["ground"].startswith("used as evidence") and found.light.alone is not None
+    assert found.choice["ground"].endswith("% (its colour is free)") and found.light.alone is not None
     assert "ground" not in without.choice and without.light.alone is None
     assert np.array_equal(found.light.alone.all_coefficients, without.fit.all_coefficients)
     scene, auto = scene_of(job), choose("balanced")
@@ -109,6 +110,11 @@ def test_of_what_nobody_asks_for_the_plain_one_that_is_seen_most_is_tried():
     for surface, tried in ((image, 1), (Surface(metallic=1.0), 0), (Surface(coat=0.5), 0)):
         other = replace(both, occluders=(far, replace(table, surface=surface)))
         assert tried_as_evidence(scene_of(other), choose("balanced")) == [tried]
+    stripes = Surface(image=np.array([[COLOUR, COLOUR / 2]] * 2, np.float32), roughness=0.3)
+    looks = ground.looks_of(scene_of(replace(job, occluders=(replace(table, surface=stripes),))), 0)
+    assert set(looks) == {ground.MATTE, ground.SATIN, 0.3}
+    for look in (ground.SATIN, 0.3):
+        assert looks[look].base_color == pytest.approx(0.75 * COLOUR) and looks[look].image is None
 
 
 def striped(job):
