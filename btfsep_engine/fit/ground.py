@@ -207,16 +207,16 @@ class WithGround:
         One, and of all places up to `BESIDE` away the correlation at their distance: where it is not negative, as
         between checks, since a shadow may end between them.
         """
-        at, surface = self.ground.at, self.ground.surface
-        away = (np.linalg.norm(at[:, None] - at, axis=2) / BESIDE * STEPS).astype(int)
-        away[surface[:, None] != surface] = STEPS
-        np.fill_diagonal(away, STEPS)
-        near = away < STEPS
-        left = self._left_over(found.x, found.v)
+        left, together = self._left_over(found.x, found.v), np.zeros(STEPS)
         left = left / np.maximum(np.sqrt(np.square(left).mean(1, keepdims=True)), 1e-300)
-        products = np.einsum("cp,cq->pq", left, left) / len(left)
-        together = np.bincount(away[near], products[near], STEPS)
-        return 1 + float(np.maximum(together, 0).sum()) / len(at)
+        for number in range(self.ground.surface.max() + 1):
+            own = self.ground.surface == number
+            at, of_own = self.ground.at[own], left[:, own]
+            away = (np.linalg.norm(at[:, None] - at, axis=2) / BESIDE * STEPS).astype(int)
+            np.fill_diagonal(away, STEPS)
+            near = away < STEPS
+            together += np.bincount(away[near], (of_own.T @ of_own)[near] / len(left), STEPS)
+        return 1 + float(np.maximum(together, 0).sum()) / left.shape[1]
 
     def misfit(self, x) -> np.ndarray:
         """As of `Photograph`: of the objects."""
