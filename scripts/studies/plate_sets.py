@@ -248,8 +248,14 @@ def from_in_front(random) -> list[float]:
 def of_set(name: str, lights=None) -> list[dict]:
     """The plates of a set by its name; ``lights`` as of `drawn`."""
     plates, seed = drawn(SETS[name], lights), SETS[name]
-    made = {"unsaid": unsaid, "painted": painted, "stage": on_stage, "shadowed": shadowed, "covered": covered}
-    made["patterned"] = patterned
+    made = {
+        "unsaid": unsaid,
+        "painted": painted,
+        "stage": on_stage,
+        "shadowed": shadowed,
+        "covered": covered,
+        "patterned": patterned,
+    }
     for kind, made_of in made.items():
         if name.startswith(kind):
             return made_of(plates, seed)
