@@ -17,6 +17,7 @@ from . import meshes, own_surface, ply, surroundings, unwrap
 
 JOB_FILE = "job.json"
 SURFACE = "Surface"  # the name of what a depth shows
+FROM_THE_PHOTO = "its colour is taken from the photo where it is seen there, else a grey"
 NEAR = 0.1  # of its distance from the objects: a camera that moves less has the same things around it
 
 
@@ -243,7 +244,9 @@ def _occluders(parts: dict, folder: Path, names, *, around, warn) -> list:
             warn(f"{what if part is None else f'part of {what}'} is left out, as {why}")
         if part is None:
             continue
-        surface = surroundings.surface_of(part["areas"], lambda text, what=what: warn(f"{what}: {text}"))
+        surface = surroundings.surface_of(
+            part["areas"], lambda text, what=what: warn(f"{what}: {text}"), otherwise=FROM_THE_PHOTO
+        )
         given = {} if surface is None else {"surface": surface}
         if getattr(thing, "btfsep_evidence", False):  # an export alone knows no panel
             given["evidence"] = True

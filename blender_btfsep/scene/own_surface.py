@@ -138,7 +138,7 @@ def surface_of(name: str, part: dict | None, surfaces: dict | None, folder, *, m
         told = told if surface is not None else []
         surface = _baked(name, baked, surface or dict(surroundings.DEFAULT), folder)
     if surface is None:
-        why = told[0] if told else "what it reflects is not known"
+        why = told[0] if told else surroundings.NOT_KNOWN
         raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")
     for sentence in told:
         warn(f"object '{name}': {sentence}")

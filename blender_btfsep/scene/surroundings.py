@@ -15,6 +15,7 @@ BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
 CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"}
 SENDS = 1.0  # radiance of what is a lamp: as much as the whitest things send under a sky of brightness one
 SHINING = "material '{}' shines: its light is found as the World's, and a render that shows both has it twice"
+NOT_KNOWN = "what it reflects is not known"
 LITTLE = 0.01  # of an input: no more than that is nothing
 MOST_OF = 0.85  # of the upper hemisphere: what hides so much of it from objects and camera is a dome or a room
 RAYS = 256
@@ -24,13 +25,14 @@ class Clear(Exception):
     """Light goes through it, or it has no surface at all; says how, in words."""
 
 
-def surface_of(areas: dict, warn) -> dict | None:
+def surface_of(areas: dict, warn, *, otherwise: str = NOT_KNOWN) -> dict | None:
     """The ``surface`` of what is made of several materials: the mean of their numbers by area.
 
     Parameters
     ----------
     areas : bpy.types.Material or None -> its area
     warn : called with a sentence about what is left out
+    otherwise : the end of a sentence about a material that cannot be read
 
     Returns
     -------
@@ -41,7 +43,7 @@ def surface_of(areas: dict, warn) -> dict | None:
     read, clear = [], ""
     for material, area in areas.items():
         try:
-            numbers = _numbers(material, warn)
+            numbers = _numbers(material, warn, otherwise)
         except Clear as error:
             clear = str(error)
             continue
@@ -88,14 +90,14 @@ def read_alone(material) -> dict | None:
         return None
 
 
-def _numbers(material, warn) -> dict | None:
-    """The numbers of one material, None where they cannot be read."""
+def _numbers(material, warn, otherwise: str = NOT_KNOWN) -> dict | None:
+    """The numbers of one material, None where they cannot be read; arguments as of `surface_of`."""
     if material is None:
         return DEFAULT
-    what, unknown = f"material '{material.name}'", "what it reflects is not known"
+    what = f"material '{material.name}'"
     output = material.node_tree.get_output_node("CYCLES") if material.use_nodes and material.node_tree else None
     if output is None:
-        warn(f"{what} has no Material Output; {unknown}")
+        warn(f"{what} has no Material Output; {otherwise}")
         return None
     if source_of(output.inputs["Volume"]) is not None:
         warn(f"{what} has a volume, which is left out")
@@ -124,11 +126,11 @@ def _numbers(material, warn) -> dict | None:
         colour = node.inputs.get("Color") or node.inputs["Base Color"]
         roughness, more = _mean(node.inputs["Roughness"], 0.5), {"metallic": 1.0, "specular": 0.5}
     else:
-        warn(f"the surface of {what} is '{node.name}'; {unknown}")
+        warn(f"the surface of {what} is '{node.name}'; {otherwise}")
         return None
     base = _colour(colour)
     if base is None:
-        warn(f"the colour of {what} is neither a number nor an image; {unknown}")
+        warn(f"the colour of {what} is neither a number nor an image; {otherwise}")
         return None
     return {"base_color": np.clip(base, 0, 1), "roughness": float(np.clip(roughness, 0, 1)), **more}
 

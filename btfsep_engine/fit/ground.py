@@ -87,6 +87,11 @@ class Ground:
         seen = np.ascontiguousarray(np.moveaxis(self.response, 2, 0), np.float64).reshape(-1, pixels)
         return product(seen, self.axes).reshape(3, places, -1)
 
+    @cached_property
+    def grams(self) -> list:
+        """G^T G (k, k) of each channel, along the axes."""
+        return [product(columns.T, columns) for columns in self.columns]
+
 
 class WithGround:
     """The products of a photograph with ground beside its objects, for `fit.search` in the place of a `Photograph`.
@@ -161,6 +166,10 @@ class WithGround:
             departures.append(predicted[:, None] * self._drift)
         before, self._shown = self._shown, np.array(shown)
         self._seen, self._departures = seen, departures
+        self._products = [
+            [product(f.T, values) for values in (f, columns, t)] + [product(columns.T, t), float(t @ t)]
+            for f, columns, t in zip(departures, self._columns, seen, strict=True)
+        ]  # F^T F, F^T G, F^T t, G^T t, t^T t: what does not depend on the noise
         self.energy = np.array([np.square(t).mean() for t in seen])
         return float(np.linalg.norm(self._shown - before) / np.linalg.norm(self._shown))
 
@@ -172,16 +181,16 @@ class WithGround:
         """As of `Photograph`, of objects and ground."""
         own = self.photo.rows(v[:3], discrepancy)
         root, target, rest, log_determinant = [], [], own.rest, own.log_determinant
-        for c, columns in enumerate(self._columns):
-            w, f, t = 1 / (v[3 + c] * self._stiffness), self._departures[c], self._seen[c]
-            lower = cholesky(np.eye(f.shape[1]) + w * product(f.T, f))
-            fa, fb = (w * solve_triangular(lower, product(f.T, values), lower=True) for values in (columns, t))
-            gram, moment = w * product(columns.T, columns) - product(fa.T, fa), w * product(columns.T, t) - fa.T @ fb
+        for c, (square, (ff, fg, ft, gt, tt)) in enumerate(zip(self.ground.grams, self._products, strict=True)):
+            w = 1 / (v[3 + c] * self._stiffness)
+            lower = cholesky(np.eye(len(ff)) + w * ff)
+            fa, fb = (w * solve_triangular(lower, values, lower=True) for values in (fg, ft))
+            gram, moment = w * square - product(fa.T, fa), w * gt - fa.T @ fb
             log_determinant += float(np.log(np.diag(lower)).sum())
             half, order, rank, _ = lapack.dpstrf(gram, lower=1, tol=NEGLIGIBLE)
             half, order = np.tril(half)[:, :rank], order - 1
             y = solve_triangular(half[:rank], moment[order[:rank]], lower=True)
-            rest += max(float(w * (t @ t) - fb @ fb - y @ y), 0.0)
+            rest += max(float(w * tt - fb @ fb - y @ y), 0.0)
             root.append(block_diag(own.root[c], half.T[:, np.argsort(order)]))
             target.append(np.concatenate([own.target[c], y]))
         return Rows(root, target, rest, log_determinant)
@@ -195,9 +204,10 @@ class WithGround:
         """(3, p): what neither the light explains of the ground, nor what its surfaces vary by."""
         out = []
         for c, columns in enumerate(self._columns):
-            w, f = 1 / (v[3 + c] * self._stiffness), self._departures[c]
-            left = self._seen[c] - columns @ x[c, self.basis.terms :]
-            a = np.linalg.solve(np.eye(f.shape[1]) + w * product(f.T, f), w * product(f.T, left))
+            w, f, (ff, fg, ft, *_) = 1 / (v[3 + c] * self._stiffness), self._departures[c], self._products[c]
+            of_light = x[c, self.basis.terms :]
+            left = self._seen[c] - columns @ of_light
+            a = np.linalg.solve(np.eye(len(ff)) + w * ff, w * (ft - fg @ of_light))
             out.append(left - product(f, a))
         return np.array(out)
 

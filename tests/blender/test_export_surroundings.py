@@ -94,7 +94,7 @@ def test_what_is_clear_or_is_not_understood_is_named(exported):
     assert surfaces == {"Wig.ply": None}  # not known, not guessed
     for name, made_of in (("Window", "Pane"), ("Bottle", "Clear")):
         assert f"occluder '{name}' is left out, as light goes through material '{made_of}'" in warnings
-    assert any("'Wig'" in w and "not known" in w for w in warnings) and len(warnings) == 3
+    assert any("'Wig'" in w and "its colour is taken from the photo" in w for w in warnings) and len(warnings) == 3
 
 
 def test_what_is_a_lamp_hides_no_light_and_what_glows_a_little_does(exported):
