@@ -97,7 +97,7 @@ class Solution:
         slope, curvature : of |r|^2 / 2 + |theta|^2 / 2 by its strength; (unknowns,), theta's answer to strength 1
         """
         r = self.rows.residual(self.x)
-        answer = -_answer(self.slopes, self.small_factor, product(seen.astype(np.float32), self.slopes))
+        answer = -answer_to(self.slopes, self.small_factor, product(seen.astype(np.float32), self.slopes))
         return float(seen @ r), float(seen @ (seen + product(self.slopes, answer))), answer
 
 
@@ -127,8 +127,15 @@ def solve(
             break
         v = now
     slopes = model.jacobian(white, radiance, rows.root, by_direction)
-    gram = _gram(slopes)
-    factor = _cholesky(gram, 0.0)
+    return solution(photo, model, white, (x, radiance), v, discrepancy, rows, lowest, all_steps, slopes)
+
+
+def solution(photo, model, white, light, v, discrepancy, rows, lowest, steps, slopes) -> Solution:
+    """The Solution at the most probable unknowns of a model, with its evidence.
+
+    ``light`` : x and radiance there; ``lowest`` : (|r|^2 + |theta|^2) / 2; all else as in Solution
+    """
+    factor = small_factor(small_gram(slopes), 0.0)
     evidence = (
         -lowest
         - 0.5 * rows.rest
@@ -140,7 +147,7 @@ def solve(
         - EXACT_COST * (discrepancy < NEARLY_RIGHT)
         - VIVID_COST * model.field.vivid
     )
-    return Solution(model, white, x, radiance, v, discrepancy, rows, evidence, all_steps, slopes, factor)
+    return Solution(model, white, *light, v, discrepancy, rows, evidence, steps, slopes, factor)
 
 
 def nearby(photo: Photograph, best: Solution, white) -> Solution:
@@ -163,12 +170,12 @@ def _and_one(gram, more=0.0) -> np.ndarray:
     return gram
 
 
-def _gram(jacobian) -> np.ndarray:
+def small_gram(jacobian) -> np.ndarray:
     """J J^T or J^T J, the smaller one."""
     return product(jacobian, jacobian.T) if jacobian.shape[0] < jacobian.shape[1] else product(jacobian.T, jacobian)
 
 
-def _cholesky(gram, damping: float) -> np.ndarray:
+def small_factor(gram, damping: float) -> np.ndarray:
     """The factor of (1 + damping) I + ``gram``, in single precision, in the lower triangle alone."""
     if not len(gram):
         return gram
@@ -197,20 +204,20 @@ def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction, kn
         if not again:
             steps += 1
             jacobian = model.jacobian(white, radiance, rows.root, by_direction)
-            gram = _gram(jacobian)
+            gram = small_gram(jacobian)
             gradient = product(r.astype(np.float32), jacobian) + white
-            lower = _cholesky(gram, damping)
+            lower = small_factor(gram, damping)
         else:
             gradient = model.gradient(white, radiance, rows.root, by_direction, np.split(r, ends)) + white
         while True:
-            moved = white - _answer(jacobian, lower, gradient, damping)
+            moved = white - answer_to(jacobian, lower, gradient, damping)
             x_there, radiance_there = model.light(moved)
             r_there = rows.residual(x_there)
             there = 0.5 * (r_there @ r_there + moved @ moved)
             if there < now or again or damping > STIFFEST:
                 break
             damping = max(5 * damping, 1e-3)
-            lower = _cholesky(gram, damping)
+            lower = small_factor(gram, damping)
         if not there < now:
             if again:
                 again = 0
@@ -227,8 +234,8 @@ def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction, kn
     return white, x, radiance, now, steps
 
 
-def _answer(jacobian, lower, gradient, damping=0.0) -> np.ndarray:
-    """((1 + damping) I + J^T J)^-1 g; ``lower`` : of J J^T or J^T J, the smaller one, by `_cholesky`."""
+def answer_to(jacobian, lower, gradient, damping=0.0) -> np.ndarray:
+    """((1 + damping) I + J^T J)^-1 g; ``lower`` : of J J^T or J^T J, the smaller one, by `small_factor`."""
     if not len(lower):  # a photo that says nothing
         return gradient / (1 + damping)
     if len(lower) == len(gradient):

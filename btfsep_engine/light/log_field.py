@@ -237,6 +237,28 @@ class LogField:
         own = [of_field[: part.stop - part.start] for of_field, part in zip(by_term, self._parts, strict=True)]
         return np.concatenate(own) * self.deviation
 
+    def jacobians(self, by_direction, radiance) -> np.ndarray:
+        """`jacobian` of many lights at once, of as many rows each: (m, all rows, k).
+
+        ``by_direction`` : R_c T, (m, 3, r, n); ``radiance`` : (m, 3, n)
+        """
+        kind, (count, channels, r, n) = by_direction.dtype, by_direction.shape
+        shown = by_direction * radiance.astype(kind)[:, :, None]
+        by_term = product(shown.reshape(-1, n), self._harmonics[kind]).reshape(count, channels, r, -1)
+        out = np.empty((count, channels, r, self.unknowns), kind)
+        for part, shares in zip(self._parts, CHROMA.T, strict=True):
+            size = (shares[:, None, None] * self.deviation[part]).astype(kind)
+            np.multiply(by_term[..., : part.stop - part.start], size, out=out[..., part])
+        return out.reshape(count, -1, self.unknowns)
+
+    def gradients(self, by_direction, radiance, residual) -> np.ndarray:
+        """`gradient` of many lights at once, (m, k); ``residual`` : (m, 3, r), all else as in `jacobians`."""
+        kind = by_direction.dtype
+        each = CHROMA.T.astype(kind) @ (radiance.astype(kind) * (residual[:, :, None] @ by_direction)[:, :, 0])
+        by_term = product(each.reshape(-1, each.shape[-1]), self._harmonics[kind]).reshape(*each.shape[:2], -1)
+        own = [by_term[:, i, : part.stop - part.start] for i, part in enumerate(self._parts)]
+        return np.concatenate(own, 1) * self.deviation
+
     def at(self, white, directions) -> np.ndarray:
         """L in other directions (m, 3): (m, 3)."""
         a = self.mean + self.deviation * white

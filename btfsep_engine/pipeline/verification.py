@@ -16,6 +16,7 @@ one: sharp as these are, all over, and the sharper the nearer to the outline.
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import chain, islice
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,10 +25,11 @@ from btfsep_engine import sh
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.surfaces import SURFACES
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.abreast import near_lights, solve_abreast
 from btfsep_engine.fit.colour import base_colour, tint_of
 from btfsep_engine.fit.election import natural_light
 from btfsep_engine.fit.products import Basis, Photograph
-from btfsep_engine.fit.search import Solution, solve
+from btfsep_engine.fit.search import STEPS, Solution
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.log_field import coarse_field, even_field
 from btfsep_engine.light.maps import training_lights
@@ -47,7 +49,8 @@ RENDERED = 8  # of these, the likeliest ...
 HOPELESS = 6.0  # ... but none that is so far behind the first, in the logarithm of its odds
 PIXELS = 1000  # of the fit of the light
 ORDER = 6  # of its coefficients
-NEARBY = 2  # steps from another material's light to a rough one
+NEARBY = 2  # steps from another material's light to a rough one,
+SEARCHED = 4, STEPS  # and from there, at its first noise and at the one that is found then
 FIELD = 8, 4, sh.term_count(ORDER), 256  # of its logarithm: orders of lightness and of colours; directions
 EXPLANATIONS = ("evidence", "tint")
 PLAIN = tuple(SURFACES)  # candidates beside a library's,
@@ -115,6 +118,16 @@ class CoarselyLit(Photograph):
     def fields(self):
         """As of `Photograph`."""
         return coarse_field(*FIELD), even_field()
+
+
+def lights_from(other: Solution, photos) -> list[Solution]:
+    """The most probable fields of photographs by several bases, from the light of another basis on."""
+    if not photos:
+        return []
+    white, v, near = near_lights(photos, other, NEARBY)
+    for photo, x in zip(photos, near, strict=True):
+        photo.learn_from(x)
+    return solve_abreast(photos, other.model, white=white, v=v, steps=SEARCHED)
 
 
 @dataclass(frozen=True)
@@ -194,9 +207,14 @@ class Verification:
         """
         count, last = len(names), len(names[:EXPLAINED])
         materials = [load(name) for name in names[:EXPLAINED]]
-        first = self.explained(materials[0], radiance)  # the others' lights are looked for from there on
-        explained = [first, *(self.explained(material, radiance, first) for material in materials[1:])]
-        plain = [self.plain(name, radiance, first) for name in PLAIN]
+        (first,) = self.explained(materials[:1], radiance)  # the others' lights are looked for from there on
+        surfaces = {name: _surfaces(name) for name in PLAIN}
+        others = iter(self.explained([*materials[1:], *chain(*surfaces.values())], radiance, first))
+        explained = [first, *islice(others, last - 1)]
+        plain = [
+            self.plain(name, list(zip(m, islice(others, len(m)), strict=True)), radiance, first)
+            for name, m in surfaces.items()
+        ]
         evidence = np.array([*(e.evidence for e in explained), *(p.evidence for p in plain)])
         materials, explained = materials + [p.material for p in plain], explained + [p.explained for p in plain]
         # a mirror shows whatever light is asked of it: that it can look like the photo says nothing
@@ -231,32 +249,39 @@ class Verification:
         out = {cue: np.append(values, of_plain[cue]) for cue, values in (votes | cues).items()}
         return out | {IS_PLAIN: np.append(np.zeros(count), -np.ones(len(PLAIN)))}
 
-    def explained(self, material, radiance, beside: Explained | None = None) -> Explained:
-        """What a material explains by its mean ABRDF of ``radiance`` (h, w, 3), the window of the photograph.
+    def explained(self, materials, radiance, beside: Explained | None = None) -> list[Explained]:
+        """What each of ``materials`` explains by its mean ABRDF of the photograph's window, ``radiance`` (h, w, 3).
 
-        ``beside`` : another material's, with whose evidence this one's is compared
+        ``beside`` : another material's, with whose evidence these are compared
         """
         rows, columns = (self.few_transport.points.pixels - [s.start for s in self.window]).T
         b = radiance[rows, columns]
-        good = np.isfinite(b).all(-1)
+        good, effective = np.isfinite(b).all(-1), beside and beside.effective
         with one_thread():
-            basis = self._basis(material, good)
-            photo, start = CoarselyLit(basis, b[good], effective=beside and beside.effective), None
-            if beside is not None:  # from there, a light of its own is soon found roughly
-                other = beside.solution
-                start = solve(photo, other.model, white=other.white, v=other.v, rounds=1, steps=NEARBY)
-            best = natural_light(photo, rounds=2, start=start)
-        light = CELLS.means(best.radiance, best.model.field.directions) * photo.level
-        return Explained(light, best.x[:, 0] * photo.level, best.evidence, photo.effective, best)
+            photos = [CoarselyLit(self._basis(each, good), b[good], effective=effective) for each in materials]
+            if beside is None:
+                lights = [natural_light(photo, rounds=2) for photo in photos]
+            else:
+                lights = lights_from(beside.solution, photos)
+        return [
+            Explained(
+                CELLS.means(best.radiance, best.model.field.directions) * photo.level,
+                best.x[:, 0] * photo.level,
+                best.evidence,
+                photo.effective,
+                best,
+            )
+            for photo, best in zip(photos, lights, strict=True)
+        ]
 
-    def plain(self, name: str, radiance, beside: Explained) -> Plain:
-        """The best of a kind of `PLAIN`; arguments as of `explained`."""
-        each = [(self.explained(m, radiance, beside), m) for m in _surfaces(name)]
-        best, material = max(each, key=lambda one: one[0].evidence)
+    def plain(self, name: str, each, radiance, beside: Explained) -> Plain:
+        """The best of a kind of `PLAIN`, of ``each`` (material, Explained); all else as of `explained`."""
+        material, best = max(each, key=lambda one: one[1].evidence)
         evidence = best.evidence
         if name == DYED and unusual(best.colour) > 1:
             dyed = replace(material.surface, base_color=tuple(BASE * base_colour(tint_of(best.colour))))
-            evidence = max(evidence, self.explained(homogeneous(dyed, name), radiance, beside).evidence)
+            (there,) = self.explained([homogeneous(dyed, name)], radiance, beside)
+            evidence = max(evidence, there.evidence)
         return Plain(material, best, evidence)
 
     def _basis(self, material, good) -> Basis:

@@ -38,11 +38,12 @@ class Remembering(Verification):
         super().__init__(*scene_and_more)
         self.known: dict = {}
 
-    def explained(self, material, radiance, beside=None):
-        key = "explained", material.name, getattr(material, "surface", None)  # of one name are several plain ones
-        if key not in self.known:
-            self.known[key] = super().explained(material, radiance, beside)
-        return self.known[key]
+    def explained(self, materials, radiance, beside=None):
+        keys = [("explained", m.name, getattr(m, "surface", None)) for m in materials]  # of one name are several plain
+        new = [i for i, key in enumerate(keys) if key not in self.known]
+        found = super().explained([materials[i] for i in new], radiance, beside)
+        self.known.update(zip((keys[i] for i in new), found, strict=True))
+        return [self.known[key] for key in keys]
 
     def similarity(self, material, *about):
         key = "similarity", material.name, getattr(material, "surface", None)

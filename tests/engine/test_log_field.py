@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from btfsep_engine import sh
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.light import log_field, maps
-from btfsep_engine.light.log_field import CHROMA, VIVID, as_vivid, even_field, natural_field
+from btfsep_engine.light.log_field import CHROMA, VIVID, as_vivid, coarse_field, even_field, natural_field
 from scripts.studies.makers import learn_natural_light
 
 BELOW = fibonacci_sphere(300)[:, 2] < -0.1
@@ -31,6 +31,19 @@ def test_the_jacobian_is_that_of_finite_differences(rng, hidden):
     numerical = np.stack([(images(white + s) - images(white - s)) / 2e-5 for s in step], 1)
     found = field.jacobian(field.by_direction(rows), field.radiance(white))
     np.testing.assert_allclose(found, numerical, atol=1e-6 * np.abs(numerical).max())
+
+
+def test_slopes_of_many_lights_at_once_are_those_of_each(rng):
+    field = coarse_field(8, 4, 49, 256)
+    rows, whites = rng.normal(size=(5, 3, 4, 49)), 0.7 * rng.normal(size=(5, field.unknowns))
+    radiance = field.radiance(whites)
+    by_direction = np.array([field.by_direction(each) for each in rows])
+    residual = rng.normal(size=(5, 3, 4))
+    found, slopes = field.jacobians(by_direction, radiance), field.gradients(by_direction, radiance, residual)
+    for i in range(5):
+        one = field.jacobian(list(by_direction[i]), radiance[i])
+        np.testing.assert_allclose(found[i], one, atol=1e-12 * np.abs(one).max())
+        np.testing.assert_allclose(slopes[i], one.T @ residual[i].ravel(), atol=1e-10 * np.abs(slopes[i]).max())
 
 
 def test_what_is_hidden_is_not_shown_and_what_is_not_is_shown_as_it_was(rng):

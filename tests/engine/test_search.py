@@ -10,7 +10,7 @@ from scipy.optimize import approx_fprime
 
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Basis, Photograph
-from btfsep_engine.fit.search import ROUNDED, _cholesky, nearby, solve
+from btfsep_engine.fit.search import ROUNDED, nearby, small_factor, solve
 from btfsep_engine.light.log_field import as_vivid, even_field, natural_field
 from tests.engine.half_sphere import FILL, SUN, even, half_sphere, lamp, shown, side_light
 
@@ -196,7 +196,7 @@ def test_a_matrix_that_spans_more_than_single_precision_has_a_factor():
     gram = jacobian @ jacobian.T
     whole = gram.astype(float) + np.eye(60)
     assert lapack.spotrf(whole.astype(np.float32), lower=1)[1] > 0  # it fails as it is
-    factor = np.tril(_cholesky(gram, 0.0)).astype(float)
+    factor = np.tril(small_factor(gram, 0.0)).astype(float)
     assert np.isfinite(np.log(np.diag(factor))).all()
     assert np.abs(factor @ factor.T - whole).max() < 1e-5 * whole.max()
 
@@ -206,10 +206,10 @@ def test_of_many_values_that_are_alike_the_largest_says_too_little_of_what_is_lo
     same, other = np.ones((220, 1)), (-1.0) ** np.arange(220)[:, None]
     gram = (2.6e5 * same @ same.T - 0.1 * other @ other.T).astype(np.float32)
     assert np.linalg.eigvalsh(gram.astype(float))[0] < -10 * ROUNDED * gram.max()
-    factor = np.tril(_cholesky(gram, 0.0)).astype(float)
+    factor = np.tril(small_factor(gram, 0.0)).astype(float)
     assert np.abs(factor @ factor.T - gram).max() < 1e-3 * gram.max()
     with pytest.raises(np.linalg.LinAlgError, match="no numbers"):
-        _cholesky(np.full((4, 4), -np.inf, np.float32), 0.0)
+        small_factor(np.full((4, 4), -np.inf, np.float32), 0.0)
 
 
 def test_the_light_of_a_photograph_that_differs_by_noise_is_found_from_the_others(rng):

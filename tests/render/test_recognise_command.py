@@ -120,8 +120,8 @@ def test_candidates_are_compared_with_the_photo_under_the_light_they_imply(
         assert cues["contrast"][2] < 2 * cues["contrast"][1] and cues["together"][2] < cues["together"][1]
         assert cues["contrast"][1] > -0.1
         assert cues["evidence"].max() == 0 and cues["tint"][1] > -3
-        first, alone = (verification.explained(library.load(name), radiance) for name in (right, wrong))
-        beside = verification.explained(library.load(wrong), radiance, first)
+        (first,), (alone,) = (verification.explained([library.load(name)], radiance) for name in (right, wrong))
+        (beside,) = verification.explained([library.load(wrong)], radiance, first)
         assert beside.effective == first.effective != alone.effective  # or their evidences could not be compared
         again = verification.cues(names, votes, 3 * radiance, library.load)
         np.testing.assert_allclose(again["contrast"], cues["contrast"], atol=1e-3)  # whatever the exposure
@@ -140,7 +140,10 @@ def test_that_a_mirror_can_explain_any_photo_says_nothing(sphere_job_folder, sma
     monkeypatch.setattr(
         Verification,
         "explained",
-        lambda self, material, *given: replace(own(self, material, *given), evidence=explained[material.name]),
+        lambda self, materials, *given: [
+            replace(one, evidence=explained[material.name])
+            for one, material in zip(own(self, materials, *given), materials, strict=True)
+        ],
     )
     radiance = scene.job.photo.radiance[verification.window]
     told = {"classifier": np.array([-0.5, -2.0])}, radiance, library.load
