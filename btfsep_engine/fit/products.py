@@ -344,15 +344,19 @@ class Photograph:
             kept = slice(int(np.searchsorted(w * self._axes[c][0], NEGLIGIBLE / 10, side="right")), None)
             sizes, axes = w * self._axes[c][0][kept], self._axis_rows[c][kept]
             moment, energy = w * product(axes, self.moments[c]), w * self.energies[c]
-            if self._smooth is None:
-                gram = np.diag(sizes)
-            else:
-                smooth = self._at(discrepancy)[c]
-                ff, size = smooth.at(w)
-                fa, fb = size[:, None] * smooth.along[:, kept], size * smooth.of_photo
-                gram, moment, energy = -product(fa.T, fa), moment - fb @ fa, energy - fb @ fb
-                np.einsum("ii->i", gram)[:] += sizes
-                log_determinant += 0.5 * float(np.log1p(ff).sum())
+            if self._smooth is None:  # the axes themselves, of which those that say something
+                told = sizes > NEGLIGIBLE
+                size = np.sqrt(sizes[told])
+                root.append(size[:, None] * axes[told])
+                target.append(moment[told] / size)
+                rest += max(float(energy - target[-1] @ target[-1]), 0.0)
+                continue
+            smooth = self._at(discrepancy)[c]
+            ff, size = smooth.at(w)
+            fa, fb = size[:, None] * smooth.along[:, kept], size * smooth.of_photo
+            gram, moment, energy = -product(fa.T, fa), moment - fb @ fa, energy - fb @ fb
+            np.einsum("ii->i", gram)[:] += sizes
+            log_determinant += 0.5 * float(np.log1p(ff).sum())
             lower, order, rank, _ = lapack.dpstrf(gram.T, lower=1, tol=NEGLIGIBLE, overwrite_a=1)
             upper, order = np.triu(lower.T[:rank]), order - 1
             root.append(product(upper, axes[order]))

@@ -39,6 +39,8 @@ SHOWN_PLAIN = (  # of which the library has nothing
     *("plain/metal-yellow", "plain/metal-white", "plain/matte-teal", "plain/matte-yellow"),
 )
 SHOWN_MIRRORS, MIRROR = ("plain/mirror-white", "plain/mirror-grey"), "reference/chrome"
+# white paint is white paint, by whichever name; and no mirror
+PLAIN_CLASSES = {"reference/white-diffuse": "matte", "surface/matte": "matte", "reference/chrome": "mirror"}
 RESOLUTION, SAMPLES = 256, 64
 BINS = 10  # of the calibration
 PICTURES = ROOT / "docs" / "results" / "images"
@@ -111,7 +113,8 @@ def answers(seen, model: str | None = None) -> list[dict]:
 
 
 def of_class(name: str) -> str:
-    return name.split("/")[0]
+    """The class of a material; of references and of surfaces alike all over, what they are like."""
+    return PLAIN_CLASSES.get(name) or name.split("/")[0]
 
 
 def judge(answers, title: str) -> dict:

@@ -52,9 +52,6 @@ def test_each_search_begins_where_it_is_told_and_ends_by_its_own_rounds(photos, 
         solve_abreast(photos, model, white=white, v=v, steps=(STEPS, STEPS)), photos, white, v, strict=True
     ):
         same(found, solve(photo, model, white=start[0], v=start[1], rounds=2))
-    few = solve_abreast(photos, model, white=white, v=v, steps=(3,))
-    for found, photo, *start in zip(few, photos, white, v, strict=True):
-        same(found, solve(photo, model, white=start[0], v=start[1], rounds=1, steps=3))
 
 
 def test_some_steps_from_another_basis_lead_as_far_as_a_search_of_so_many(photos):
