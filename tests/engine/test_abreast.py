@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Many lights at once are those that are found one by one, by other loops and other arrays."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import Basis, Photograph
 from btfsep_engine.fit.search import STEPS, solve
 from btfsep_engine.light.log_field import natural_field
+from btfsep_engine.pipeline import verification
+from btfsep_engine.pipeline.verification import NEARBY, Verification, lights_from
 from tests.engine.half_sphere import SUN, even, half_sphere, lamp, shown, side_light
 
 
@@ -30,6 +34,7 @@ def photos(rng) -> list[Photograph]:
 
 def same(found, wanted) -> None:
     assert found.evidence == pytest.approx(wanted.evidence, abs=0.1)  # where a search stops, rounding has a say
+    assert abs(found.steps - wanted.steps) <= 1
     np.testing.assert_allclose(found.x, wanted.x, atol=5e-3 * np.abs(wanted.x).max())
     np.testing.assert_allclose(found.v, wanted.v, rtol=5e-3)
     assert found.slopes.shape == wanted.slopes.shape and found.small_factor.shape == wanted.small_factor.shape
@@ -62,3 +67,25 @@ def test_some_steps_from_another_basis_lead_as_far_as_a_search_of_so_many(photos
         np.testing.assert_allclose(white[i], wanted.white, atol=2e-3 * np.abs(wanted.white).max())
         np.testing.assert_allclose(x[i], wanted.x, atol=2e-3 * np.abs(wanted.x).max())
         np.testing.assert_allclose(v[i], wanted.v)
+
+
+def test_of_a_plain_kind_the_likelier_stands():
+    rough, smooth = (SimpleNamespace(evidence=value, colour=np.ones(3)) for value in (-5.0, -3.0))
+    kind = Verification.plain(None, "surface/metal", [("rough", rough), ("smooth", smooth)], None, None)
+    assert (kind.material, kind.explained, kind.evidence) == ("smooth", smooth, -3.0)
+
+
+def test_candidates_lights_are_those_that_are_found_one_after_the_other(photos, monkeypatch):
+    """Each candidate's misfit goes by its own light, a few steps from the first one's."""
+    monkeypatch.setattr(verification, "SEARCHED", (STEPS, STEPS))
+    other = solve(photos[0], LightModel(natural_field()))
+    together = lights_from(other, photos[1:])
+    for photo, found in zip(photos[1:], together, strict=True):
+        near = solve(photo, other.model, white=other.white, v=other.v, rounds=1, steps=NEARBY)
+        photo.learn_from(near.x)
+        wanted = solve(photo, other.model, white=near.white, v=near.v, rounds=2)
+        assert found.evidence == pytest.approx(
+            wanted.evidence, abs=1.0
+        )  # its first noise is found from a rougher light
+        np.testing.assert_allclose(found.x, wanted.x, atol=0.05 * np.abs(wanted.x).max())
+    assert lights_from(other, []) == []
