@@ -208,3 +208,22 @@ def test_light_of_any_strength_that_reaches_nothing_is_not_believed(monkeypatch)
     found = estimated(photographed(positive_light(2), evidence=True))
     assert found.choice["ground"].startswith("not used as evidence: its light would be 4 times")
     assert np.array_equal(found.fit.all_coefficients, plain.fit.all_coefficients) and found.light.alone is None
+
+
+def test_a_light_farther_from_the_objects_own_than_was_expected_is_stated_wider(monkeypatch):
+    job = photographed(positive_light(2), evidence=False)
+    found = by_itself(job)
+    assert found.choice["ground"].endswith("(its colour is free)")
+    expected = shown_error(found.light.alone)["order_2"]["median"]
+
+    def where_it_lies(apart: float, far: float):
+        monkeypatch.setattr(ground, "_apart", lambda *_: apart)
+        monkeypatch.setattr(ground, "FAR", far)
+        return by_itself(job)
+
+    surprising = where_it_lies(2.5 * expected, expected)
+    assert f"differs by {250 * expected:.0f} %" in surprising.choice["ground"]
+    before, stated = (shown_error(each.fit)["order_2"]["median"] for each in (found, surprising))
+    assert min(2.5 * expected, 4 * before) == pytest.approx(stated, rel=0.15)
+    for usual in ((1.5 * expected, expected), (2.5 * expected, 3 * expected)):
+        assert "differs by" not in where_it_lies(*usual).choice["ground"]

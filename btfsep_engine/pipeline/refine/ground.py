@@ -5,6 +5,7 @@ What the objects say stands: the ground's shadows are fitted beside them (`fit.g
 and the answer is taken unless it explains the objects far worse. It may be matte, satin, or as rough as the job says:
 that under which objects and ground are the most probable. Nobody has said that it is of one colour: where the light
 does not explain all that it shows, it counts for less, the further what is left over goes together from place to place.
+Where its light lies farther from the objects' own than was to be expected, one of them is wrong, and that is stated.
 """
 
 from dataclasses import dataclass, replace
@@ -40,6 +41,8 @@ SURELY = 0.035
 PATTERN = 0.15  # from so much on a ground has a pattern; of less, others' shadows are as likely
 FAINTEST = 0.5  # of its square, times the places that count as one: more says nothing of the light
 WORTH, WIDEST = 1.1, 4.0  # times what is stated, of a light that a ground which was not used speaks against
+# A ground's light that lies so far from the objects' own is a surprise: times what was stated of that; of all light.
+SURPRISING, FAR = 2.0, 0.1
 MATTE, SATIN = 1.0, 0.5  # roughnesses that are tried beside its own; the second is that of a new Blender material
 WHITE = Lambertian("ground/white", np.ones(3))
 
@@ -239,12 +242,14 @@ def _beside(model, light, chosen, asked: bool) -> tuple:
         light, words = _disagreed(light, fit)
         return light, f"not used as evidence: it speaks against the objects{words}"
     why = f"used as evidence: the light explains what is seen of it but for {100 * unexplained(fit):.0f} %"
-    used = replace(light, fit=fit, alone=light.fit)
-    if alike == 1:
-        return used, f"{why} (its colour is free)"
-    words = ""
-    if noise < PATTERN:
+    used, words = replace(light, fit=fit, alone=light.fit), ""
+    if 1 < alike and noise < PATTERN:
         used, words = _disagreed(used, whole)
+    apart = _apart(light.fit, fit)
+    if not words and apart > FAR and apart > SURPRISING * _stated(light.fit):
+        used, words = _disagreed(used, light.fit)
+    if alike == 1:
+        return used, f"{why} (its colour is free){words}"
     return used, f"{why}, a pattern or others' shadows, of which {alike:.0f} places count as one{words}"
 
 
@@ -254,16 +259,28 @@ def unexplained(fit) -> float:
 
 
 def _disagreed(light, fit) -> tuple:
-    """A light of which is stated that it errs as much as it differs from ``fit``, that of a ground which was not used.
+    """A light of which is stated that it errs as much as it differs from ``fit``, the one that was not taken.
 
     Gives the SolvedLight, and words to add.
     """
     if light.fit.samples is None:
         return light, ""
-    apart = expected_error(fit.shown, light.fit.shown[None])["order_2"]["median"]
-    stated = shown_error(light.fit) or expected_error(light.fit.all_coefficients, light.fit.samples)
-    factor = min(apart / max(stated["order_2"]["median"], 1e-9), WIDEST)
+    apart = _apart(light.fit, fit)
+    factor = min(apart / max(_stated(light.fit), 1e-9), WIDEST)
     if factor < WORTH:
         return light, ""
     words = f"; its light differs by {100 * apart:.0f} %, what is known of light is stated {factor:.1f} times as wide"
     return replace(light, fit=widened(light.fit, factor)), words
+
+
+def _apart(fit, other) -> float:
+    """The error up to order 2 of one Fit's light, were the ``other``'s the true one."""
+    return expected_error(other.shown, fit.shown[None])["order_2"]["median"]
+
+
+def _stated(fit) -> float:
+    """The error up to order 2 that is stated of a Fit's light; infinite where nothing is."""
+    if fit.samples is None:
+        return np.inf
+    stated = shown_error(fit) or expected_error(fit.all_coefficients, fit.samples)
+    return stated["order_2"]["median"]
