@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The most probable lights of many small problems at once: what `fit.search` finds of each, for a third of the time.
+"""The most probable lights of many small problems at once: what `fit.search` finds of each, in less time.
 
 Of basis images of a low order, steps are small, and what one costs is what every NumPy call costs. Here all problems
 take their steps together: their rows stand in one array, padded with rows of zeros, which say nothing. Each has its own
