@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from btfsep_engine import sh
 from btfsep_engine.fit.colour import DYE
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.log_normal import SAMPLES, LightSolver
@@ -23,7 +24,8 @@ def pictured(rng, pixels=120):
     white = rng.normal(size=field.unknowns)
     white[0] = 0
     of_light = np.array([0.05, 0.02]) * rng.normal(size=2)
-    white[[169, 218]] = 0  # the light's own tint is that of lamps and skies in the mean
+    of_l, of_chroma = (sh.term_count(n) for n in (field.order, field.chroma_order))
+    white[[of_l, of_l + of_chroma]] = 0  # the light's own tint is that of lamps and skies in the mean
     x = project(lambda d: field.at(white, d)) * np.exp(CHROMA[:, 1:] @ of_light)
     basis, normals, _ = half_sphere(rng, pixels=pixels, albedo=(0.5,) * 3)
     solver = LightSolver(basis, normals=normals, order=2)
@@ -80,7 +82,8 @@ def test_laplaces_samples_are_near_those_of_the_exact_posterior(seed):
     reflectance's tenth, are wide.
     """
     rng, full = np.random.default_rng(seed), natural_field()
-    sizes = np.cumsum([0, 169, 49, 49])
+    of_l, of_chroma = (sh.term_count(n) for n in (full.order, full.chroma_order))
+    sizes = np.cumsum([0, of_l, of_chroma, of_chroma])
     parts = [np.arange(start, start + n) for start, n in zip(sizes[:3], (16, 4, 4), strict=True)]
     kept = np.concatenate(parts)
     small = LogField(3, 1, full.deviation[kept], full.mean[kept])

@@ -23,6 +23,8 @@ from scripts.studies import parser, tables
 
 CELLS = 600
 ORDER = 14  # of the expansion: 225 terms of 600 values
+CHROMA_ORDER = 6  # up to which chroma is fitted
+JUDGED = 12, CHROMA_ORDER  # orders up to which a map is judged
 DARKEST = 1e-4  # of the mean radiance: a map's black is not minus infinity
 NAMES = ("luminance", "red_blue", "green")
 TO_FIELDS = np.linalg.inv(log_field.CHROMA)
@@ -50,7 +52,7 @@ def learn(found) -> dict:
         centred[:, 0, d * d + d] -= value
     table: dict = {"zonal_mean": zonal}
     for i, name in enumerate(NAMES):
-        fitted = np.arange(1, ORDER if i == 0 else log_field.CHROMA_ORDER)
+        fitted = np.arange(1, ORDER if i == 0 else CHROMA_ORDER)
         power = np.array([np.mean(centred[:, i, l == d] ** 2) for d in fitted])
         slope, offset = np.polyfit(np.log(fitted), 0.5 * np.log(power), 1)
         level = float(np.sqrt(np.mean(found[:, i, 0] ** 2)))
@@ -60,7 +62,7 @@ def learn(found) -> dict:
 
 def log_likelihood(table: dict, expansion) -> float:
     """Of one map's expansion, without the level of its luminance, per term."""
-    prior = log_field.build(table)
+    prior = log_field.build(table, order=JUDGED[0], chroma_order=JUDGED[1])
     ends = np.cumsum([sh.term_count(prior.order), sh.term_count(prior.chroma_order)])
     total, count = 0.0, 0
     for i, (s, m) in enumerate(zip(np.split(prior.deviation, ends), np.split(prior.mean, ends), strict=True)):
