@@ -98,13 +98,12 @@ def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer):
         assert (near.speaks_for_nearness(scene, far_answer.fit, explained - left, direction) > 0) == speaks
 
 
-def test_what_was_found_before_stays_taken_off_and_no_more_is_than_the_lamp_sends(far_answer, monkeypatch):
-    monkeypatch.setattr(near, "TURNS", 1)
+def test_what_was_found_before_stays_taken_off_and_no_more_is_than_the_lamp_sends(far_answer):
     scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
     fit = fit if fit.election.found else far_answer.light.solver.with_lamp(fit)
     lamp, others = fit.election.found[0], np.random.default_rng(0).uniform(0, 0.01, scene.photo.shape)
     direction, irradiance = fit.election.lamps[lamp]
-    alone, beside = (scene.place(lamp, 4 * direction, 0.1, fit, o).correction for o in (0.0, others))
+    alone, beside = (scene.place(lamp, 4 * direction, 0.1, fit, o, turns=1).correction for o in (0.0, others))
     np.testing.assert_allclose(beside - alone, others, atol=1e-12)
     np.testing.assert_allclose(alone, np.exp(0.1) * irradiance * scene.nearness(4 * direction))
 
@@ -114,7 +113,9 @@ def test_a_place_that_explains_less_than_afar_is_not_followed(far_answer, monkey
     scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
     fit = fit if fit.election.found else far_answer.light.solver.with_lamp(fit)
 
-    def place(self, lamp, away, more, start, others):  # all explain as much, or less by what a place may be brighter
+    def place(
+        self, lamp, away, more, start, others, *, turns=2
+    ):  # all explain as much, or less by what a place may be brighter
         return near.Place(lamp, away, more + less, start, np.zeros_like(scene.photo))
 
     monkeypatch.setattr(near.Photographed, "place", place)

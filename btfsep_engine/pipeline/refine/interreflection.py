@@ -23,7 +23,7 @@ from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine.surroundings import by_photo
 from btfsep_engine.pipeline.scene import BRIGHTEST, PreparedScene
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES, Settings
-from btfsep_engine.pipeline.together import all_weights, stacked
+from btfsep_engine.pipeline.together import stacked
 from btfsep_engine.render.radiosity import diffuse_albedo
 from btfsep_engine.render.sampling import NORMAL_WEIGHT, spread
 from btfsep_engine.render.surface import SurfacePoints
@@ -169,8 +169,8 @@ def own_light(model, light, *, bounces: int) -> OwnLight:
     if share > WORTH:
         return OwnLight(True, bound, share)
     rest = measured - added
-    if light.solver:  # of the same model, from its light on
-        again = light.solver.solve(rest, weights=all_weights(problems), start=fit)
+    if light.solver:  # so little was taken off that its own slopes lead to the answer
+        again = light.solver.again(rest, fit, fit)
     else:
         basis, blocks = stacked([p.up_to(light.order) for p in problems])
         again = solve(basis, rest, blocks=blocks)

@@ -95,10 +95,10 @@ class Photographed:
         solver = self.light.solver
         return solver.solve(self.photo - correction, weights=self.weights, start=start, beside=self.light.fit)
 
-    def place(self, lamp: int, away, more: float, start: Fit, others) -> Place:
+    def place(self, lamp: int, away, more: float, start: Fit, others, *, turns: int = TURNS) -> Place:
         """A lamp at a place; ``others`` (p, 3): the nearness of those that were found before."""
         fit, of_one = start, self.nearness(away)
-        for _ in range(TURNS):
+        for _ in range(turns):
             correction = others + np.exp(more) * fit.election.lamps[lamp][1] * of_one
             rest = self.photo - correction if self.weights is None else self.weights * (self.photo - correction)
             if rest.sum(0).max() <= 0:
@@ -210,13 +210,15 @@ def search(scene: Photographed, lamp: int, start: Fit, others) -> Place:
     """The most probable place of a lamp, from the best of a few distances on, if one is better than afar."""
     tried, fit = [], start
     for radii in RADII:
-        tried.append(scene.place(lamp, radii * fit.election.lamps[lamp][0], MORE, fit, others))
+        tried.append(scene.place(lamp, radii * fit.election.lamps[lamp][0], MORE, fit, others, turns=1))
         fit = tried[-1].fit
         if len(tried) > 1 and tried[-1].evidence < tried[-2].evidence:
             break
     best = max(tried, key=lambda p: p.evidence)
     # where a lamp is believed, the best of these explains the photo clearly better already
-    return best if best.evidence < start.election.evidence_of_photo else followed(scene, best, others)
+    if best.evidence < start.election.evidence_of_photo:
+        return best
+    return followed(scene, scene.place(lamp, best.away, MORE, best.fit, others), others)
 
 
 def followed(scene: Photographed, at: Place, others) -> Place:

@@ -31,9 +31,13 @@ def painted_surfaces(model, light):
     with model.reporter.stage("fit"):
         seen = [pieces(p)[:, :, None] * p.predicted(light.fit.shown)[:, None] for p in model.problems]
         settings = replace(model.settings, order=light.order)
-        tried = [model.changed(lambda p, s, a=a: replace(p.beside(a * s), painted=True), seen) for a in AMOUNTS]
-        fits = [followed(each.problems, light, settings) for each in tried]
-    painted, fit = max(zip(tried, fits, strict=True), key=lambda each: each[1].evidence)
+        painted, fit = model, light.fit
+        for amount in AMOUNTS:
+            trial = model.changed(lambda p, s, a=amount: replace(p.beside(a * s), painted=True), seen)
+            answer = followed(trial.problems, light, settings)
+            if answer.evidence < fit.evidence:  # where a little paint explains nothing, more does not
+                break
+            painted, fit = trial, answer
     if fit.evidence < light.fit.evidence + CLEARLY:
         return model, light, {}
     return painted, replace(light, fit=fit), {"paint": FOUND}
