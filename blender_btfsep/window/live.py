@@ -114,8 +114,8 @@ class Follower:
         if asked == WHOLE:
             return request.engine_arguments("estimate", folder, scene, "--out", folder / "result")
         _recognised(scene, folder)
-        # what takes longest, and comes with the preset a moment later
-        given = ("--out", folder / "draft", "--no-report", "--align", "never", "--departures", "never")
+        # what the photo may ask for beside comes with the preset a moment later
+        given = ("--out", folder / "draft", "--no-report", "--align", "never", "--refine", "least")
         return request.engine_arguments("estimate", folder, scene, *given, options=argparse.Namespace(preset=DRAFT))
 
     def _written(self):

@@ -39,8 +39,7 @@ def strengths(scenes: list[PreparedScene], settings: Settings) -> tuple:
     """
     if not any(moves_tones(scene.job) for scene in scenes):
         return (None,)
-    in_haste = settings.refine == "quick" and settings.departures == "never"
-    return (USUAL,) if in_haste or settings.estimator != "map" else tuple(STRENGTHS)
+    return (USUAL,) if settings.refine == "least" or settings.estimator != "map" else tuple(STRENGTHS)
 
 
 def with_tones_undone(scene: PreparedScene, strength: float | None) -> PreparedScene:

@@ -27,7 +27,8 @@ BEST_ORDER = "the highest of which the photo determines something; with least-sq
 DEPARTURES = "Rougher and glossier materials than an object's are tried where the photo asks for them"
 REFINE = (
     "What the photo may ask for beside the simplest model is looked at: all of it, or (quick) not what takes long and "
-    "seldom moves the light: lamps sharper than the harmonics, lamps nearby, things in front, haze"
+    "seldom moves the light: lamps sharper than the harmonics, lamps nearby, things in front, haze; or (least) light "
+    "between surfaces alone"
 )
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
 ALIGN = (
@@ -195,7 +196,7 @@ class FitSettings(Seeded):
     sun: tuple | None = setting(None, SUN, kind=Angles, many=True, unit="elevation,azimuth[,accuracy]")
     key_light: str = setting("auto", LAMPS, choices=("auto", "never"))
     departures: str = setting("auto", DEPARTURES, choices=("auto", "never"))
-    refine: str = setting("all", REFINE, choices=("all", "quick"))
+    refine: str = setting("all", REFINE, choices=("all", "quick", "least"))
 
     @property
     def fit_order(self) -> int:

@@ -106,7 +106,7 @@ def test_of_which_photos_tones_were_moved(told, moved):
     tried = strengths([SimpleNamespace(job=job(stated="linear")), scene], choose("draft"))
     assert tried == ((USUAL, 0.0, 0.6) if moved else (None,))
     usual = (USUAL,) if moved else (None,)
-    assert strengths([scene], choose("paper")) == strengths([scene], choose("draft", departures="never")) == usual
+    assert strengths([scene], choose("paper")) == strengths([scene], choose("draft", refine="least")) == usual
     if not moved:
         assert with_tones_undone(scene, USUAL) is scene
     assert with_tones_undone(scene, None) is scene

@@ -56,7 +56,7 @@ def used_as_evidence(job, settings) -> list[int]:
 
 def tried_as_evidence(scene, settings) -> list[int]:
     """Of those that nobody asks for and that may be matte or plastic, the number of that of which most is seen."""
-    if settings.evidence != "auto" or settings.refine == "quick":
+    if settings.evidence != "auto" or settings.refine != "all":
         return []
     job, count = scene.job, len(scene.job.objects)
     plain = [k for k, o in enumerate(job.occluders) if o.surface is None or replace(o.surface, image=None).plain]
