@@ -113,9 +113,8 @@ def test_a_place_that_explains_less_than_afar_is_not_followed(far_answer, monkey
     scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
     fit = fit if fit.election.found else far_answer.light.solver.with_lamp(fit)
 
-    def place(
-        self, lamp, away, more, start, others, *, turns=2
-    ):  # all explain as much, or less by what a place may be brighter
+    def place(self, lamp, away, more, start, others, *, turns=2):
+        """All explain as much, or less by what a place may be brighter."""
         return near.Place(lamp, away, more + less, start, np.zeros_like(scene.photo))
 
     monkeypatch.setattr(near.Photographed, "place", place)
