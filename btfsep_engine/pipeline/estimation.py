@@ -201,12 +201,12 @@ MORE = (
     ground,
     other_curves,
 )
-LEFT_OUT = {"all": (), "quick": SLOW, "least": (*SLOW, *MORE)}
 
 
 def refinements_of(settings: Settings, of=REFINEMENTS) -> tuple:
     """Those of some refinements that the settings ask for."""
-    return tuple(r for r in of if r not in LEFT_OUT[settings.refine])
+    left_out = {"all": (), "quick": SLOW, "least": (*SLOW, *MORE)}[settings.refine]
+    return tuple(r for r in of if r not in left_out)
 
 
 def estimate(scene: PreparedScene, library, settings: Settings, **how) -> Estimate:

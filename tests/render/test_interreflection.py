@@ -90,6 +90,19 @@ def test_little_that_moves_the_estimate_is_modelled_all_the_same():
     assert found.modelled and found.share < interreflection.WORTH and found.change > interreflection.MOVES
 
 
+def test_what_it_moves_is_what_a_fit_of_the_rest_says(monkeypatch):
+    """By the light's own slopes it is known at a part of the time."""
+    problem = photographed([bowl()], [DARK])
+    light = fit_together([problem], STRAIGHT)
+    rests, again = [], light.solver.again
+    monkeypatch.setattr(light.solver, "again", lambda rest, *fits: rests.append(rest) or again(rest, *fits))
+    found = own_light(Model(STRAIGHT, {"mean": [problem]}), light, bounces=20)
+    (rest,) = rests
+    anew = light.solver.solve(rest, weights=problem.weights, start=light.fit)
+    moved = np.abs(anew.coefficients - light.fit.coefficients) / light.fit.stddev
+    assert found.change == pytest.approx(moved.max(), rel=0.1)
+
+
 def test_modelling_it_takes_the_error_away():
     problem = photographed([bowl()], [BRIGHT])
     fit, after = (fit_together([p], STRAIGHT).fit for p in (problem, with_own_light(problem, MODELLED)))

@@ -123,6 +123,22 @@ def test_a_place_that_explains_less_than_afar_is_not_followed(far_answer, monkey
     assert (found == "followed") is is_followed
 
 
+def test_how_bright_a_lamp_is_is_settled_at_the_best_distance_alone(far_answer, monkeypatch):
+    scene, fit, asked = near.Photographed(far_answer.model, far_answer.light), far_answer.fit, []
+    fit = fit if fit.election.found else far_answer.light.solver.with_lamp(fit)
+
+    def place(self, lamp, away, more, start, others, *, turns=2):
+        asked.append((round(float(np.linalg.norm(away)), 6), turns))
+        better = {8.0: 0.0, 4.0: -5.0, 2.0: 5.0}[asked[-1][0]]  # 4 is the best
+        return near.Place(lamp, away, near.MORE + better * 0.1, start, np.zeros_like(scene.photo))
+
+    monkeypatch.setattr(near, "MORE", 0.0)
+    monkeypatch.setattr(near.Photographed, "place", place)
+    monkeypatch.setattr(near, "followed", lambda scene, at, others: at)
+    assert near.search(scene, fit.election.found[0], fit, 0.0).radii == pytest.approx(8)
+    assert asked == [(8.0, 1), (4.0, 1), (8.0, 2)]
+
+
 def test_a_place_is_believed_where_the_evidence_is_clear_and_of_a_depth_clearer(far_answer, monkeypatch):
     assert near.Photographed(far_answer.model, far_answer.light).clearly == near.CLEARLY
     (problem,) = far_answer.model.problems

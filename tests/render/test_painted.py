@@ -89,6 +89,16 @@ def test_what_is_as_it_was_told_is_not_painted_even_where_that_is_asked(photogra
     assert "paint" not in found_of(scene, image).choice
 
 
+@pytest.mark.parametrize(("painted_so", "trials"), [(False, 1), (True, 2)])
+def test_much_paint_is_tried_where_a_little_explains_something(photographed, monkeypatch, painted_so, trials):
+    asked, followed = [], painted.followed
+    monkeypatch.setattr(painted, "MUCH", 0.0)
+    monkeypatch.setattr(painted, "followed", lambda *how: asked.append(1) or followed(*how))
+    scene, image, _ = photographed
+    found_of(scene, painted_over(image, 0) if painted_so else image)
+    assert len(asked) == trials
+
+
 def test_each_of_several_objects_has_pieces_of_its_own():
     balls = [trimesh.creation.icosphere(3, r).apply_translation((x, 0, 0)) for r, x in ((0.45, -0.3), (0.25, 0.5))]
     scene = scene_of(job_of([as_mesh(ball) for ball in balls], looking_down()))

@@ -268,6 +268,18 @@ def test_a_draft_does_not_look_for_shadows_and_says_so(things):
     assert SHADOW not in found.choice and "shadows" in found.choice["refine"]
 
 
+def test_the_least_is_light_between_surfaces_and_what_is_said_and_kept_of_it(things):
+    few = replace(SETTINGS, refine="least")
+    asked = [r.__name__ for r in refinements_of(few)]
+    assert {"light_between_surfaces", "each_object_by_itself", "key_lights", "look_alike", "misplaced"} <= set(asked)
+    assert not {"in_parts", "painted_surfaces", "shifted", "ground", "other_curves", "finished"} & set(asked)
+    assert [r for r in refinements_of(replace(SETTINGS, refine="quick")) if r.__name__ in asked] == [
+        *refinements_of(few)
+    ]
+    found = estimate(photo_of(things, shaded(things)), open_library(None), few)
+    assert found.choice["refine"].startswith("least") and not {SHADOW, "shift", "near"} & set(found.choice)
+
+
 def test_a_shadow_in_several_exposures_is_taken_off_in_each(things):
     """Each half of the objects is in the shadow once."""
     photos = [shaded(things), 2 * (things.sky + ~things.half * things.lamp)]
