@@ -273,9 +273,8 @@ def test_the_least_is_light_between_surfaces_and_what_is_said_and_kept_of_it(thi
     asked = [r.__name__ for r in refinements_of(few)]
     assert {"light_between_surfaces", "each_object_by_itself", "key_lights", "look_alike", "misplaced"} <= set(asked)
     assert not {"in_parts", "painted_surfaces", "shifted", "ground", "other_curves", "finished"} & set(asked)
-    assert [r for r in refinements_of(replace(SETTINGS, refine="quick")) if r.__name__ in asked] == [
-        *refinements_of(few)
-    ]
+    quick = refinements_of(replace(SETTINGS, refine="quick"))
+    assert [r for r in quick if r.__name__ in asked] == [*refinements_of(few)]
     found = estimate(photo_of(things, shaded(things)), open_library(None), few)
     assert found.choice["refine"].startswith("least") and not {SHADOW, "shift", "near"} & set(found.choice)
 
