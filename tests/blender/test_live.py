@@ -83,6 +83,7 @@ def test_a_draft_comes_at_once_and_the_preset_when_all_is_quiet(photographed, as
     follow()
     assert presets(asked) == ["draft", "balanced"] and "--no-report" not in asked[1]
     assert ["never" in arguments for arguments in asked] == [True, False]  # what takes long comes with the preset
+    assert ["least" in arguments for arguments in asked] == [True, False]
     assert photographed.world == made and made.node_tree.nodes[0].node_tree == group  # in place
     assert coefficients(made) == [tuple(row) for row in LIGHTING["coefficients"]] and world.is_ours(made)
     follow()
