@@ -32,11 +32,9 @@ from btfsep_engine.linear_algebra import product
 
 TABLE = Path(__file__).resolve().parents[1] / "data" / "natural_log_light.json"
 CHROMA = np.array([[1, 1 / 2, -1 / 3], [1, 0, 2 / 3], [1, -1 / 2, -1 / 3]])  # V: channels over (l, c1, c2)
-# Finer than the fit's order can tell. With orders 12 and 6 and 400 directions an estimate takes a tenth longer, and
-# errs as much: of 118 photographs (real, displaced, plates) 1.00 to 1.03 times; with 9, 4 and 256 a real one errs twice
-DIRECTIONS = 300  # 12 degrees apart: the fit's order 9 has 20
-FIELD_ORDER = 10  # of l
-CHROMA_ORDER = 5
+DIRECTIONS = 400  # 10 degrees apart: the fit's order 9 has 20
+FIELD_ORDER = 12  # of l: finer than the fit's order can tell
+CHROMA_ORDER = 6
 LARGEST_ORDER = 9  # of the light's coefficients that a fit can have
 AMPLITUDE = 1.4  # of l over the maps' own: seven maps hold no room with one lamp
 LEVEL = 3.0  # standard deviation of the level's logarithm: unknown

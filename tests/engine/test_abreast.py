@@ -34,7 +34,7 @@ def photos(rng) -> list[Photograph]:
 
 def same(found, wanted) -> None:
     assert found.evidence == pytest.approx(wanted.evidence, abs=0.1)  # where a search stops, rounding has a say
-    assert abs(found.steps - wanted.steps) <= 3
+    assert abs(found.steps - wanted.steps) <= 1
     np.testing.assert_allclose(found.x, wanted.x, atol=5e-3 * np.abs(wanted.x).max())
     np.testing.assert_allclose(found.v, wanted.v, rtol=5e-3)
     assert found.slopes.shape == wanted.slopes.shape and found.small_factor.shape == wanted.small_factor.shape
