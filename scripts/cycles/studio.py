@@ -193,6 +193,16 @@ def add_ball(place, radius: float, radiance: float) -> bpy.types.Object:
     return _unseen(bpy.context.object, materials.shaded("lamp", "ShaderNodeEmission", Strength=radiance)[0])
 
 
+def add_box(corners, radiance) -> bpy.types.Object:
+    """A square of ``corners`` (4, 3), in turn, that shines with ``radiance`` (3,), unseen by the camera."""
+    mesh, strongest = bpy.data.meshes.new("softbox"), max(radiance)
+    mesh.from_pydata(np.asarray(corners).tolist(), [], [(0, 1, 2, 3)])
+    box = bpy.data.objects.new("softbox", mesh)
+    bpy.context.collection.objects.link(box)
+    colour = (*(np.array(radiance) / strongest), 1)
+    return _unseen(box, materials.shaded("lamp", "ShaderNodeEmission", Strength=strongest, Color=colour)[0])
+
+
 def add_wall(place, edge: float, colour) -> bpy.types.Object:
     """A matte square at ``place`` that faces the origin, unseen by the camera."""
     turn = (-Vector(place)).to_track_quat("Z", "Y").to_euler()

@@ -4,6 +4,7 @@
 import numpy as np
 
 from btfsep_engine import sh
+from btfsep_engine.conventions import across
 from scripts.cycles import plain
 from scripts.cycles.lights import studio_lights, true_lighting
 
@@ -35,6 +36,8 @@ SETS = {
     "covered again": 208,
     "patterned": 209,
     "patterned again": 210,
+    "softboxes": 211,
+    "softboxes again": 212,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -63,6 +66,11 @@ PAINT, IN_THE_DARK = (0.3, 0.8), 0.5  # how much of a piece's colour is the pain
 COVERS = ("fingers", "leaves")  # what is before a part of the object
 PATTERNS, PATTERN = ("planks", "tiles", "checks", "marble", "speckles"), (0.02, 0.12)  # of tables; metres
 SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
+# Of softboxes: how many at most; metres from the object's middle; their edge over that; how warm or cold; the light of
+# further ones over the first one's
+BOXES, AWAY, EDGE, WARM, FILL = 3, (0.3, 1.2), (0.2, 0.7), 0.15, (0.2, 0.8)
+PATCHES = 24  # of a softbox, a side: of its integral
+ROOM = (0.03, 0.3)  # their plates' other light, times what it is
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
@@ -201,6 +209,42 @@ def patterned(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def under_boxes(plates: list[dict], seed: int) -> list[dict]:
+    """The plates under one to three softboxes that stand near, in place of the sun, and dim light."""
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        count, usual = int(random.integers(1, BOXES + 1)), np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
+        boxes = []
+        for i in range(count):
+            azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.4, 1.2)
+            to_camera = abs(np.sin(azimuth)) if i < 2 else np.sin(azimuth)
+            towards = [np.cos(azimuth) * np.cos(height), -to_camera * np.cos(height), np.sin(height)]
+            distance, edge = float(np.exp(random.uniform(*np.log(AWAY)))), float(random.uniform(*EDGE))
+            irradiance = random.uniform(*STRONG) * 2 * usual * (random.uniform(*FILL) if i else 1)
+            colour = 1 + random.uniform(-WARM, WARM) * np.array([1, 0, -1])
+            radiance = (irradiance / edge**2 * colour).tolist()
+            boxes.append({"direction": towards, "distance": distance, "edge": edge * distance, "radiance": radiance})
+        kinds = [*plate["kinds"], f"{count} softbox{'es' if count > 1 else ''}"]
+        out.append(plate | {"boxes": boxes, "dimmed": random.uniform(*ROOM), "sun": None, "kinds": kinds})
+    return out
+
+
+def of_box(box: dict, across_it) -> np.ndarray:
+    """Points (n, 3) of a softbox, metres from the object's middle; ``across_it`` : (n, 2), in edges from its own."""
+    towards = np.array(box["direction"])
+    return box["distance"] * towards + box["edge"] * np.asarray(across_it) @ across(towards)
+
+
+def box_light(box: dict, order: int) -> np.ndarray:
+    """The light of a softbox at the object's middle: ((order + 1)^2, 3)."""
+    steps = (np.arange(PATCHES) + 0.5) / PATCHES - 0.5
+    points = of_box(box, np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2))
+    distance = np.linalg.norm(points, axis=1)
+    solid_angle = (box["edge"] / PATCHES) ** 2 * box["distance"] / distance**3
+    light = sh.evaluate(order, points / distance[:, None]).T @ solid_angle
+    return light[:, None] * box["radiance"]
+
+
 def by_eye(true: dict, random) -> dict:
     """A surface as a user fills it in who looks at the photo."""
     scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
@@ -255,6 +299,7 @@ def of_set(name: str, lights=None) -> list[dict]:
         "shadowed": shadowed,
         "covered": covered,
         "patterned": patterned,
+        "softboxes": under_boxes,
     }
     for kind, made_of in made.items():
         if name.startswith(kind):
@@ -270,7 +315,7 @@ def truth(plate) -> np.ndarray:
     for lamp in lamps_of(plate):
         beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
         x = x + beam[:, None] * lamp["irradiance"]
-    return x
+    return x + sum(box_light(box, 9) for box in plate.get("boxes", ()))
 
 
 def lamps_of(plate) -> list:

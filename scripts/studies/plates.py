@@ -15,7 +15,8 @@ sRGB*). Objects of the set *several* have three such materials, and are estimate
 mean*). Those of the set *stage* stand in dim light under lamps with filters of strong colours; of the sets *unsaid*,
 jobs say of the object what a user sees by eye, and nothing of what light does below its skin, of its bumps and its
 paint, nor of a lens that darkens corners, is out of focus or has glare, nor of noise; of the sets *painted*, nothing of
-a paint in pieces, half of them in the dark under lamps; of the sets *shadowed*, nothing of what keeps the sun from a
+a paint in pieces, half of them in the dark under lamps; those of *softboxes* stand under one to three of them, 0.3 to
+1.2 metres away, and the light is that at their middle; of the sets *shadowed*, nothing of what keeps the sun from a
 part of the object; of the sets *covered*, nothing of what is before a part of it. Those of *glossy tables* stand on
 such, those of *patterned* on tables of two colours, of which jobs have the mean; what shows of a table may be left
 unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*).

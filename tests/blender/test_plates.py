@@ -196,3 +196,27 @@ def test_a_painted_plate_shows_both_colours_in_pieces(tmp_path, monkeypatch):
     darker = (pictures[1] / pictures[0])[ndimage.binary_erosion(seen, iterations=2)]
     assert 0.25 < (darker < 0.5).mean() < 0.75  # half of it is painted,
     assert ((darker < 0.4) | (darker > 0.75)).mean() > 0.85  # and hardly anything is between
+
+
+def test_softboxes_stand_where_the_truth_has_them(tmp_path):
+    """What a small white ball at the middle receives from the picture's lamps is what the truth says."""
+    plates_of_set = plate_sets.of_set("softboxes")
+    assert plates_of_set == plate_sets.of_set("softboxes") != plate_sets.of_set("softboxes again")
+    assert {len(plate["boxes"]) for plate in plates_of_set} == {1, 2, 3}
+    box = {"direction": [0.6, 0.0, 0.8], "distance": 0.5, "edge": 0.2, "radiance": [3.0, 2.0, 1.0]}
+    light = plate_sets.box_light(box, 9)
+    solid_angle = 0.2**2 / 0.5**2 * (1 - 0.2**2 / 0.5**2 / 4)  # of a square, to the second order
+    np.testing.assert_allclose(np.sqrt(4 * np.pi) * light[0], solid_angle * np.array([3, 2, 1]), rtol=0.01)
+    np.testing.assert_allclose(
+        light[1:4, 0] / light[0, 0], np.sqrt(3) * np.array([0, 0.8, -0.6]), atol=0.02
+    )  # y, z, -x
+    corners = plate_sets.of_box(box, 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]))
+    np.testing.assert_allclose(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1), 0.2)
+    studio.clear()
+    there = studio.add_box(corners, box["radiance"])
+    np.testing.assert_allclose([tuple(v.co) for v in there.data.vertices], corners, atol=1e-6)
+    emission = next(n for n in there.data.materials[0].node_tree.nodes if n.type == "EMISSION").inputs
+    assert emission["Strength"].default_value * np.array(emission["Color"].default_value[:3]) == pytest.approx(
+        [3, 2, 1]
+    )
+    assert not there.visible_camera
