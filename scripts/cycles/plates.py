@@ -20,7 +20,6 @@ from blender_btfsep.scene.export import export_job
 from btfsep_engine.imaging import images
 from btfsep_engine.imaging.srgb import linear_to_srgb
 from scripts.cycles import materials, objects, studio
-from scripts.studies.plate_sets import of_box
 
 RESOLUTION, SAMPLES, FILL, TABLE = 256, 64, 0.7, 1.2  # pixels; a pixel; of the frame; metres
 BRIGHT, AT = 98, 0.9  # percentile of the pixels that is exposed so bright
@@ -134,8 +133,8 @@ def take(plate, folder: Path) -> None:
         studio.add_cover(**plate["cover"])
     positions = objects.vertex_positions(thing.data)
     for box in plate.get("boxes", ()):
-        middle, corners = (positions.min(0) + positions.max(0)) / 2, [(-1, -1), (1, -1), (1, 1), (-1, 1)]
-        studio.add_box(middle + of_box(box, 0.5 * np.array(corners)), box["radiance"])
+        middle = (positions.min(0) + positions.max(0)) / 2
+        studio.add_box(middle + np.array(box["corners"]), box["radiance"])
     table, roughness = [], plate.get("table_roughness")
     if plate["table"]:
         table.append(studio.add_table(positions[:, 2].min(), TABLE, plate["table"], roughness=roughness))

@@ -69,6 +69,7 @@ SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
 # Of softboxes: how many at most; metres from the object's middle; their edge over that; how warm or cold; the light of
 # further ones over the first one's
 BOXES, AWAY, EDGE, WARM, FILL = 3, (0.3, 1.2), (0.2, 0.7), 0.15, (0.2, 0.8)
+CORNERS = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])  # of a softbox, in its edges from its middle
 PATCHES = 24  # of a softbox, a side: of its integral
 ROOM = (0.03, 0.3)  # their plates' other light, times what it is
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
@@ -223,7 +224,8 @@ def under_boxes(plates: list[dict], seed: int) -> list[dict]:
             irradiance = random.uniform(*STRONG) * 2 * usual * (random.uniform(*FILL) if i else 1)
             colour = 1 + random.uniform(-WARM, WARM) * np.array([1, 0, -1])
             radiance = (irradiance / edge**2 * colour).tolist()
-            boxes.append({"direction": towards, "distance": distance, "edge": edge * distance, "radiance": radiance})
+            box = {"direction": towards, "distance": distance, "edge": edge * distance, "radiance": radiance}
+            boxes.append(box | {"corners": of_box(box, CORNERS).tolist()})
         kinds = [*plate["kinds"], f"{count} softbox{'es' if count > 1 else ''}"]
         out.append(plate | {"boxes": boxes, "dimmed": random.uniform(*ROOM), "sun": None, "kinds": kinds})
     return out

@@ -210,7 +210,7 @@ def test_softboxes_stand_where_the_truth_has_them(tmp_path):
     np.testing.assert_allclose(
         light[1:4, 0] / light[0, 0], np.sqrt(3) * np.array([0, 0.8, -0.6]), atol=0.02
     )  # y, z, -x
-    corners = plate_sets.of_box(box, 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]))
+    corners = plate_sets.of_box(box, plate_sets.CORNERS)
     np.testing.assert_allclose(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1), 0.2)
     studio.clear()
     there = studio.add_box(corners, box["radiance"])
