@@ -9,6 +9,7 @@ from btfsep_engine.light.files import Lighting
 
 UNKNOWN_COLOUR = 0.5  # probability, from which on it is said that the object's colour is not known
 WITHIN = np.cos(np.radians(MOUND))
+HALO = 15.0  # degrees beyond, over which what a field shows around a lamp fades into the sky
 BROAD = 30.0  # a lamp that is no sun: exp(BROAD cos), 15 degrees wide
 
 
@@ -17,18 +18,18 @@ def sky_radiance(fit: Fit, lighting: Lighting):
 
     Lamps that are no suns are broad discs; what is a lamp nearby is taken off where it is a part of the field.
     """
-    suns = [sun.direction for sun in lighting.suns]
-    kept = [lamp for lamp in fit.lamps if not any(np.allclose(lamp.direction, sun) for sun in suns)]
-    found = [lamp.direction for lamp in fit.lamps]
-    broad = [sun for sun in suns if not any(np.allclose(sun, lamp) for lamp in found)]
+    kept = [lamp for lamp in fit.lamps if not any(np.allclose(lamp.direction, sun.direction) for sun in lighting.suns)]
+    nearby, found = [sun.direction for sun in lighting.suns if sun.near], [lamp.direction for lamp in fit.lamps]
+    broad = [sun for sun in nearby if not any(np.allclose(sun, lamp) for lamp in found)]
     around = mounds(fit.election, broad, 1)
     kept = [lamp for lamp in kept if all(lamp.direction @ sun < WITHIN for sun in broad)]
 
     def radiance(directions):
         out = fit.election.radiance(directions)
         for sun, own in zip(broad, around, strict=True):
-            least = np.minimum(out, own.base * fit.tint.gain)
-            out = np.where((directions @ sun > WITHIN)[..., None], least, out)
+            beyond = np.degrees(np.arccos(np.clip(directions @ sun, -1, 1))) - MOUND
+            share = np.clip(1 - beyond / HALO, 0, 1)[..., None]
+            out = out - share * np.maximum(out - own.base * fit.tint.gain, 0)
         for lamp in kept:
             disc = np.exp(BROAD * (np.asarray(directions) @ lamp.direction - 1))  # of integral 2 pi / BROAD
             out = out + disc[..., None] * (lamp.irradiance * BROAD / (2 * np.pi))

@@ -232,11 +232,12 @@ class PreparedScene:
             return self.radiance(points, material, light, directions=INDIRECT_DIRECTIONS)[:, 0]
         out = np.zeros((len(points), 3), np.float32)
         for sun in (sun for sun in suns if sun.near):
-            place = sun.near.centre + sun.near.distance * sun.direction
-            falloff = np.square(sun.near.distance / np.linalg.norm(place - points.position, axis=1))
-            unit = self.millimetres_per_unit
-            seen = lamp_radiance(self.tracer, points, material, place, millimetres_per_unit=unit)
-            out += seen * (falloff[:, None] * sun.irradiance).astype(np.float32)
+            towards = sun.directions(SUN_DIRECTIONS)
+            for place in sun.near.centre + sun.near.distance * towards:
+                falloff = np.square(sun.near.distance / np.linalg.norm(place - points.position, axis=1))
+                unit = self.millimetres_per_unit
+                seen = lamp_radiance(self.tracer, points, material, place, millimetres_per_unit=unit)
+                out += seen * (falloff[:, None] * sun.irradiance / len(towards)).astype(np.float32)
         suns = [sun for sun in suns if not sun.near]
         beams = [sun.directions(SUN_DIRECTIONS) for sun in suns]
         strength = [np.tile(sun.irradiance / len(each), (len(each), 1)) for sun, each in zip(suns, beams, strict=True)]
