@@ -345,10 +345,30 @@ def test_of_a_metal_no_place_is_sought(far_answer, monkeypatch):
     assert "a metal shows lamps sharper" in near.near_lamps(model, light)[2]["near"]
 
 
-def test_places_that_only_make_the_light_plainer_are_not_believed(monkeypatch):
-    monkeypatch.setattr(near, "LEAVES", 0.0)
-    monkeypatch.setattr(parted, "POOR", np.inf)
-    assert "no lamp nearby explains" in estimated(photographed(2.5)[0]).choice["near"]
+@pytest.mark.parametrize(("looks", "leaves", "believed"), [(13, 1.01, 1), (13, 1.03, 0), (11, 0.99, 0), (11, 0.89, 1)])
+def test_places_that_only_make_the_light_plainer_are_not_believed(far_answer, monkeypatch, looks, leaves, believed):
+    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    found = a_placed([near.Lamp(WHERE)], fit, better=near.CLEARLY + 1)
+    found.fit.residual = leaves * fit.residual
+    found = replace(found, correction=0.0)
+    monkeypatch.setattr(near, "search", lambda scene, lamps, start: found)
+    monkeypatch.setattr(scene, "placed", lambda lamps, start, *, turns=2: found)
+    monkeypatch.setattr(scene, "solve", lambda correction, start: None)
+    for name in ("followed", "with_further", "without_idle"):
+        monkeypatch.setattr(near, name, lambda scene, at: at)
+    monkeypatch.setattr(near, "looks_near", lambda scene, lamp: looks)
+    assert (near.placed_lamps(scene, found.lamps) is not None) == bool(believed)
+
+
+def test_what_is_left_over_may_look_like_a_lamps_nearness(far_answer):
+    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    lamp = near.bright_lamps(scene)[0]
+    added = scene.placed((lamp,), fit, turns=1).correction
+    explained = far_answer.light.solver.basis.predicted(fit.shown)
+    scene.photo = explained + 2 * added
+    assert near.looks_near(scene, lamp) > near.LOOKS_NEAR
+    scene.photo = explained - added
+    assert near.looks_near(scene, lamp) == 0
 
 
 def test_a_lamp_far_away_stays_there():

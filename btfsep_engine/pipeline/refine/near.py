@@ -15,6 +15,7 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import across, fibonacci_sphere
+from btfsep_engine.fit.diagnose import effect
 from btfsep_engine.fit.near_lamp import MOUND, mounds, nearness
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Near
@@ -30,9 +31,11 @@ SPEAKS = 5.0
 # this; a lamp at 3.5 radii that gives half of the light gains 18 to 150, where the material is right. Of depths, whose
 # slopes are less sure, those of a painted owl gain 16 to 36.
 CLEARLY, OF_A_DEPTH = 20.0, 40.0  # of the logarithm of the evidence
-# Of what is left over: places that only make the light plainer are none. Where light from far away gained 20 to 90,
-# 0.95 and more was left; where softboxes stand near, 0.1 to 0.9
-LEAVES = 0.9
+# Of what is left over, at most: places that only make the light plainer are none. Where light from far away gained 20
+# to 90, 0.95 and more was left; where softboxes stand near, 0.1 to 0.9. Of gloss, whose highlights are left over either
+# way, it may be all (0.96 to 1.01 where a ball stands near), where that looks like the nearness of the brightest lamp:
+# chi^2 of one degree of freedom
+LEAVES, LEAVES_WHERE_IT_SPEAKS, LOOKS_NEAR = 0.9, 1.02, 12.0
 RADII = (8.0, 4.0, 2.0)  # of the objects: the distances that are tried first
 TURNS = 2  # of how bright the lamp is, at one place
 MOVES, WORTH = 8, 1.0  # of the place; of the logarithm of the evidence: less is no move worth taking
@@ -265,7 +268,17 @@ def placed_lamps(scene: Photographed, lamps) -> Placed | None:
     # lamps that stood in for nearness are gone from a light that is elected anew
     found = followed(scene, scene.placed(found.lamps, scene.solve(found.correction, None)))
     found = without_idle(scene, with_further(scene, found))
-    return found if found.fit.residual < LEAVES * afar.residual else None
+    most = LEAVES_WHERE_IT_SPEAKS if looks_near(scene, lamps[0]) > LOOKS_NEAR else LEAVES
+    return found if found.fit.residual < most * afar.residual else None
+
+
+def looks_near(scene: Photographed, lamp: Lamp) -> float:
+    """chi^2 of how much the misfit of the light as from afar looks like a lamp's nearness; 0: like the opposite."""
+    fit, solver = scene.light.fit, scene.light.solver
+    (own,) = scene.mounds(fit, [lamp])
+    column = solver.smoother(fit)(scene.nearness(lamp.away, own.profile)) / solver.basis.response
+    found = effect(scene.residual(fit, 0.0), column[None], scene.blocks)
+    return found.chi2 if found.size[0] > 0 else 0.0
 
 
 def with_further(scene: Photographed, found: Placed) -> Placed:
