@@ -3,19 +3,33 @@
 
 import numpy as np
 
+from btfsep_engine.fit.near_lamp import MOUND, mounds
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.files import Lighting
 
 UNKNOWN_COLOUR = 0.5  # probability, from which on it is said that the object's colour is not known
+WITHIN = np.cos(np.radians(MOUND))
+HALO = 15.0  # degrees beyond, over which what a field shows around a lamp fades into the sky
 BROAD = 30.0  # a lamp that is no sun: exp(BROAD cos), 15 degrees wide
 
 
 def sky_radiance(fit: Fit, lighting: Lighting):
-    """The fit's own positive radiance (directions (…, 3) -> (…, 3)), with the lamps that are no suns as broad discs."""
+    """The fit's own positive radiance (directions (…, 3) -> (…, 3)), without its suns.
+
+    Lamps that are no suns are broad discs; what is a lamp nearby is taken off where it is a part of the field.
+    """
     kept = [lamp for lamp in fit.lamps if not any(np.allclose(lamp.direction, sun.direction) for sun in lighting.suns)]
+    nearby, found = [sun.direction for sun in lighting.suns if sun.near], [lamp.direction for lamp in fit.lamps]
+    broad = [sun for sun in nearby if not any(np.allclose(sun, lamp) for lamp in found)]
+    around = mounds(fit.election, broad, 1)
+    kept = [lamp for lamp in kept if all(lamp.direction @ sun < WITHIN for sun in broad)]
 
     def radiance(directions):
         out = fit.election.radiance(directions)
+        for sun, own in zip(broad, around, strict=True):
+            beyond = np.degrees(np.arccos(np.clip(directions @ sun, -1, 1))) - MOUND
+            share = np.clip(1 - beyond / HALO, 0, 1)[..., None]
+            out = out - share * np.maximum(out - own.base * fit.tint.gain, 0)
         for lamp in kept:
             disc = np.exp(BROAD * (np.asarray(directions) @ lamp.direction - 1))  # of integral 2 pi / BROAD
             out = out + disc[..., None] * (lamp.irradiance * BROAD / (2 * np.pi))

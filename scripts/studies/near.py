@@ -25,7 +25,8 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine.job.load import load_job
-from btfsep_engine.pipeline.refine import near
+from btfsep_engine.pipeline.estimation import REFINEMENTS
+from btfsep_engine.pipeline.refine.near import near_lamps
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, kept, worth
 from scripts.studies.stability import NOISE, scenes
@@ -52,17 +53,13 @@ def study(setting: Setting, lamps) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         write_job(case, folder)
         job = load_job(folder)
-    row, usual = {"radii": " and ".join("far" if d is None else f"{d:g}" for d, _ in lamps)}, near.SPEAKS
+    row = {"radii": " and ".join("far" if d is None else f"{d:g}" for d, _ in lamps)}
     row |= {"scene": setting.scene.name, "light": setting.light, "lamps": []}
-    try:
-        for name, speaks in (("", usual), ("far ", np.inf)):
-            near.SPEAKS = speaks
-            found = estimated(job, case.material)
-            row |= {name + k: v for k, v in worth(found, case.truth).items()}
-            row["lamps"] += [beside_truth(lamps, direction, how, job) for direction, how in found.light.near]
-            row[name + "said"] = found.choice.get("near")
-    finally:
-        near.SPEAKS = usual
+    for name, refinements in (("", None), ("far ", [r for r in REFINEMENTS if r is not near_lamps])):
+        found = estimated(job, case.material, refinements=refinements)
+        row |= {name + k: v for k, v in worth(found, case.truth).items()}
+        row["lamps"] += [beside_truth(lamps, direction, how, job) for direction, how in found.light.near]
+        row[name + "said"] = found.choice.get("near")
     return row
 
 
