@@ -21,8 +21,8 @@ from btfsep_engine.light.lightings import cap_factors
 from btfsep_engine.light.sun import Near, Sun, cap_around
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.light_account import HALO, sky_radiance
-from btfsep_engine.pipeline.refine import key_lights, near, parted
-from btfsep_engine.pipeline.refine.near import moved
+from btfsep_engine.pipeline.refine import key_lights, near, near_places, parted
+from btfsep_engine.pipeline.refine.near_places import moved
 from btfsep_engine.pipeline.settings import choose
 from scripts.studies.measures import order2
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, scene_of, with_photo
@@ -98,7 +98,7 @@ def far_answer():
 def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer, monkeypatch, other):
     """Neither by evidence nor by what the misfit looks like; nearness itself does, by each alone."""
     monkeypatch.setattr(near, other, np.inf)
-    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
     lamps = near.bright_lamps(scene)
     added = scene.placed(lamps, fit, turns=1).correction
     explained = far_answer.light.solver.basis.predicted(fit.shown)
@@ -109,8 +109,8 @@ def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer, monkeypatch,
 
 
 def test_what_is_taken_off_is_the_nearness_of_all_lamps_as_bright_as_the_fit_has_them(far_answer):
-    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
-    lamps = near.Lamp(4 * WHERE / np.linalg.norm(WHERE)), near.Lamp(np.array([0.0, 3.0, 0.0]))
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    lamps = near_places.Lamp(4 * WHERE / np.linalg.norm(WHERE)), near_places.Lamp(np.array([0.0, 3.0, 0.0]))
     expected = 0.0
     for lamp, own in zip(lamps, scene.mounds(fit, lamps), strict=True):
         expected = expected + own.irradiance * scene.nearness(lamp.away, own.profile)
@@ -119,8 +119,8 @@ def test_what_is_taken_off_is_the_nearness_of_all_lamps_as_bright_as_the_fit_has
 
 
 def test_where_a_lamp_takes_all_of_a_photo_no_place_is(far_answer):
-    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
-    lamp = near.Lamp(1.2 * WHERE / np.linalg.norm(WHERE))
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    lamp = near_places.Lamp(1.2 * WHERE / np.linalg.norm(WHERE))
     scene.photo = 1e-6 * scene.photo
     assert scene.placed((lamp,), fit).evidence == -np.inf
 
@@ -130,32 +130,32 @@ def a_placed(lamps, start, *, better=0.0, middles=None):
     middles = middles or [lamp.direction for lamp in lamps]
     own = tuple(Mound(np.ones(3), np.ones(10), middle, np.zeros(3)) for middle in middles)
     election = SimpleNamespace(evidence_of_photo=start.election.evidence_of_photo + better)
-    return near.Placed(tuple(lamps), SimpleNamespace(election=election), None, own)
+    return near_places.Placed(tuple(lamps), SimpleNamespace(election=election), None, own)
 
 
 def test_what_is_unlikely_of_lamps(far_answer):
     """Elsewhere than the fit has them, farther away than the first one."""
     towards, aside = np.array([0.0, 0.0, 1.0]), np.array([np.sin(0.1), 0.0, np.cos(0.1)])
-    likely = a_placed([near.Lamp(3 * towards)], far_answer.fit).evidence
+    likely = a_placed([near_places.Lamp(3 * towards)], far_answer.fit).evidence
     assert likely == far_answer.fit.election.evidence_of_photo
-    beside = a_placed([near.Lamp(3 * towards)], far_answer.fit, middles=[aside])
-    assert likely - beside.evidence == pytest.approx(0.5 * (0.1 / near.SPREADS[0]) ** 2, rel=0.01)
+    beside = a_placed([near_places.Lamp(3 * towards)], far_answer.fit, middles=[aside])
+    assert likely - beside.evidence == pytest.approx(0.5 * (0.1 / near_places.SPREADS[0]) ** 2, rel=0.01)
     there = moved(2 * towards, np.array([*beside.off[0], 0])) / 2  # where it ought to move
     np.testing.assert_allclose(there @ aside, 1, atol=1e-5)
-    farther = a_placed([near.Lamp(3 * towards), near.Lamp(np.array([6.0, 0, 0]))], far_answer.fit)
-    assert likely - farther.evidence == pytest.approx(0.5 * (np.log(2) / near.SPREADS[2]) ** 2)
+    farther = a_placed([near_places.Lamp(3 * towards), near_places.Lamp(np.array([6.0, 0, 0]))], far_answer.fit)
+    assert likely - farther.evidence == pytest.approx(0.5 * (np.log(2) / near_places.SPREADS[2]) ** 2)
 
 
 @pytest.mark.parametrize(("better", "is_followed"), [(0.0, True), (-1.0, False)])
 def test_a_place_that_explains_less_than_afar_is_not_followed(far_answer, monkeypatch, better, is_followed):
-    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
     monkeypatch.setattr(scene, "placed", lambda lamps, start, *, turns=2: a_placed(lamps, fit, better=better))
     monkeypatch.setattr(near, "followed", lambda scene, at: "followed")
-    assert (near.search(scene, [(near.Lamp(WHERE),)], fit) == "followed") is is_followed
+    assert (near.search(scene, [(near_places.Lamp(WHERE),)], fit) == "followed") is is_followed
 
 
 def test_how_bright_a_lamp_is_is_settled_at_the_best_distance_alone(far_answer, monkeypatch):
-    scene, fit, asked = near.Photographed(far_answer.model, far_answer.light), far_answer.fit, []
+    scene, fit, asked = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit, []
 
     def placed(lamps, start, *, turns=2):
         asked.append((round(lamps[-1].radii, 6), turns))
@@ -163,13 +163,13 @@ def test_how_bright_a_lamp_is_is_settled_at_the_best_distance_alone(far_answer, 
 
     monkeypatch.setattr(scene, "placed", placed)
     monkeypatch.setattr(near, "followed", lambda scene, at: at)
-    assert near.search(scene, [(near.Lamp(WHERE),)], fit).lamps[0].radii == pytest.approx(8)
+    assert near.search(scene, [(near_places.Lamp(WHERE),)], fit).lamps[0].radii == pytest.approx(8)
     assert asked == [(8.0, 1), (4.0, 1), (8.0, 2)]
 
 
 def test_a_lamp_that_explains_nothing_is_dropped_and_one_that_does_is_added(far_answer, monkeypatch):
-    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
-    lamps = [near.Lamp(3 * np.eye(3)[i]) for i in range(3)]
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    lamps = [near_places.Lamp(3 * np.eye(3)[i]) for i in range(3)]
     worth = [30.0, near.FURTHER - 0.5, near.FURTHER + 0.5]
 
     def placed(lamps_there, start, *, turns=2):
@@ -188,7 +188,7 @@ def test_a_lamp_that_explains_nothing_is_dropped_and_one_that_does_is_added(far_
 
 
 def test_what_may_be_a_lamp_is_apart_from_others_and_not_too_dark(far_answer, monkeypatch):
-    scene = near.Photographed(far_answer.model, far_answer.light)
+    scene = near_places.Photographed(far_answer.model, far_answer.light)
     towards = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.8, 0.6]), np.array([0.8, 0.0, -0.6])]
     light = sum(w * sh.evaluate(9, d) for w, d in zip((3, 2, 1), towards, strict=True))
     fit = SimpleNamespace(all_coefficients=np.repeat(light[:, None], 3, 1))
@@ -196,7 +196,7 @@ def test_what_may_be_a_lamp_is_apart_from_others_and_not_too_dark(far_answer, mo
     for expected in towards:
         direction = near.brightest_left(fit, found)
         assert direction @ expected > np.cos(np.radians(8))
-        found = (*found, near.Lamp(5 * direction))
+        found = (*found, near_places.Lamp(5 * direction))
     much = [Mound(np.full(3, m), np.ones(10), towards[0], np.zeros(3)) for m in (1.0, near.LEAST + 0.01)]
     monkeypatch.setattr(scene, "mounds", lambda fit, lamps: tuple(much))
     assert not near.too_dark(scene, fit, found[:2])
@@ -205,29 +205,29 @@ def test_what_may_be_a_lamp_is_apart_from_others_and_not_too_dark(far_answer, mo
 
 
 def test_places_move_together_as_long_as_the_evidence_rises(far_answer, monkeypatch):
-    scene, fit, steps = near.Photographed(far_answer.model, far_answer.light), far_answer.fit, []
-    lamps = near.Lamp(3 * WHERE / np.linalg.norm(WHERE)), near.Lamp(np.array([0.0, 4.0, 0.0]))
+    scene, fit, steps = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit, []
+    lamps = near_places.Lamp(3 * WHERE / np.linalg.norm(WHERE)), near_places.Lamp(np.array([0.0, 4.0, 0.0]))
 
     def placed(lamps, start, *, turns=2):
         steps.append([lamp.radii for lamp in lamps])
         return a_placed(lamps, fit, better=10.0 if len(steps) == 1 else 0.0)
 
-    monkeypatch.setattr(near, "SPREADS", near.SPREADS * np.inf)
+    monkeypatch.setattr(near_places, "SPREADS", near_places.SPREADS * np.inf)
     step = np.array([0, 0, np.log(1.2), 0, 0, -np.log(1.1)])
     monkeypatch.setattr(scene, "placed", placed)
     monkeypatch.setattr(scene, "next_step", lambda at: (step, None))
-    after = near.followed(scene, a_placed(lamps, fit))
+    after = near_places.followed(scene, a_placed(lamps, fit))
     np.testing.assert_allclose([lamp.radii for lamp in after.lamps], [3.6, 4 / 1.1])
     assert len(steps) == 3  # the second step is worse, and so is a third of it
 
 
 def test_a_place_is_believed_where_the_evidence_is_clear_and_of_a_depth_clearer(far_answer, monkeypatch):
-    assert near.Photographed(far_answer.model, far_answer.light).clearly == near.CLEARLY
+    assert near.clearly(far_answer.model.problems) == near.CLEARLY
     (problem,) = far_answer.model.problems
     scene = scene_of(problem.scene.job)
     scene.job = replace(scene.job, objects=(replace(scene.job.objects[0], unseen=balls()),))
     model = replace(far_answer.model, looks={"mean": [replace(problem, scene=scene)]})
-    assert near.Photographed(model, far_answer.light).clearly == near.OF_A_DEPTH > near.CLEARLY
+    assert near.clearly(model.problems) == near.OF_A_DEPTH > near.CLEARLY
     monkeypatch.setattr(near, "CLEARLY", np.inf)
     monkeypatch.setattr(parted, "POOR", np.inf)  # without the place, a shadow explains some of it
     assert "no lamp nearby explains" in estimated(photographed(2.5)[0]).choice["near"]
@@ -347,8 +347,8 @@ def test_of_a_metal_no_place_is_sought(far_answer, monkeypatch):
 
 @pytest.mark.parametrize(("looks", "leaves", "believed"), [(13, 1.01, 1), (13, 1.03, 0), (11, 0.99, 0), (11, 0.89, 1)])
 def test_places_that_only_make_the_light_plainer_are_not_believed(far_answer, monkeypatch, looks, leaves, believed):
-    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
-    found = a_placed([near.Lamp(WHERE)], fit, better=near.CLEARLY + 1)
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    found = a_placed([near_places.Lamp(WHERE)], fit, better=near.CLEARLY + 1)
     found.fit.residual = leaves * fit.residual
     found = replace(found, correction=0.0)
     monkeypatch.setattr(near, "search", lambda scene, lamps, start: found)
@@ -361,7 +361,7 @@ def test_places_that_only_make_the_light_plainer_are_not_believed(far_answer, mo
 
 
 def test_what_is_left_over_may_look_like_a_lamps_nearness(far_answer):
-    scene, fit = near.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
     lamp = near.bright_lamps(scene)[0]
     added = scene.placed((lamp,), fit, turns=1).correction
     explained = far_answer.light.solver.basis.predicted(fit.shown)

@@ -1,29 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether lamps stand near: where what is left over looks like what nearness would make of bright parts of the light.
 
-Places of lamps are judged by the photograph less what their nearness makes of it (`fit.near_lamp`), fitted as one of
-light from afar, from the last places' light on: how bright the lamps are, and how wide, that fit says. From the best of
-a few distances the places go where the misfit asks for it, all together (Gauss and Newton, the light projected out), as
-long as the evidence rises. They are believed where they explain the photo clearly better than lamps far away. What is
-stated of the light, of lamps above all, is then of the objects' middle. A lamp whose direction is given is taken to be
-far away.
+What may be lamps is put at the best of a few distances, and its places go from there where the photo asks for it
+(`near_places`). They are believed where they explain the photo clearly better than lamps far away. What is stated of
+the light, of lamps above all, is then of the objects' middle. A lamp whose direction is given is taken to be far away.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import across, fibonacci_sphere
+from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit.diagnose import effect
-from btfsep_engine.fit.near_lamp import MOUND, mounds, nearness
+from btfsep_engine.fit.near_lamp import MOUND
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.light.sun import Near
-from btfsep_engine.linear_algebra import product
 from btfsep_engine.pipeline.refine.curves import curve_doubts
+from btfsep_engine.pipeline.refine.near_places import FARTHEST, NEAREST, Lamp, Photographed, Placed, followed
 from btfsep_engine.pipeline.refine.sharp import has_own_images
 from btfsep_engine.pipeline.scene import unseen_meshes
-from btfsep_engine.pipeline.together import all_weights, stacked
 
 # Of the logarithm of the evidence, all that may be lamps at the first of `RADII`: where softboxes stand near, 6 to 140
 SPEAKS = 5.0
@@ -37,159 +33,13 @@ CLEARLY, OF_A_DEPTH = 20.0, 40.0  # of the logarithm of the evidence
 # chi^2 of one degree of freedom
 LEAVES, LEAVES_WHERE_IT_SPEAKS, LOOKS_NEAR = 0.9, 1.02, 12.0
 RADII = (8.0, 4.0, 2.0)  # of the objects: the distances that are tried first
-TURNS = 2  # of how bright the lamp is, at one place
-MOVES, WORTH = 8, 1.0  # of the place; of the logarithm of the evidence: less is no move worth taking
-FARTHEST_TURN, FARTHEST_ZOOM = np.radians(10), np.log(1.5)  # of one move
 MOST = 3  # lamps
 # Where one lamp stands near, others hardly stand far away: of the logarithm of the evidence that they ask; of the first
 # one's irradiance
 FURTHER, LEAST, TRIES = 3.0, 0.1, 2
 AROUND = fibonacci_sphere(2000)
-NEAREST, FARTHEST = 1.1, 40.0  # radii
 METAL = 0.5  # metallic
-# Of what a lamp is likely to be: between its place and where the fit, of the light at the middle, has it, twice (4
-# degrees); of the logarithm of its distance over the first lamp's
-SPREADS = np.array([np.radians(4), np.radians(4), 0.7])
-SMALL = 0.01  # radians, and of a distance: of a numerical derivative
 BLUR = 0.08  # of a distance: lamps are as wide as the basis lights are, which no evidence knows
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """A lamp at a place.
-
-    ``away`` : (3,), from the objects' middle, radii
-    """
-
-    away: np.ndarray
-
-    @property
-    def radii(self) -> float:
-        """Its distance."""
-        return float(np.linalg.norm(self.away))
-
-    @property
-    def direction(self) -> np.ndarray:
-        """(3,), unit."""
-        return self.away / self.radii
-
-
-@dataclass(frozen=True)
-class Placed:
-    """Lamps at places.
-
-    Attributes
-    ----------
-    lamps : of Lamp
-    fit : of the photo as from afar
-    correction : (p, 3), the nearness of all lamps, which was taken off
-    mounds : what the fit has about each lamp
-    impossible : nothing would be left of the photo, and ``fit`` is that of the places before
-    """
-
-    lamps: tuple
-    fit: Fit
-    correction: np.ndarray
-    mounds: tuple
-    impossible: bool = False
-
-    @property
-    def off(self) -> np.ndarray:
-        """(k, 2), radians across (`conventions.across`): how far to a side of each place the fit has its lamp."""
-        return np.stack([across(lamp.direction) @ m.middle for lamp, m in zip(self.lamps, self.mounds, strict=True)])
-
-    @property
-    def evidence(self) -> float:
-        """That can be compared with other places'."""
-        if self.impossible:
-            return -np.inf
-        unlikely = np.square(self.unlikely).sum()
-        return self.fit.election.evidence_of_photo - 0.5 * unlikely
-
-    @property
-    def unlikely(self) -> np.ndarray:
-        """(k, 3): by how many standard deviations of what is likely a priori a lamp ought to move, as of a step.
-
-        To where the fit has it; further ones to about as far away as the first.
-        """
-        away = np.log([lamp.radii for lamp in self.lamps])
-        return np.column_stack([self.off, away[0] - away]) / SPREADS
-
-
-class Photographed:
-    """What all places have in common."""
-
-    def __init__(self, model, light):
-        self.light, self.problems = light, model.problems
-        points = [p for problem in self.problems for p in problem.points]
-        self.position = np.concatenate([p.position for p in points])
-        self.basis, self.blocks = stacked(self.problems)
-        self.photo, self.weights = light.radiance(self.problems), all_weights(self.problems)
-        corners = np.concatenate([o.mesh.vertices for o in self.problems[0].scene.job.objects])
-        self.clearly = OF_A_DEPTH if any(unseen_meshes(p.scene.job) for p in self.problems) else CLEARLY
-        low, high = corners.min(0), corners.max(0)
-        self.centre, self.radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-
-    def nearness(self, away, profile=None) -> np.ndarray:
-        """`fit.near_lamp.nearness` (p, 3) of a lamp so far away, in radii, (3,)."""
-        return nearness(self.basis, self.position, self.centre + self.radius * away, self.centre, profile)
-
-    def mounds(self, fit: Fit, lamps) -> tuple:
-        """What a fit has about each of some lamps: `fit.near_lamp.mounds`."""
-        return mounds(fit.election, [lamp.direction for lamp in lamps], sh.order_of(self.basis.shape[1]))
-
-    def solve(self, correction, start: Fit | None) -> Fit:
-        """The light of the photograph less ``correction`` (p, 3), of the model of ``start``; None: elected anew."""
-        solver = self.light.solver
-        return solver.solve(self.photo - correction, weights=self.weights, start=start, beside=self.light.fit)
-
-    def placed(self, lamps, start: Fit, *, turns: int = TURNS) -> Placed:
-        """``lamps`` at their places."""
-        fit, found = start, self.mounds(start, lamps)
-        for _ in range(turns):
-            correction = np.zeros_like(self.photo)
-            for lamp, own in zip(lamps, found, strict=True):
-                correction += own.irradiance * self.nearness(lamp.away, own.profile)
-            rest = self.photo - correction if self.weights is None else self.weights * (self.photo - correction)
-            if rest.sum(0).max() <= 0:
-                return Placed(lamps, fit, correction, found, impossible=True)
-            fit = self.solve(correction, fit)
-            found = self.mounds(fit, lamps)
-        return Placed(lamps, fit, correction, found)
-
-    def residual(self, fit: Fit, correction) -> np.ndarray:
-        """(p, 3), what a fit of the photograph less ``correction`` leaves over, each channel in its material's unit."""
-        solver = self.light.solver
-        return (self.photo - correction - solver.basis.predicted(fit.shown)) / solver.basis.response
-
-    def next_step(self, at: Placed) -> tuple[np.ndarray, np.ndarray]:
-        """By how much the misfit asks k lamps to move (of each 2 angles across, and the logarithm of its distance:
-        (3 k,)); and how well that is known: its covariance (3 k, 3 k)."""
-        solver, photo = self.light.solver, at.fit.election.photo
-        project, weight, columns = solver.smoother(at.fit), 1 / solver.basis.response, []
-        for lamp, own in zip(at.lamps, at.mounds, strict=True):
-            here = self.nearness(lamp.away, own.profile)
-            changes = [(self.nearness(moved(lamp.away, t), own.profile) - here) / SMALL for t in SMALL * np.eye(3)]
-            columns += [(project(own.irradiance * change) * weight).ravel() for change in changes]
-        columns, left = np.stack(columns, 1), self.residual(at.fit, at.correction).ravel()
-        # a number counts as one of so many that are independent (`Photograph.coarsening`)
-        precision = product(columns.T, columns) / max(float(np.square(left).mean()) * photo.coarsening, 1e-300)
-        wanted = precision @ np.linalg.lstsq(columns, left, rcond=None)[0]
-        spreads = np.tile(SPREADS, (len(at.lamps), 1))
-        spreads[0, 2] = np.inf
-        # a lamp that the fit has no light of goes nowhere
-        precision += np.diag(1 / np.square(spreads).ravel() + 1e-9 * (1 + np.trace(precision)))
-        wanted += (at.unlikely / spreads).ravel()
-        covariance = np.linalg.inv(precision)
-        return covariance @ wanted, covariance
-
-
-def moved(away, step) -> np.ndarray:
-    """A place (3,) turned by two angles, and moved by the logarithm of a factor: the first of ``step``."""
-    distance = np.linalg.norm(away)
-    direction = away / distance
-    turned = direction + step[:2] @ across(direction)
-    return turned * (np.clip(distance * np.exp(step[2]), NEAREST, FARTHEST) / np.linalg.norm(turned))
 
 
 def near_lamps(model, light):
@@ -253,6 +103,11 @@ def brightest_left(fit: Fit, lamps) -> np.ndarray:
     return AROUND[radiance.argmax()]
 
 
+def clearly(problems) -> float:
+    """How much larger the evidence has to be, its logarithm."""
+    return OF_A_DEPTH if any(unseen_meshes(problem.scene.job) for problem in problems) else CLEARLY
+
+
 def speak_for_nearness(scene: Photographed, lamps) -> bool:
     """Whether all that may be lamps explain the photo better nearby, or its misfit looks like the brightest nearby."""
     fit = scene.light.fit
@@ -267,7 +122,7 @@ def placed_lamps(scene: Photographed, lamps) -> Placed | None:
     most = afar.residual * (LEAVES_WHERE_IT_SPEAKS if looks_near(scene, lamps[0]) > LOOKS_NEAR else LEAVES)
     starts = [lamps, lamps[:1]] if len(lamps) > 1 else [lamps]
     found = search(scene, starts, afar)
-    if found.evidence < afar.election.evidence_of_photo + scene.clearly or found.fit.residual >= most:
+    if found.evidence < afar.election.evidence_of_photo + clearly(scene.problems) or found.fit.residual >= most:
         return None
     # lamps that stood in for nearness are gone from a light that is elected anew
     found = followed(scene, scene.placed(found.lamps, scene.solve(found.correction, None)))
@@ -330,23 +185,6 @@ def search(scene: Photographed, starts, afar: Fit) -> Placed:
     if best.evidence < afar.election.evidence_of_photo:
         return best
     return followed(scene, scene.placed(best.lamps, best.fit))
-
-
-def followed(scene: Photographed, at: Placed) -> Placed:
-    """Places moved where their misfit asks for it, as long as the evidence rises."""
-    for _ in range(MOVES):
-        steps = scene.next_step(at)[0].reshape(-1, 3)
-        turn, zoom = np.linalg.norm(steps[:, :2], axis=1).max(), np.abs(steps[:, 2]).max()
-        steps *= min(1.0, FARTHEST_TURN / max(turn, 1e-9), FARTHEST_ZOOM / max(zoom, 1e-9))
-        for part in (steps, steps / 3):
-            lamps = tuple(Lamp(moved(lamp.away, step)) for lamp, step in zip(at.lamps, part, strict=True))
-            trial = scene.placed(lamps, at.fit, turns=1)
-            if trial.evidence > at.evidence + WORTH:
-                break
-        else:
-            break
-        at = trial
-    return at
 
 
 def nearer(scene: Photographed, model, light, found: Placed):
