@@ -94,10 +94,9 @@ def far_answer():
         return estimated(photographed(2.5)[0])
 
 
-@pytest.mark.parametrize("other", ["SPEAKS", "LOOKS_NEAR"])
-def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer, monkeypatch, other):
-    """Neither by evidence nor by what the misfit looks like; nearness itself does, by each alone."""
-    monkeypatch.setattr(near, other, np.inf)
+@pytest.mark.parametrize("parts", [(1,), (1, -10), (-1, 2)])
+def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer, monkeypatch, parts):
+    """Nearness does, of all that may be lamps, or of the brightest where that of the others explains nothing."""
     scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
     lamps = near.bright_lamps(scene)
     added = scene.placed(lamps, fit, turns=1).correction
@@ -106,6 +105,22 @@ def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer, monkeypatch,
         scene.photo = explained + left
         scene.light = replace(scene.light, fit=scene.solve(0.0, fit))
         assert near.speak_for_nearness(scene, lamps) == speaks
+        monkeypatch.setattr(scene, "nearness_of", lambda lamps, mounds, left=left: [part * left for part in parts])
+        assert near.speak_for_nearness(scene, lamps)
+        monkeypatch.setattr(scene, "nearness_of", lambda lamps, mounds, left=left: [-abs(p) * left for p in parts])
+        assert not near.speak_for_nearness(scene, lamps)
+        monkeypatch.undo()
+
+
+def test_pixels_that_do_not_count_do_not_speak_against_nearness(far_answer):
+    scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
+    lamps = near.bright_lamps(scene)
+    scene.photo = far_answer.light.solver.basis.predicted(fit.shown) + scene.placed(lamps, fit, turns=1).correction
+    scene.photo[::2] += 0.5 * scene.photo.max()
+    assert not near.speak_for_nearness(scene, lamps)
+    scene.weights = np.ones_like(scene.photo)
+    scene.weights[::2] = 0
+    assert near.speak_for_nearness(scene, lamps)
 
 
 def test_what_is_taken_off_is_the_nearness_of_all_lamps_as_bright_as_the_fit_has_them(far_answer):

@@ -106,6 +106,10 @@ class Photographed:
         """`fit.near_lamp.nearness` (p, 3) of a lamp so far away, in radii, (3,)."""
         return nearness(self.basis, self.position, self.centre + self.radius * away, self.centre, profile)
 
+    def nearness_of(self, lamps, mounds) -> list[np.ndarray]:
+        """The nearness (p, 3) of each of some lamps that are as bright, and as wide, as a fit's ``mounds``."""
+        return [m.irradiance * self.nearness(lamp.away, m.profile) for lamp, m in zip(lamps, mounds, strict=True)]
+
     def mounds(self, fit: Fit, lamps) -> tuple:
         """What a fit has about each of some lamps: `fit.near_lamp.mounds`."""
         return mounds(fit.election, [lamp.direction for lamp in lamps], sh.order_of(self.basis.shape[1]))
@@ -119,9 +123,7 @@ class Photographed:
         """``lamps`` at their places."""
         fit, found = start, self.mounds(start, lamps)
         for _ in range(turns):
-            correction = np.zeros_like(self.photo)
-            for lamp, own in zip(lamps, found, strict=True):
-                correction += own.irradiance * self.nearness(lamp.away, own.profile)
+            correction = sum(self.nearness_of(lamps, found))
             rest = self.photo - correction if self.weights is None else self.weights * (self.photo - correction)
             if rest.sum(0).max() <= 0:
                 return Placed(lamps, fit, correction, found, impossible=True)
