@@ -14,6 +14,7 @@ P / (4 pi d^2) at the distance d (so has a test).
 """
 
 import math
+from collections import Counter
 
 import bpy
 import numpy as np
@@ -24,6 +25,7 @@ from . import lamp_collection, sh_nodes
 
 LAMP_NAME = "BTFsep Sun"
 LAMP_TAG = "btfsep_sun"
+KINDS = {"SUN": "Sun lamp", "POINT": "Point lamp"}  # what ours are made as
 KEY = "btfsep_key"  # of the World: factor on its lamps
 DISTANCE = 5.0  # from the world's origin, in the view; a Sun's place makes no difference to its light
 SAME = 1e-4  # relative: a number that is so near to what was written was not edited
@@ -80,9 +82,10 @@ def are_as_many(scene, suns) -> bool:
 
 
 def beside(scene) -> str:
-    """What is to be said of them after "the World is the light": how many there are; of none, nothing."""
-    count = len(lamps(scene))
-    return {0: "", 1: ", with one Sun lamp beside it"}.get(count, f", with {count} Sun lamps beside it")
+    """What is to be said of them after "the World is the light": how many there are of each kind; of none, nothing."""
+    kinds = Counter(KINDS.get(lamp.data.type, "lamp") for lamp in lamps(scene))
+    each = [f"one {kind}" if count == 1 else f"{count} {kind}s" for kind, count in kinds.items()]
+    return f", with {' and '.join(each)} beside it" if each else ""
 
 
 def others(scene) -> list:

@@ -235,6 +235,20 @@ def test_several_lamps_and_world_light_a_sphere_as_theory_says_and_as_the_whole_
     assert np.linalg.norm((whole - both)[inside]) < 0.05 * np.linalg.norm(both[inside])
 
 
+def test_what_stands_beside_the_world_is_said_by_its_kind(scene, tmp_path):
+    towards = np.array([[0, 0, 1.0], [1, 0, 0], [0, 1, 0]])
+    nears = [Near((0, 0, 0), 2.0, 1.5, 3.0), None, Near((0, 0, 0), 3.0, 2.0, 4.0)]
+    for near, words in (
+        (nears, ", with 2 Point lamps and one Sun lamp beside it"),
+        (nears[:1], ", with one Point lamp beside it"),
+    ):
+        suns = [Sun(towards[i], np.full(3, 3.0 - i), np.zeros(3), near=each) for i, each in enumerate(near)]
+        light = Lighting(2, sum(s.coefficients(2) for s in suns), np.zeros((9, 3)), np.ones(9, bool), 0.0, tuple(suns))
+        write_lighting(tmp_path / "kinds.json", light)
+        world.apply_lighting(scene, lighting_file.read(tmp_path / "kinds.json"))
+        assert sun_lamp.beside(scene) == words
+
+
 def test_several_lamps_come_and_go_together(scene, sunny, lamplit):
     mine = bpy.data.objects.new("Mine", bpy.data.lights.new("Mine", "SUN"))
     scene.collection.objects.link(mine)
