@@ -114,13 +114,14 @@ def test_the_opposite_of_nearness_does_not_speak_for_it(far_answer, monkeypatch,
 
 def test_pixels_that_do_not_count_do_not_speak_against_nearness(far_answer):
     scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
-    lamps = near.bright_lamps(scene)
-    scene.photo = far_answer.light.solver.basis.predicted(fit.shown) + scene.placed(lamps, fit, turns=1).correction
+    added = scene.placed(near.bright_lamps(scene), fit, turns=1).correction
+    scene.photo = far_answer.light.solver.basis.predicted(fit.shown) + added
+    without = near.rest(scene, added)
     scene.photo[::2] += 0.5 * scene.photo.max()
-    assert not near.speak_for_nearness(scene, lamps)
+    assert near.rest(scene, added) > 0.5 + without / 2
     scene.weights = np.ones_like(scene.photo)
     scene.weights[::2] = 0
-    assert near.speak_for_nearness(scene, lamps)
+    assert near.rest(scene, added) == pytest.approx(without, rel=0.05)
 
 
 def test_what_is_taken_off_is_the_nearness_of_all_lamps_as_bright_as_the_fit_has_them(far_answer):
@@ -371,19 +372,30 @@ def test_places_that_only_make_the_light_plainer_are_not_believed(far_answer, mo
     monkeypatch.setattr(scene, "solve", lambda correction, start: None)
     for name in ("followed", "with_further", "without_idle"):
         monkeypatch.setattr(near, name, lambda scene, at: at)
-    monkeypatch.setattr(near, "looks_near", lambda scene, lamp: looks)
+    monkeypatch.setattr(near, "looks_near", lambda scene, nearness: looks)
     assert (near.placed_lamps(scene, found.lamps) is not None) == bool(believed)
 
 
 def test_what_is_left_over_may_look_like_a_lamps_nearness(far_answer):
     scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
-    lamp = near.bright_lamps(scene)[0]
-    added = scene.placed((lamp,), fit, turns=1).correction
+    added = scene.placed(near.bright_lamps(scene)[:1], fit, turns=1).correction
     explained = far_answer.light.solver.basis.predicted(fit.shown)
     scene.photo = explained + added
-    assert near.looks_near(scene, lamp) > 6  # chi^2 of one degree of freedom
+    assert near.looks_near(scene, added) > 6 and near.rest(scene, added) < 0.9
     scene.photo = explained - added
-    assert near.looks_near(scene, lamp) == 0
+    assert near.looks_near(scene, added) == 0 and near.rest(scene, added) > 1.1
+
+
+@pytest.mark.parametrize(
+    ("looks", "left", "speak"), [((13, 0), (0.9, 1), 1), ((0, 13), (1, 0.9), 1), ((13, 11), (1, 0.9), 0)]
+)
+def test_nearness_speaks_where_the_misfit_both_looks_like_it_and_has_it(far_answer, monkeypatch, looks, left, speak):
+    """Of all that may be lamps, or of the brightest."""
+    scene = near_places.Photographed(far_answer.model, far_answer.light)
+    monkeypatch.setattr(scene, "nearness_of", lambda lamps, mounds: [1, -1])  # whose sum is 0
+    monkeypatch.setattr(near, "looks_near", lambda scene, nearness: looks[nearness])
+    monkeypatch.setattr(near, "rest", lambda scene, nearness: left[nearness])
+    assert near.speak_for_nearness(scene, near.bright_lamps(scene)) == bool(speak)
 
 
 def test_a_lamp_far_away_stays_there():

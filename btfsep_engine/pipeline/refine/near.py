@@ -25,15 +25,17 @@ from btfsep_engine.pipeline.scene import unseen_meshes
 # the light has them: where softboxes stand near 0.2 to 0.92, or a ball at up to 3.5 radii 0.4 to 0.97; of 27 plates
 # under light from far away it is more on all but three
 SPEAKS = 0.975
+# And how much that looks like it: chi^2 of one degree of freedom. Where softboxes stand near 20 and more (but once 9),
+# or a ball 13 and more; where a light is explained badly for another reason, 1 to 10
+LOOKS_NEAR = 12.0
 # On 30 real photographs under lamps far away and 27 plates under natural light no place was believed with this; a lamp
 # at 3.5 radii that gives half of the light gains 18 to 150, where the material is right. Of depths, whose slopes are
 # less sure, those of a painted owl gain 16 to 36.
 CLEARLY, OF_A_DEPTH = 20.0, 40.0  # of the logarithm of the evidence
 # Of what is left over, at most: places that only make the light plainer are none. Where light from far away gained 20
 # to 90, 0.95 and more was left; where softboxes stand near, 0.1 to 0.9. Of gloss, whose highlights are left over either
-# way, it may be all (0.96 to 1.01 where a ball stands near), where that looks like the nearness of the brightest lamp:
-# chi^2 of one degree of freedom
-LEAVES, LEAVES_WHERE_IT_SPEAKS, LOOKS_NEAR = 0.9, 1.02, 12.0
+# way, it may be all (0.96 to 1.01 where a ball stands near), where that looks like the nearness of the brightest lamp
+LEAVES, LEAVES_WHERE_IT_SPEAKS = 0.9, 1.02
 RADII = (8.0, 4.0, 2.0)  # of the objects: the distances that are tried first
 MOST = 3  # lamps
 # Where one lamp stands near, others hardly stand far away: of the logarithm of the evidence that they ask; of the first
@@ -111,23 +113,33 @@ def clearly(problems) -> float:
 
 
 def speak_for_nearness(scene: Photographed, lamps) -> bool:
-    """Whether the nearness of all that may be lamps, or of the brightest, is a part of the light's misfit."""
-    fit, solver = scene.light.fit, scene.light.solver
-    project, left = solver.smoother(fit), scene.residual(fit, 0.0)
-    each = scene.nearness_of(lamps, scene.mounds(fit, lamps))
+    """Whether the light's misfit looks like the nearness of all that may be lamps, or of the brightest, and has it."""
+    each = scene.nearness_of(lamps, scene.mounds(scene.light.fit, lamps))
+    return any(looks_near(scene, one) > LOOKS_NEAR and rest(scene, one) < SPEAKS for one in (sum(each), each[0]))
+
+
+def rest(scene: Photographed, nearness) -> float:
+    """What is left of the misfit's square, of the light as from afar, without so much of a ``nearness`` (p, 3)."""
+    solver, left = scene.light.solver, scene.residual(scene.light.fit, 0.0)
+    without = left - solver.smoother(scene.light.fit)(nearness) / solver.basis.response
     count = np.ones_like(left) if scene.weights is None else scene.weights
+    return float((count * np.square(without)).sum() / max(float((count * np.square(left)).sum()), 1e-300))
 
-    def much(rest):
-        return float((count * np.square(rest)).sum())
 
-    return any(much(left - project(one) / solver.basis.response) < SPEAKS * much(left) for one in (sum(each), each[0]))
+def looks_near(scene: Photographed, nearness) -> float:
+    """chi^2 of how much the misfit of the light as from afar looks like a ``nearness`` (p, 3); 0: like the opposite."""
+    solver = scene.light.solver
+    column = solver.smoother(scene.light.fit)(nearness) / solver.basis.response
+    found = effect(scene.residual(scene.light.fit, 0.0), column[None], scene.blocks)
+    return found.chi2 if found.size[0] > 0 else 0.0
 
 
 def placed_lamps(scene: Photographed, lamps) -> Placed | None:
     """The lamps that stand near, of those that may, as `bright_lamps` has them, or None: from all of them on, or from
     the brightest, about which the light as from afar may have the others where none is."""
     afar = scene.light.fit
-    most = afar.residual * (LEAVES_WHERE_IT_SPEAKS if looks_near(scene, lamps[0]) > LOOKS_NEAR else LEAVES)
+    (brightest,) = scene.nearness_of(lamps[:1], scene.mounds(afar, lamps[:1]))
+    most = afar.residual * (LEAVES_WHERE_IT_SPEAKS if looks_near(scene, brightest) > LOOKS_NEAR else LEAVES)
     starts = [lamps, lamps[:1]] if len(lamps) > 1 else [lamps]
     found = search(scene, starts, afar)
     if found.evidence < afar.election.evidence_of_photo + clearly(scene.problems) or found.fit.residual >= most:
@@ -136,15 +148,6 @@ def placed_lamps(scene: Photographed, lamps) -> Placed | None:
     found = followed(scene, scene.placed(found.lamps, scene.solve(found.correction, None)))
     found = without_idle(scene, with_further(scene, found))
     return found if found.fit.residual < most else None
-
-
-def looks_near(scene: Photographed, lamp: Lamp) -> float:
-    """chi^2 of how much the misfit of the light as from afar looks like a lamp's nearness; 0: like the opposite."""
-    fit, solver = scene.light.fit, scene.light.solver
-    (own,) = scene.mounds(fit, [lamp])
-    column = solver.smoother(fit)(scene.nearness(lamp.away, own.profile)) / solver.basis.response
-    found = effect(scene.residual(fit, 0.0), column[None], scene.blocks)
-    return found.chi2 if found.size[0] > 0 else 0.0
 
 
 def with_further(scene: Photographed, found: Placed) -> Placed:
