@@ -70,6 +70,14 @@ def tint_of(colour) -> np.ndarray:
     return np.array([r - b, g - (r + b) / 2])
 
 
+def as_of_two_lights(one, other) -> float:
+    """How much two colours (3,) >= 0 speak for differing as two lights do, against as paints that nobody knows do: log
+    odds."""
+    tint = tint_of(one) - tint_of(other)
+    of_light, of_paint = (-0.5 * np.square(tint / each) - np.log(each) for each in (np.sqrt(2) * LIGHT, ANY))
+    return float((of_light - of_paint).sum())
+
+
 def base_colour(tint) -> np.ndarray:
     """The colour (3,) of a tint (2,), its brightest channel 1."""
     colour = np.exp(CHROMA[:, 1:] @ np.asarray(tint))

@@ -24,6 +24,7 @@ from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
 from btfsep_engine.pipeline.refine.roughness import OTHERWISE as ROUGH_OTHERWISE
 from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
 from btfsep_engine.pipeline.refine.shaded import SHADOW
+from btfsep_engine.pipeline.refine.sharp import has_own_images
 from btfsep_engine.pipeline.scene import unseen_meshes
 from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.storage import kept
@@ -45,7 +46,8 @@ def all_doubts(estimate) -> list[str]:
                     f"({m.name}), the geometry or the camera may be wrong"
                 )
     out += known_lamp_doubts(estimate) + colour_doubts(estimate.fit) + uncertainty_doubts(estimate)
-    out += shape_and_colour_doubts(estimate) + in_front_doubts(estimate) + veil_doubts(estimate)
+    out += shape_and_colour_doubts(estimate) + in_front_doubts(estimate) + gloss_doubts(estimate)
+    out += veil_doubts(estimate)
     return out + curve_doubts(estimate.model.problems, estimate.light) + tones_doubts(estimate)
 
 
@@ -83,6 +85,14 @@ def in_front_doubts(estimate) -> list[str]:
         f"{lost} of {lost + left} pixels show something else than the light explains: things in front of the objects, "
         "or what is behind them where a mesh reaches too far; they were left out; a mask that leaves them out is surer"
     ]
+
+
+def gloss_doubts(estimate) -> list[str]:
+    """That the photo shows highlights which no lamp explains either (`refine.in_front`)."""
+    if not estimate.model.highlights or has_own_images(estimate.model):
+        return []
+    named = " or ".join(dict.fromkeys(m.material.name for each in estimate.model.materials for m in each))
+    return [f"the photo shows highlights that are not those of {named}: the object has more gloss, or a coat"]
 
 
 def veil_doubts(estimate) -> list[str]:

@@ -37,6 +37,7 @@ class Model:
     materials : for each photograph the ObjectMaterial of each object
     untried : why textures are not tried beside the mean ABRDFs, in words; None where they are
     otherwise : (Fit, probability) of lights that the photo may show as well (`refine.parted`)
+    highlights : whether the photo shows some that neither the materials nor smooth light explain (`refine.in_front`)
     departed : number of an object -> the Material near its own that stands for it (`refine.reflectance`)
     """
 
@@ -48,6 +49,7 @@ class Model:
     untried: str | None = "as asked for"
     departed: dict = field(default_factory=dict)
     otherwise: tuple = ()
+    highlights: bool = False
 
     @property
     def problems(self) -> list[Problem]:

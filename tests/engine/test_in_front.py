@@ -2,6 +2,7 @@
 """Pixels that show something in front: told from highlights by other places that reflect the same direction, and from
 what the camera or the mesh is off by along outlines."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import Problem
-from btfsep_engine.pipeline.refine import in_front
+from btfsep_engine.pipeline.refine import in_front, near
 from btfsep_engine.pipeline.refine.highlights import highlights, shining
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.settings import choose
@@ -61,6 +62,48 @@ def test_matte_objects_have_none():
     assert not highlights(problem, problem.normals[:, 2] > 0.9).any()
 
 
+WHITE, GREEN = np.array([1.0, 1.0, 1.0]), np.array([0.1, 1.0, 0.1])
+
+
+def left_on_two_balls(there, colour) -> tuple:
+    """The model, the light of all pixels and that of those which are not ``there`` (p,) bool, where ``colour`` (3,) is
+    left over, of white light on two matte balls."""
+    left = there[:, None] * colour + 0.001
+    basis = SimpleNamespace(response=np.ones(3))
+    fit = SimpleNamespace(all_coefficients=np.ones((1, 3)), residual=0.4)
+    light = SimpleNamespace(left_over=lambda _: left, solver=SimpleNamespace(basis=basis), fit=fit)
+    return SimpleNamespace(problems=[two_balls(MATTE, MATTE)]), light, light
+
+
+def on_balls(first: bool, second: bool):
+    """(p,) bool, a spot that is seen on the first of two balls, the second, or both."""
+    spot = two_balls(MATTE, MATTE).normals @ [0.4, 0.2, 0.9] > 0.98
+    return spot & np.repeat([first, second], BALL)
+
+
+def test_what_shines_on_both_balls_in_the_lights_colour_is_a_highlight_of_another_material(monkeypatch):
+    monkeypatch.setattr(in_front, "sharp_lamps", None)  # are not asked for
+    both, one = on_balls(True, True), on_balls(True, False)
+    assert in_front.unexplained_highlights(*left_on_two_balls(both, WHITE), both)
+    assert not in_front.unexplained_highlights(*left_on_two_balls(both, GREEN), both)
+    assert not in_front.unexplained_highlights(*left_on_two_balls(both, -WHITE), both)
+    assert not in_front.unexplained_highlights(*left_on_two_balls(one, WHITE), one)
+    model, light, freed = left_on_two_balls(both, WHITE)
+    freed.left_over(model.problems)[~both] = -0.001  # the spots, and far more that is darker
+    assert not in_front.unexplained_highlights(model, light, freed, np.ones(2 * BALL, bool))
+
+
+@pytest.mark.parametrize(("lamps_leave", "expected"), [(0.1, True), (0.3, False)])
+def test_what_shines_at_some_places_of_those_that_reflect_the_same_is_a_highlight_where_lamps_explain_it(
+    lamps_leave, expected, monkeypatch
+):
+    explained = SimpleNamespace(fit=SimpleNamespace(residual=lamps_leave))
+    monkeypatch.setattr(in_front, "sharp_lamps", lambda model, light: (model, explained, {}))
+    there = on_balls(True, True)
+    there[BALL:] &= two_balls(MATTE, MATTE).normals[BALL:, 0] > 0.45  # not the whole spot
+    assert in_front.unexplained_highlights(*left_on_two_balls(there, WHITE), there) == expected
+
+
 def photographed(rng, there, level, *, gloss=0.0) -> tuple:
     """The model and the light of a photo of half a ball in side light, on part of which something is in front.
 
@@ -71,9 +114,9 @@ def photographed(rng, there, level, *, gloss=0.0) -> tuple:
     b[there(*normal[:, [0, 2]].T)] = level * b.mean()
     pixels, eye = np.round(100 + 90 * normal[:, [2, 0]]).astype(np.int32), np.broadcast_to([0.0, -1.0, 0.0], (800, 3))
     outlines = SimpleNamespace(rings_at=lambda at: ((90 - np.linalg.norm(at - 100, axis=1)) // 3).astype(int))
-    thing = SimpleNamespace(name="thing")
+    thing = SimpleNamespace(name="thing", surface=None)
     job = SimpleNamespace(photo=SimpleNamespace(clipped=None), objects=(thing,), occluders=(), known_lamps=())
-    scene = SimpleNamespace(job=job, outlines=outlines, reporter=Reporter())
+    scene = SimpleNamespace(job=job, outlines=outlines, reporter=Reporter(), mirrors=())
     points = SurfacePoints(pixels, normal, normal, normal, eye, np.zeros(800, np.int32), normal, np.ones(800))
     material = SimpleNamespace(name="one", dye=None)
     problem, settings = Problem(scene, [material], [points], [basis], {}, measured=b), choose(bounces=1, order=2)
@@ -116,3 +159,13 @@ def test_what_is_brighter_is_told_with_channels_that_count_alike(monkeypatch):
     model = SimpleNamespace(problems=[SimpleNamespace(pixels=np.zeros((2, 2)))])
     monkeypatch.setattr(in_front, "highlights", lambda _, bright: bright)
     np.testing.assert_array_equal(in_front.without_highlights(model, light, np.ones(2, bool)), [False, True])
+
+
+def test_of_what_shows_highlights_nothing_is_left_out_and_no_lamp_nearby_is_sought(rng, monkeypatch):
+    model, light = photographed(rng, patch, 4.0)
+    monkeypatch.setattr(in_front, "unexplained_highlights", lambda *_: True)
+    same, answer, words = without_things_in_front(model, light)
+    assert answer is light and same.highlights and same.problems[0].left_out is None and "highlights" in words
+    made_of = SimpleNamespace(surface=None, material=SimpleNamespace(material_class="wood"))
+    monkeypatch.setattr(near, "Photographed", None)  # the search begins with it
+    assert "highlights" in near.near_lamps(replace(same, materials=((made_of,),)), answer)[2]["near"]

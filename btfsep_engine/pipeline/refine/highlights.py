@@ -31,18 +31,10 @@ def shining(problem, *, beyond: float = GLOSSY) -> tuple[np.ndarray, np.ndarray]
     return np.concatenate(out), np.concatenate(each)
 
 
-def highlights(problem, bright) -> np.ndarray:
-    """(p,) bool: which of the points that are too ``bright`` (p,) bool may be highlights.
-
-    A highlight is seen wherever the surface reflects the same direction, a thing in front at one place: other places
-    that reflect it, and are about as glossy, tell. Where there are none, it may be one.
-    """
-    may_shine, gloss = shining(problem)
-    asked = np.flatnonzero(bright & may_shine)
-    out = np.zeros(len(bright), bool)
-    out[asked] = True
-    if len(asked) < 2:
-        return out
+def mirrored_alike(problem, asked, bright) -> tuple[float, float]:
+    """Of the points ``asked`` (a,), the share of which others tell, elsewhere, that reflect the same direction and are
+    about as glossy; and the share of these others that are ``bright`` (p,) bool, too (0 where none tell)."""
+    gloss = shining(problem)[1]
     normal, eye = problem.normals, np.concatenate([p.to_eye for p in problem.points])
     mirrored = 2 * (normal * eye).sum(1, keepdims=True) * normal - eye
     places = problem.pixels / np.ptp(problem.pixels, 0).max()
@@ -53,6 +45,21 @@ def highlights(problem, bright) -> np.ndarray:
     there &= gloss[near] > AS_GLOSSY * gloss[asked, None]
     votes = there.any(1)
     shared = (bright[near] & there).sum(1)[votes] / there.sum(1)[votes]
-    if votes.mean() > TOLD and shared.mean() < SHARED:
+    return float(votes.mean()), float(shared.mean()) if len(shared) else 0.0
+
+
+def highlights(problem, bright) -> np.ndarray:
+    """(p,) bool: which of the points that are too ``bright`` (p,) bool may be highlights.
+
+    A highlight is seen wherever the surface reflects the same direction, a thing in front at one place: other places
+    that reflect it, and are about as glossy, tell. Where there are none, it may be one.
+    """
+    asked = np.flatnonzero(bright & shining(problem)[0])
+    out = np.zeros(len(bright), bool)
+    out[asked] = True
+    if len(asked) < 2:
+        return out
+    told, shared = mirrored_alike(problem, asked, bright)
+    if told > TOLD and shared < SHARED:
         out[:] = False
     return out

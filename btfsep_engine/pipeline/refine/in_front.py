@@ -8,20 +8,23 @@ texture, nor the edges of shadows, nor highlights make of a photograph of the ob
 are found by. Of an object with gloss, what is brighter than the light explains may be a highlight, and stays. Where
 most of them lie along outlines, the camera is off, or the mesh. Light between surfaces that was left out of what the
 photo seemed to show is asked for again. Nor are those left out that are shaded as objects are which a lamp lights there
-and nowhere else, or only elsewhere (`refine.parted`); and a thing's shadow stays, where a lamp explains it.
+and nowhere else, or only elsewhere (`refine.parted`), nor highlights of gloss that the material has not, or of lamps
+sharper than the light is so far; and a thing's shadow stays, where a lamp explains it.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from btfsep_engine.fit.colour import as_of_two_lights
 from btfsep_engine.fit.robust import outliers
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
-from btfsep_engine.pipeline.refine.highlights import highlights
+from btfsep_engine.pipeline.refine.highlights import SHARED, TOLD, highlights, mirrored_alike
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.parted import in_parts, lit_otherwise, shines
 from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW
+from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
 
 TAILS = 1.4  # root mean square of what is left over, over what its median would be of noise: 1 of noise, 1.2 to 1.4
@@ -36,6 +39,11 @@ MOST = 0.5  # of the pixels
 # Of what is left without single pixels: parts, which take the lit edges of objects with them, have to leave less, if
 # either is left out. On five plates with things in front they leave 0.1 to 0.55; where a sun lights a rim, as much.
 CLEARLY = 0.75
+# Of what would be left out, what is brighter: of highlights 0.73 and more. Of the other places that reflect the same
+# direction, those that are, too: of leather that was taken for another 0.65 to 0.88, of things in front that have the
+# light's colour up to 0.4; and of what is left over, what sharp lamps leave, where it is no more of them: 0.3 and 0.45
+BRIGHTER, SURELY, BY_LAMPS = 0.5, 0.6, 0.5
+HIGHLIGHTS = "what looks like highlights is not left out: of gloss that the material has not, or of sharp lamps"
 SHADOWS = 0.02  # of the pixels: shadows of things in front that are worth a search
 
 
@@ -68,6 +76,30 @@ def parts_apart(model, light):
     """(p,) bool, pixels that smooth light explains not at all, and those around them neither."""
     apart = Pixels(model, light).apart()
     return without_highlights(model, light, apart) if shines(model) else apart
+
+
+def unexplained_highlights(model, light, freed, lost) -> bool:
+    """Whether pixels that would be left out, ``lost`` (p,) bool, show highlights, of gloss or of lamps not yet found.
+
+    They are brighter than the light of all others, ``freed``, explains; by light of that light's colour; and so are
+    other places that reflect the same direction: most of them, or some, where sharp lamps explain them.
+    """
+    more = freed.left_over(model.problems)
+    bright = lost & ((more / freed.solver.basis.response).sum(1) > 0)
+    if bright.sum() < BRIGHTER * lost.sum():
+        return False
+    if as_of_two_lights(more[bright].sum(0), freed.fit.all_coefficients[0]) < 0:
+        return False
+    ends = np.cumsum([len(p.pixels) for p in model.problems])[:-1]
+    parts = [(p, some) for p, some in zip(model.problems, np.split(bright, ends), strict=True) if some.sum() > 1]
+    if not parts:
+        return False
+    told, shared = np.transpose([mirrored_alike(p, np.flatnonzero(some), some) for p, some in parts])
+    size = np.array([some.sum() for _, some in parts])
+    told, shared = size @ told / size.sum(), (size * told) @ shared / max(float(size @ told), 1e-300)
+    if told <= TOLD or shared <= SHARED:
+        return False
+    return shared > SURELY or sharp_lamps(model, light)[1].fit.residual < BY_LAMPS * light.fit.residual
 
 
 def without(model, lost):
@@ -112,7 +144,11 @@ def without_things_in_front(model, light):
             if left > HOPEFUL * light.fit.residual:
                 continue
             answer = fit_together(freed.problems, ordered)
-            if answer.fit.residual < EXPLAINED * light.fit.residual and not lit_otherwise(model, light, lost):
+            if answer.fit.residual >= EXPLAINED * light.fit.residual:
+                continue
+            if unexplained_highlights(model, light, answer, lost):
+                return replace(model, highlights=True), light, {"highlights": HIGHLIGHTS}
+            if not lit_otherwise(model, light, lost):
                 break
         else:
             return model, light, {}

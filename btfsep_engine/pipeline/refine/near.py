@@ -58,6 +58,9 @@ def near_lamps(model, light):
     if any(is_metal(made_of, thing.surface) for made_of, thing in zip(model.materials[0], things, strict=True)):
         why = "light is taken to come from far away: a metal shows lamps sharper than the fit has them, near or far"
         return model, light, {"near": why}
+    if model.highlights:
+        why = "light is taken to come from far away: what looks like lamps nearby may be highlights"
+        return model, light, {"near": why}
     with model.reporter.stage("fit"):
         scene = Photographed(model, light)
         lamps = bright_lamps(scene)

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.fit.colour import ANY, LIGHT, tint_of
+from btfsep_engine.fit.colour import as_of_two_lights
 from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.refine.misshapen import patch_misfit
 from btfsep_engine.pipeline.refine.near import near_lamps
@@ -102,13 +102,8 @@ def in_parts(model, light):
 
 
 def coloured_as_light(shaded) -> float:
-    """How much a Shaded's colour speaks for a lamp and against a paint that reflects what others do not: log odds.
-
-    Lamps and other light differ as two lights do, two paints as colours do that nobody knows (`fit.colour`).
-    """
-    tint = tint_of(shaded.light.irradiances[0]) - tint_of(shaded.light.x[0])
-    of_light, of_paint = (-0.5 * np.square(tint / each) - np.log(each) for each in (np.sqrt(2) * LIGHT, ANY))
-    return float((of_light - of_paint).sum())
+    """How much a Shaded's colour speaks for a lamp and against a paint that reflects what others do not: log odds."""
+    return as_of_two_lights(shaded.light.irradiances[0], shaded.light.x[0])
 
 
 def likely(shaded) -> np.ndarray:
