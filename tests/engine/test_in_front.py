@@ -81,16 +81,12 @@ def on_balls(first: bool, second: bool):
     return spot & np.repeat([first, second], BALL)
 
 
-def test_what_shines_on_both_balls_in_the_lights_colour_is_a_highlight_of_another_material(monkeypatch):
+def test_what_shines_on_both_balls_is_a_highlight_of_another_material(monkeypatch):
     monkeypatch.setattr(in_front, "sharp_lamps", None)  # are not asked for
-    both, one = on_balls(True, True), on_balls(True, False)
-    assert in_front.unexplained_highlights(*left_on_two_balls(both, WHITE), both)
-    assert not in_front.unexplained_highlights(*left_on_two_balls(both, GREEN), both)
-    assert not in_front.unexplained_highlights(*left_on_two_balls(both, -WHITE), both)
-    assert not in_front.unexplained_highlights(*left_on_two_balls(one, WHITE), one)
-    model, light, freed = left_on_two_balls(both, WHITE)
-    freed.left_over(model.problems)[~both] = -0.001  # the spots, and far more that is darker
-    assert not in_front.unexplained_highlights(model, light, freed, np.ones(2 * BALL, bool))
+    for balls, expected in (((True, True), True), ((True, False), False)):
+        there = on_balls(*balls)
+        model, light, _ = left_on_two_balls(there, WHITE)
+        assert in_front.shine(model, light, there) == expected
 
 
 @pytest.mark.parametrize(("lamps_leave", "expected"), [(0.1, True), (0.3, False)])
@@ -101,7 +97,18 @@ def test_what_shines_at_some_places_of_those_that_reflect_the_same_is_a_highligh
     monkeypatch.setattr(in_front, "sharp_lamps", lambda model, light: (model, explained, {}))
     there = on_balls(True, True)
     there[BALL:] &= two_balls(MATTE, MATTE).normals[BALL:, 0] > 0.45  # not the whole spot
-    assert in_front.unexplained_highlights(*left_on_two_balls(there, WHITE), there) == expected
+    model, light, _ = left_on_two_balls(there, WHITE)
+    assert in_front.shine(model, light, there) == expected
+
+
+def test_what_is_brighter_by_the_lights_own_colour_may_be_of_the_object():
+    there = on_balls(True, False)
+    for colour, expected in ((WHITE, there), (GREEN, None), (-WHITE, None)):
+        model, _, freed = left_on_two_balls(there, colour)
+        np.testing.assert_equal(in_front.as_more_light(model, freed, there), expected)
+    model, _, freed = left_on_two_balls(there, WHITE)
+    freed.left_over(model.problems)[~there] = -0.001  # far more that is darker
+    assert in_front.as_more_light(model, freed, np.ones(2 * BALL, bool)) is None
 
 
 def photographed(rng, there, level, *, gloss=0.0) -> tuple:
@@ -161,9 +168,18 @@ def test_what_is_brighter_is_told_with_channels_that_count_alike(monkeypatch):
     np.testing.assert_array_equal(in_front.without_highlights(model, light, np.ones(2, bool)), [False, True])
 
 
+@pytest.mark.parametrize("level", [4.0, 0.02])
+def test_what_may_be_a_highlight_is_left_out_with_the_light_of_all_pixels_as_the_other_half(rng, level, monkeypatch):
+    """What is darker than the light explains is none."""
+    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: False)
+    model, light = photographed(rng, patch, level)
+    freed, _, words = without_things_in_front(model, light)
+    assert "robust" in words and freed.otherwise == (((light.fit, 0.5),) if level > 1 else ())
+
+
 def test_of_what_shows_highlights_nothing_is_left_out_and_no_lamp_nearby_is_sought(rng, monkeypatch):
     model, light = photographed(rng, patch, 4.0)
-    monkeypatch.setattr(in_front, "unexplained_highlights", lambda *_: True)
+    monkeypatch.setattr(in_front, "shine", lambda *_: True)
     same, answer, words = without_things_in_front(model, light)
     assert answer is light and same.highlights and same.problems[0].left_out is None and "highlights" in words
     made_of = SimpleNamespace(surface=None, material=SimpleNamespace(material_class="wood"))

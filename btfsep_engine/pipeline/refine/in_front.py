@@ -43,6 +43,7 @@ CLEARLY = 0.75
 # direction, those that are, too: of leather that was taken for another 0.65 to 0.88, of things in front that have the
 # light's colour up to 0.4; and of what is left over, what sharp lamps leave, where it is no more of them: 0.3 and 0.45
 BRIGHTER, SURELY, BY_LAMPS = 0.5, 0.6, 0.5
+EITHER = 0.5  # how probable they are highlights, if not for that
 HIGHLIGHTS = "what looks like highlights is not left out: of gloss that the material has not, or of sharp lamps"
 SHADOWS = 0.02  # of the pixels: shadows of things in front that are worth a search
 
@@ -78,18 +79,20 @@ def parts_apart(model, light):
     return without_highlights(model, light, apart) if shines(model) else apart
 
 
-def unexplained_highlights(model, light, freed, lost) -> bool:
-    """Whether pixels that would be left out, ``lost`` (p,) bool, show highlights, of gloss or of lamps not yet found.
-
-    They are brighter than the light of all others, ``freed``, explains; by light of that light's colour; and so are
-    other places that reflect the same direction: most of them, or some, where sharp lamps explain them.
-    """
+def as_more_light(model, freed, lost):
+    """(p,) bool, which of the pixels that would be left out, ``lost`` (p,) bool, are brighter than the light of all
+    others, ``freed``, explains; None where these are few, or are so by another colour than that light has."""
     more = freed.left_over(model.problems)
     bright = lost & ((more / freed.solver.basis.response).sum(1) > 0)
-    if bright.sum() < BRIGHTER * lost.sum():
-        return False
-    if as_of_two_lights(more[bright].sum(0), freed.fit.all_coefficients[0]) < 0:
-        return False
+    alike = bright.sum() >= BRIGHTER * lost.sum()
+    return bright if alike and as_of_two_lights(more[bright].sum(0), freed.fit.all_coefficients[0]) > 0 else None
+
+
+def shine(model, light, bright) -> bool:
+    """Whether pixels that are ``bright`` (p,) bool show highlights, of gloss that materials have not or of lamps.
+
+    Other places that reflect the same direction are as bright: most of them, or some, where sharp lamps explain them.
+    """
     ends = np.cumsum([len(p.pixels) for p in model.problems])[:-1]
     parts = [(p, some) for p, some in zip(model.problems, np.split(bright, ends), strict=True) if some.sum() > 1]
     if not parts:
@@ -146,7 +149,8 @@ def without_things_in_front(model, light):
             answer = fit_together(freed.problems, ordered)
             if answer.fit.residual >= EXPLAINED * light.fit.residual:
                 continue
-            if unexplained_highlights(model, light, answer, lost):
+            bright = as_more_light(model, answer, lost)
+            if bright is not None and shine(model, light, bright):
                 return replace(model, highlights=True), light, {"highlights": HIGHLIGHTS}
             if not lit_otherwise(model, light, lost):
                 break
@@ -154,5 +158,8 @@ def without_things_in_front(model, light):
             return model, light, {}
     freed, answer, words = with_shadows_kept(model, light, lost, (freed, answer, {}))
     words = {"robust": left_out_words(freed.problems)} | words
+    if bright is not None:
+        others = tuple((fit, (1 - EITHER) * share) for fit, share in freed.otherwise)
+        freed = replace(freed, otherwise=(*others, (light.fit, EITHER)))
     freed, answer, more = light_between_surfaces(freed, answer)
     return freed, answer, words | more
