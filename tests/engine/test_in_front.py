@@ -62,7 +62,7 @@ def test_matte_objects_have_none():
     assert not highlights(problem, problem.normals[:, 2] > 0.9).any()
 
 
-WHITE, GREEN = np.array([1.0, 1.0, 1.0]), np.array([0.1, 1.0, 0.1])
+WHITE, GREEN, VIOLET = np.array([1.0, 1.0, 1.0]), np.array([0.1, 1.0, 0.1]), np.array([0.5, 0.01, 1.0])
 
 
 def left_on_two_balls(there, colour) -> tuple:
@@ -138,11 +138,11 @@ def rim(across, down):
     return (np.hypot(across, down) > 0.93) & (across < 0)
 
 
-@pytest.mark.parametrize(("level", "gloss"), [(4.0, 0.0), (0.02, 0.0), (0.02, 4.0)])
-def test_what_stands_apart_is_left_out_and_of_gloss_what_is_darker_than_the_light_explains(
+@pytest.mark.parametrize(("level", "gloss"), [(4.0, 0.0), (0.02, 0.0), (0.02, 4.0), (20 * VIOLET, 4.0)])
+def test_what_stands_apart_is_left_out_and_of_gloss_what_is_dark_or_of_a_colour_that_no_light_has(
     rng, level, gloss, monkeypatch
 ):
-    """No highlight is darker than all around it: a dark thing need not be seen at two places."""
+    """No highlight is darker than all around it: a dark thing need not be seen at two places, nor a violet one."""
     monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: False)  # which traces rays
     model, light = photographed(rng, patch, level, gloss=gloss)
     assert shining(model.problems[0])[0].all() == (gloss > 0)
@@ -162,9 +162,13 @@ def test_what_is_brighter_is_told_with_channels_that_count_alike(monkeypatch):
     """Of a red object most of what is left over is red, whatever the others say."""
     left = np.array([[-1.0, 0.5, 0.5], [1.0, -0.5, -0.5]])
     basis = SimpleNamespace(response=np.array([10.0, 1.0, 1.0]))
-    light = SimpleNamespace(left_over=lambda _: left, solver=SimpleNamespace(basis=basis))
-    model = SimpleNamespace(problems=[SimpleNamespace(pixels=np.zeros((2, 2)))])
+    fit = SimpleNamespace(all_coefficients=np.ones((1, 3)))
+    how = {"left_over": lambda _: left, "radiance": lambda _: np.ones((2, 3)), "fit": fit}
+    light = SimpleNamespace(solver=SimpleNamespace(basis=basis), **how)
+    pixels = np.array([[0, 0], [50, 0]])
+    model = SimpleNamespace(problems=[SimpleNamespace(pixels=pixels, points=[SimpleNamespace(pixels=pixels)])])
     monkeypatch.setattr(in_front, "highlights", lambda _, bright: bright)
+    monkeypatch.setattr(in_front, "as_of_two_lights", lambda *_: 0.0)
     np.testing.assert_array_equal(in_front.without_highlights(model, light, np.ones(2, bool)), [False, True])
 
 

@@ -15,14 +15,16 @@ sharper than the light is so far; and a thing's shadow stays, where a lamp expla
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from btfsep_engine.fit.colour import as_of_two_lights
 from btfsep_engine.fit.robust import outliers
+from btfsep_engine.fit.two_kinds import neighbours
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import SHARED, TOLD, highlights, mirrored_alike
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.parted import in_parts, lit_otherwise, shines
-from btfsep_engine.pipeline.refine.pixels import Pixels
+from btfsep_engine.pipeline.refine.pixels import Pixels, objects_apart
 from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
 from btfsep_engine.pipeline.together import all_weights, fit_together, followed, light_solver
@@ -43,6 +45,7 @@ CLEARLY = 0.75
 # direction, those that are, too: of leather that was taken for another 0.65 to 0.88, of things in front that have the
 # light's colour up to 0.4; and of what is left over, what sharp lamps leave, where it is no more of them: 0.3 and 0.45
 BRIGHTER, SURELY, BY_LAMPS = 0.5, 0.6, 0.5
+UNLIKE = -25.0  # log odds of a colour's being of two lights: of highlights in clean photographs -15 and more
 EITHER = 0.5  # how probable they are highlights, if not for that
 HIGHLIGHTS = "what looks like highlights is not left out: of gloss that the material has not, or of sharp lamps"
 SHADOWS = 0.02  # of the pixels: shadows of things in front that are worth a search
@@ -50,11 +53,17 @@ SHADOWS = 0.02  # of the pixels: shadows of things in front that are worth a sea
 
 def without_highlights(model, light, apart) -> np.ndarray:
     """Pixels that stand ``apart`` (p,) bool, but for what may be highlights: where they are brighter than the light
-    explains."""
-    problems = model.problems
+    explains, in parts whose colour is not far from its own, nor from the objects'."""
+    problems, left = model.problems, light.left_over(model.problems)
+    brighter = apart & ((left / light.solver.basis.response).sum(1) > 0)  # channels count alike
+    if brighter.any():
+        part, where = connected_components(neighbours(objects_apart(problems)[brighter]))[1], np.flatnonzero(brighter)
+        known = light.fit.all_coefficients[0], light.radiance(problems).mean(0)
+        for inside in (where[part == k] for k in range(part.max() + 1)):
+            more = left[inside].sum(0)
+            brighter[inside] = max(as_of_two_lights(more, colour) for colour in known) > UNLIKE
     ends = np.cumsum([len(p.pixels) for p in problems])[:-1]
-    brighter = (light.left_over(problems) / light.solver.basis.response).sum(1) > 0  # channels count alike
-    parts = np.split(apart, ends), np.split(apart & brighter, ends)
+    parts = np.split(apart, ends), np.split(brighter, ends)
     return np.concatenate([some & ~highlights(p, bright) for p, some, bright in zip(problems, *parts, strict=True)])
 
 

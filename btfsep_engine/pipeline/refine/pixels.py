@@ -18,6 +18,12 @@ AS_LIT = 0.6
 AS_LIGHT = 2.0  # deviations of a light's tint: what differs more is not of less light
 
 
+def objects_apart(problems) -> np.ndarray:
+    """(p, 2), where all photographs' pixels are, each object's beside the others'."""
+    each = [points.pixels for p in problems for points in p.points]
+    return np.concatenate([pixels + np.array([i * APART, 0]) for i, pixels in enumerate(each)])
+
+
 class Pixels:
     """All photographs' pixels as the search for their parts needs them.
 
@@ -34,8 +40,7 @@ class Pixels:
         clipped = np.concatenate([p.clipped for p in self.problems])
         self.known = np.where(clipped, 0.0, 1.0 if own is None else own)
         self.rms = np.sqrt((self.known * self.b**2).sum(0) / np.maximum(self.known.sum(0), 1.0))
-        each = [points.pixels for p in self.problems for points in p.points]  # objects apart
-        self.at = np.concatenate([pixels + np.array([i * APART, 0]) for i, pixels in enumerate(each)])
+        self.at = objects_apart(self.problems)
         self.some = np.arange(len(self.b)) % -(-len(self.b) // SOME) == 0
         self.around = neighbours(self.at, deviation=FINE, farthest=FINEST)
         self.around_some = neighbours(self.at[self.some])
