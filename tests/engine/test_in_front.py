@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.pipeline.checks import gloss_doubts
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine import in_front, near
@@ -189,3 +190,14 @@ def test_of_what_shows_highlights_nothing_is_left_out_and_no_lamp_nearby_is_soug
     made_of = SimpleNamespace(surface=None, material=SimpleNamespace(material_class="wood"))
     monkeypatch.setattr(near, "Photographed", None)  # the search begins with it
     assert "highlights" in near.near_lamps(replace(same, materials=((made_of,),)), answer)[2]["near"]
+
+
+def test_highlights_are_said_unless_lamps_have_images_that_explain_them():
+    def estimate(highlights, correction=None):
+        leather = SimpleNamespace(material=SimpleNamespace(name="leather"))
+        problems, materials = [SimpleNamespace(correction=correction)], ((leather, leather),)
+        return SimpleNamespace(model=SimpleNamespace(problems=problems, materials=materials, highlights=highlights))
+
+    (said,) = gloss_doubts(estimate(True))
+    assert "highlights that are not those of leather:" in said
+    assert gloss_doubts(estimate(False)) == gloss_doubts(estimate(True, correction=np.zeros((1, 3)))) == []
