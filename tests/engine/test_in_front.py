@@ -15,6 +15,7 @@ from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine import in_front, near
 from btfsep_engine.pipeline.refine.highlights import highlights, shining
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
+from btfsep_engine.pipeline.refine.parted import with_others
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.progress import Reporter
@@ -201,3 +202,10 @@ def test_highlights_are_said_unless_lamps_have_images_that_explain_them():
     (said,) = gloss_doubts(estimate(True))
     assert "highlights that are not those of leather:" in said
     assert gloss_doubts(estimate(False)) == gloss_doubts(estimate(True, correction=np.zeros((1, 3)))) == []
+
+
+def test_what_a_photo_may_show_already_is_less_probable_for_each_other_light():
+    first, second = (SimpleNamespace(fit=name) for name in ("first", "second"))
+    settings = choose()
+    model = with_others(with_others(Model(settings, {}), [(("", first), 0.4)]), [(("", second), 0.5)])
+    assert model.otherwise == (("first", 0.2), ("second", 0.5))

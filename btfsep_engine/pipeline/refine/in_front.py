@@ -23,7 +23,7 @@ from btfsep_engine.fit.two_kinds import neighbours
 from btfsep_engine.pipeline.real_photo import STIFF, left_out_words, some_of_each
 from btfsep_engine.pipeline.refine.highlights import SHARED, TOLD, highlights, mirrored_alike
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
-from btfsep_engine.pipeline.refine.parted import in_parts, lit_otherwise, shines
+from btfsep_engine.pipeline.refine.parted import in_parts, lit_otherwise, shines, with_others
 from btfsep_engine.pipeline.refine.pixels import Pixels, objects_apart
 from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.refine.sharp import sharp_lamps
@@ -168,7 +168,6 @@ def without_things_in_front(model, light):
     freed, answer, words = with_shadows_kept(model, light, lost, (freed, answer, {}))
     words = {"robust": left_out_words(freed.problems)} | words
     if bright is not None:
-        others = tuple((fit, (1 - EITHER) * share) for fit, share in freed.otherwise)
-        freed = replace(freed, otherwise=(*others, (light.fit, EITHER)))
+        freed = with_others(freed, [((model, light), EITHER)])
     freed, answer, more = light_between_surfaces(freed, answer)
     return freed, answer, words | more

@@ -113,8 +113,11 @@ def likely(shaded) -> np.ndarray:
 
 
 def with_others(model, others):
-    """The model whose photo may show the lights of ``others`` as well: ((Model, SolvedLight), probability) of each."""
-    return replace(model, otherwise=tuple((light.fit, float(share)) for (_, light), share in others))
+    """The model whose photo may show the lights of ``others`` as well: ((Model, SolvedLight), probability) of each;
+    what it may show already is as much less probable."""
+    others = tuple((light.fit, float(share)) for (_, light), share in others)
+    left = 1 - sum(share for _, share in others)
+    return replace(model, otherwise=(*((fit, left * share) for fit, share in model.otherwise), *others))
 
 
 def left_over(pixels: Pixels, tried) -> list[float]:
