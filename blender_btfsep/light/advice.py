@@ -51,6 +51,9 @@ KNOWN = (
         "COLOUR",
         "AMBER",
     ),
+    Advice(
+        "the photo is black and white", "A black-and-white photo: the colours of the light are not known", level="AMBER"
+    ),
     Advice("light from nearby", "Part of the light is near (a lamp, a window); a World is far away", level="AMBER"),
     Advice(
         "brighter than they should be",

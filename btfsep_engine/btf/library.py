@@ -85,6 +85,14 @@ class Library:
         """A hash of every material's name and content, for the keys of caches."""
         return digest([(e.name, e.sha256) for e in sorted(self.entries.values(), key=lambda e: e.name)])
 
+    def without_colours(self) -> "Library":
+        """The same materials as a black-and-white photo shows them."""
+        return GreyLibrary(self.folder, self.entries)
+
+    def content(self, name: str) -> str:
+        """A text that tells a material's content from others'."""
+        return self.entries[name].sha256 if name in self.entries else name
+
     def load(self, name: str) -> Material:
         """The material called ``name``.
 
@@ -150,6 +158,24 @@ class Library:
             "directions": [len(material.views), len(material.lights)],
             "relative_error": entry.relative_error,
         }
+
+
+class GreyLibrary(Library):
+    """A library of the same names, whose materials have no colours."""
+
+    def without_colours(self) -> "GreyLibrary":
+        return self
+
+    def content(self, name: str) -> str:
+        return f"{super().content(name)} without colours"
+
+    @property
+    def digest(self) -> str:
+        return digest(super().digest, "without colours")
+
+    def load(self, name: str) -> Material:
+        material = super().load(name)
+        return kept.recalled("without colours", [material], material.without_colours)
 
 
 def open_library(path=None) -> Library:

@@ -15,6 +15,7 @@ import numpy as np
 
 from btfsep_engine.btf.directions import cosine_weights, interpolator, ubo2014_directions
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.conventions import grey
 
 
 class Material(ABC):
@@ -48,6 +49,10 @@ class Material(ABC):
         -------
         (n, 3) float, 1/sr, without the cosine
         """
+
+    @abstractmethod
+    def without_colours(self) -> "Material":
+        """The same material as a black-and-white photo shows it: of the luminance of what it reflects."""
 
     @cached_property
     def table(self) -> "Tabulated":
@@ -166,6 +171,10 @@ class Tabulated(Material):
             surface=self.surface,
         )
 
+    def without_colours(self) -> "Tabulated":
+        surface = self.surface and self.surface.without_colours()
+        return replace(self, angular=grey(self.angular, axis=2), dye=None, surface=surface)
+
     def truncated(self, components: int | None) -> "Tabulated":
         return replace(self, texels=self.texels[..., :components], angular=self.angular[..., :components])
 
@@ -194,6 +203,9 @@ class Lambertian(Material):
     def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
         return np.broadcast_to(self.matte_albedo / np.pi, (len(position_mm), 3))
 
+    def without_colours(self) -> "Lambertian":
+        return replace(self, albedo=grey(self.albedo))
+
     def directional_albedo(self) -> np.ndarray:
         return self.matte_albedo[None]
 
@@ -215,6 +227,9 @@ class Mirror(Material):
 
     def abrdf(self, position_mm, to_light, to_eye) -> np.ndarray:
         return np.zeros((len(position_mm), 3))
+
+    def without_colours(self) -> "Mirror":
+        return replace(self, reflectance=grey(self.reflectance))
 
     def directional_albedo(self) -> np.ndarray:
         return self.mirror_reflectance[None]

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from btfsep_engine.conventions import grey
+
 CLASS = "surface"
 GIVEN = "surface/given"  # the material that is made from the numbers of a job
 
@@ -50,6 +52,11 @@ class Surface:
     def plain(self) -> bool:
         """Whether it is one dielectric all over, without a layer above."""
         return self.image is None and self.finish is None and not (self.metallic or self.coat or any(self.sheen))
+
+    def without_colours(self) -> "Surface":
+        """The same of a luminance alone."""
+        colours = {name: tuple(grey(getattr(self, name)).tolist()) for name in ("base_color", "emission", "sheen")}
+        return replace(self, **colours, image=None if self.image is None else grey(self.image))
 
     def kinds(self) -> list:
         """Pairs (share, surface): of each kind of finish where it is, (n, n) float32, and a surface without images.

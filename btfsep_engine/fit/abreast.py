@@ -14,6 +14,7 @@ from btfsep_engine.fit import search
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Photograph, Rows
 from btfsep_engine.fit.search import FIRST_NOISE, FLOOR, ROUNDS, SETTLED, STEPS, Solution
+from btfsep_engine.linear_algebra import lower_gram
 
 
 def solve_abreast(
@@ -132,7 +133,7 @@ class _Descent:
             if len(whole):
                 slopes[whole] = self._slopes(whole)
                 for i in whole:
-                    grams[i] = search.small_gram(slopes[i])
+                    grams[i] = lower_gram(slopes[i])
                     lower[i] = search.small_factor(grams[i], damping[i])
                 r = self.r[whole].reshape(len(whole), 1, -1).astype(np.float32)
                 gradient[whole] = (r @ slopes[whole])[:, 0] + self.white[whole]

@@ -19,7 +19,7 @@ from scipy.linalg import lapack
 
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.products import NEARLY_RIGHT, Photograph, Rows
-from btfsep_engine.linear_algebra import cholesky, product
+from btfsep_engine.linear_algebra import cholesky, lower_gram, product
 
 STEPS = 40  # of one search; 5 to 15 are usual
 ROUNDS = 6  # of the noise
@@ -135,7 +135,7 @@ def solution(photo, model, white, light, v, discrepancy, rows, lowest, steps, sl
 
     ``light`` : x and radiance there; ``lowest`` : (|r|^2 + |theta|^2) / 2; all else as in Solution
     """
-    factor = small_factor(small_gram(slopes), 0.0)
+    factor = small_factor(lower_gram(slopes), 0.0)
     evidence = (
         -lowest
         - 0.5 * rows.rest
@@ -170,16 +170,11 @@ def _and_one(gram, more=0.0) -> np.ndarray:
     return gram
 
 
-def small_gram(jacobian) -> np.ndarray:
-    """J J^T or J^T J, the smaller one."""
-    return product(jacobian, jacobian.T) if jacobian.shape[0] < jacobian.shape[1] else product(jacobian.T, jacobian)
-
-
 def small_factor(gram, damping: float) -> np.ndarray:
-    """The factor of (1 + damping) I + ``gram``, in single precision, in the lower triangle alone."""
+    """The factor of (1 + damping) I + ``gram``, in single precision, both in the lower triangle alone."""
     if not len(gram):
         return gram
-    lower, failed = lapack.spotrf(_and_one(gram.copy(), damping).T, lower=1, overwrite_a=1, clean=0)
+    lower, failed = lapack.spotrf(_and_one(gram.copy("F"), damping), lower=1, overwrite_a=1, clean=0)
     more = ROUNDED * float(np.diag(gram).max())
     while failed:  # its values span more than single precision does; of many that are alike, more than the largest says
         if not np.isfinite(more):
@@ -204,7 +199,7 @@ def _minimised(rows: Rows, model: LightModel, white, most: int, by_direction, kn
         if not again:
             steps += 1
             jacobian = model.jacobian(white, radiance, rows.root, by_direction)
-            gram = small_gram(jacobian)
+            gram = lower_gram(jacobian)
             gradient = product(r.astype(np.float32), jacobian) + white
             lower = small_factor(gram, damping)
         else:

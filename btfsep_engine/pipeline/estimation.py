@@ -9,6 +9,7 @@ import numpy as np
 from btfsep_engine.fit.stated import Fit, mixed
 from btfsep_engine.light.files import MAP_SIZE, Lighting, lighting_map
 from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixture, mixture_words
+from btfsep_engine.pipeline.black_and_white import as_photographed
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
@@ -231,7 +232,8 @@ def found_light(
     others : PreparedScenes of further photographs under the same light, each with an exposure of its own
     refinements : what the model may need beside its simplest form, in turn; None: what the settings ask for
     """
-    scenes, tones = [scene, *others], strengths([scene, *others], settings)
+    scenes, library = as_photographed([scene, *others], library)
+    tones = strengths(scenes, settings)
     refuse_unknown(scenes, settings)
     usual, *more = tones
     materials = materials_of_all([with_tones_undone(each, usual) for each in scenes], library, settings, name=material)

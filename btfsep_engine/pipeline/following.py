@@ -18,6 +18,7 @@ import numpy as np
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.model import Photo
 from btfsep_engine.pipeline.alternatives import alternatives
+from btfsep_engine.pipeline.black_and_white import without_colours
 from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of, refinements_of
 from btfsep_engine.pipeline.mirrors import with_picture
 from btfsep_engine.pipeline.model import Model, first_model
@@ -57,14 +58,14 @@ class Follower:
 
     def __init__(self, first: Estimate, library):
         self.chosen = self._elected = self._last = first
-        self.library = library
+        self.library = library if first.scene.has_colours else library.without_colours()
         self._curves, self._tones = first.scene.curves, first.scene.tones
 
     def scene_of(self, scene: PreparedScene, photo: Photo, reporter) -> PreparedScene:
         """A scene with another photo, read by the curve, and with a phone's tones undone as far, as was chosen."""
         out, known = copy.copy(scene), self._curves
         out.job, out.curves = replace(scene.job, photo=photo), None
-        out = with_tones_undone(out, self._tones)
+        out = with_tones_undone(out if self.chosen.scene.has_colours else without_colours(out), self._tones)
         if known is not None and photo.bits is not None:
             out = read_by(out, Curves(codes_of(out.job), known.curves, known.shares))
         out = with_picture(out, out.job.photo)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.btf.surfaces import SURFACES
+from btfsep_engine.conventions import grey
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.pipeline.like_pixels import is_textured
 from btfsep_engine.pipeline.scene import PreparedScene
@@ -88,6 +89,7 @@ def training_view(scene: PreparedScene, index: int, region, lights, settings: Re
         METHODS[settings.recogniser],
         WORDS.read_bytes(),
         [settings.classifier, settings.training_directions, settings.seed],
+        *([] if scene.has_colours else ["without colours"]),
     )
 
 
@@ -102,11 +104,7 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Reco
     window = bounding_window(region)
     lights = training_lights(settings.training_turns)
     view, method = training_view(scene, index, region, lights, settings), METHODS[settings.recogniser]
-    contents = {
-        name: library.entries[name].sha256 if name in library.entries else name
-        for name in library.names()
-        if name not in INDISTINGUISHABLE
-    }
+    contents = {name: library.content(name) for name in library.names() if name not in INDISTINGUISHABLE}
     of_images = [light.partition("@")[0] for light in lights.names]
 
     def make() -> Recogniser:
@@ -125,6 +123,7 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Reco
             images = np.full((lights.count, *region[window].shape, 3), np.nan, np.float32)
             more = (CELLS,) if material.mirror_reflectance is None and names.index(material.name) < most else ()
             seen, *_ = transport.radiances(material, lights, *more)
+            seen = seen if scene.has_colours else grey(seen)
             images[:, region[window]] = seen.transpose(1, 0, 2)
             return images
 

@@ -65,6 +65,7 @@ class PreparedScene:
         self.mended_by = None  # alignment.Alignment, where the camera is not the job's
         self.in_place = False  # whether the photo's own edges say that the camera is
         self.colours = {}  # number of an occluder -> (3,), as the photo shows it and the job does not, or not so
+        self.has_colours = True  # whether the photo has any, and all that is in it (`black_and_white`)
         self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):
             beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]

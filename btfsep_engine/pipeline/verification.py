@@ -14,6 +14,7 @@ A mirror shows whatever light is asked of it. It is compared with the photo as i
 one: sharp as these are, all over, and the sharper the nearer to the outline.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain, islice
@@ -24,7 +25,7 @@ from scipy.spatial import cKDTree
 from btfsep_engine import sh
 from btfsep_engine.btf.model import Tabulated
 from btfsep_engine.btf.surfaces import SURFACES
-from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.conventions import fibonacci_sphere, grey
 from btfsep_engine.fit.abreast import near_lights, solve_abreast
 from btfsep_engine.fit.colour import base_colour, tint_of
 from btfsep_engine.fit.election import natural_light
@@ -46,12 +47,13 @@ from btfsep_engine.threads import one_thread
 
 EXPLAINED = 24  # the first of the classifier's; others keep what the worst of these has
 RENDERED = 8  # of these, the likeliest ...
+AT_ONCE = 2  # are compared: most of it is OpenCV's, which waits for nobody
 HOPELESS = 6.0  # ... but none that is so far behind the first, in the logarithm of its odds
 PIXELS = 1000  # of the fit of the light
 ORDER = 6  # of its coefficients
 NEARBY = 2  # steps from another material's light to a rough one,
 SEARCHED = 4, STEPS  # and from there, at its first noise and at the one that is found then
-FIELD = 8, 4, sh.term_count(ORDER), 256  # of its logarithm: orders of lightness and of colours; directions
+FIELD = 7, 4, sh.term_count(ORDER), 192  # of its logarithm: orders of lightness and of colours; directions
 EXPLANATIONS = ("evidence", "tint")
 PLAIN = tuple(SURFACES)  # candidates beside a library's,
 ROUGHNESSES = {"surface/plastic": (0.2, 0.4), "surface/metal": (0.3, 0.5)}  # each the best of its kind
@@ -160,10 +162,10 @@ class Cells:
         return self._tree.query(np.asarray(directions))[1]
 
     def means(self, radiance, directions) -> np.ndarray:
-        """(count, 3), the mean in each cell of the ``radiance`` (3, n) of directions (n, 3) spread over the sphere."""
-        cell = self.nearest(directions)
-        number = np.maximum(np.bincount(cell, minlength=self.count), 1)
-        return np.stack([np.bincount(cell, channel, self.count) / number for channel in radiance], 1)
+        """(m, count, 3), the mean in each cell of the ``radiance`` (m, 3, n) of directions (n, 3), spread over the
+        sphere."""
+        inside = self.radiance(directions)[..., 0]
+        return np.swapaxes(radiance @ (inside / np.maximum(inside.sum(0), 1)), 1, 2)
 
 
 CELLS = Cells(64)  # of the light that a candidate is rendered under
@@ -193,7 +195,7 @@ class Verification:
         self.points, few = kept.recalled("candidates' points", parts, chosen)
         self.transport = scene.transport(self.points, directions=settings.training_directions)
         self.few_transport = scene.transport(few, directions=settings.training_directions)
-        self.region, self.window = region[window], window
+        self.region, self.window, self.has_colours = region[window], window, scene.has_colours
         self.every = False  # whether candidates are rendered, not the likeliest alone
 
     def cues(self, names, votes, radiance, load) -> dict:
@@ -232,12 +234,7 @@ class Verification:
             kinds = [i for i in kinds if below[i] >= below[last:].max() - BESIDE]
         seen = Masked(self.region, self.region & np.isfinite(radiance).all(-1))
         photo = Photographed(seen, contrast_of(seen.values_of(radiance), seen))
-        similar = [
-            dict.fromkeys(SIMILARITIES, np.nan)
-            if mirrors[i]
-            else self.similarity(materials[i], explained[i].light, photo)
-            for i in (*likely, *kinds)
-        ]
+        similar = self.similarities([(materials[i], explained[i].light) for i in (*likely, *kinds)], photo)
         each = {cue: np.array([s[cue] for s in similar]) for cue in SIMILARITIES}
         cues |= {cue: _of_all(values[: len(likely)], likely, count) for cue, values in each.items()}
         if mirrors.any():
@@ -254,6 +251,8 @@ class Verification:
 
         ``beside`` : another material's, with whose evidence these are compared
         """
+        if not materials:
+            return []
         rows, columns = (self.few_transport.points.pixels - [s.start for s in self.window]).T
         b = radiance[rows, columns]
         good, effective = np.isfinite(b).all(-1), beside and beside.effective
@@ -263,15 +262,12 @@ class Verification:
                 lights = [natural_light(photo, rounds=2) for photo in photos]
             else:
                 lights = lights_from(beside.solution, photos)
+        each = list(zip(photos, lights, strict=True))
+        radiance = np.array([best.radiance * photo.level[:, None] for photo, best in each])
+        cells = CELLS.means(radiance, lights[0].model.field.directions)
         return [
-            Explained(
-                CELLS.means(best.radiance, best.model.field.directions) * photo.level,
-                best.x[:, 0] * photo.level,
-                best.evidence,
-                photo.effective,
-                best,
-            )
-            for photo, best in zip(photos, lights, strict=True)
+            Explained(light, best.x[:, 0] * photo.level, best.evidence, photo.effective, best)
+            for (photo, best), light in zip(each, cells, strict=True)
         ]
 
     def plain(self, name: str, each, radiance, beside: Explained) -> Plain:
@@ -298,9 +294,25 @@ class Verification:
 
         return kept.recalled("candidate", [self.few_transport.key, material], made) if good.all() else made(good)
 
-    def similarity(self, material, light, photo: Photographed) -> dict[str, float]:
-        """`SIMILARITIES` of the photograph and a material under a light: how unlike they look, each <= 0."""
-        under, light = self.transport.radiance(material, CELLS), light.astype(np.float32)
+    def similarities(self, candidates, photo: Photographed) -> list[dict[str, float]]:
+        """`similarity` of each of ``candidates`` (material, light), two at a time; of mirrors NaN."""
+        images = [m.mirror_reflectance is None and self.transport.radiance(m, CELLS) for m, _ in candidates]
+
+        def of_one(candidate, under):
+            material, light = candidate
+            if material.mirror_reflectance is not None:
+                return dict.fromkeys(SIMILARITIES, np.nan)
+            return self.similarity(material, light, under, photo)
+
+        with ThreadPoolExecutor(AT_ONCE) as beside:
+            return list(beside.map(of_one, candidates, images))
+
+    def similarity(self, material, light, under, photo: Photographed) -> dict[str, float]:
+        """`SIMILARITIES` of the photograph and a material under a light: how unlike they look, each <= 0.
+
+        ``under`` : (p, `CELLS`, 3), the material's images under these
+        """
+        light = light.astype(np.float32)
         pixels = np.stack([product(under[..., c], light[:, c]) for c in range(3)], 1)
         differences = unlike(contrast_of(pixels[photo.seen.valid[self.region]], photo.seen), photo.contrast)
         return {name: -differences[name] for name in SIMILARITIES}
@@ -313,10 +325,13 @@ class Verification:
 
         def made() -> list[Contrast]:
             pictures = self.transport.mirrored(training_lights(1))[photo.seen.valid[self.region]]
+            pictures = pictures if self.has_colours else grey(pictures)
             return [contrast_of(picture, photo.seen) for picture in np.moveaxis(pictures, 1, 0)]
 
         valid = photo.seen.valid
-        natural = kept.recalled("mirrors", [self.transport.key, np.packbits(valid), *valid.shape], made)
+        natural = kept.recalled(
+            "mirrors", [self.transport.key, np.packbits(valid), *valid.shape, self.has_colours], made
+        )
         differences = [unlike(each, photo.contrast) for each in natural]
         return {name: -min(each[name] for each in differences) for name in SIMILARITIES}
 

@@ -33,7 +33,8 @@ FEWEST = 500  # pixels: a smaller object keeps its border
 UNSEEN = 0.03  # log2 units: a contrast that noise might be
 GREY_WORLD = Settings(white_balance=1.0)
 FINEST = (0.8, 1.6)  # pixels, of the octave beside which the finest detail is looked at
-SHARP = 0.45  # finest detail over that of this octave: less is a photo out of focus, or smoothed
+SHARP = 0.45  # finest detail over that of this octave: less is a photo out of focus, or smoothed;
+GRAINY = 1.6  # more, of lightness or a colour difference, is noise: it has 4.2, textures up to 1.3
 BLOCK = 8  # pixels, of JPEG
 BLOCKS = 1.12  # steps between blocks over those within
 
@@ -137,20 +138,23 @@ def _apart(a, b) -> np.ndarray:
 
 
 def spoilt(radiance, mask) -> bool:
-    """Whether a photo (h, w, 3), NaN where unusable, has lost its finest detail, by blur or by JPEG's blocks.
+    """Whether a photo (h, w, 3), NaN where unusable, has lost its finest detail, by blur, noise or JPEG's blocks.
 
     A texture's contrast is then that of the camera, and judged beside photographs like it. So is a surface that has no
     fine detail to lose.
     """
     valid = mask & np.isfinite(radiance).all(-1)
-    image = np.ascontiguousarray(normalise(radiance, valid, settings=GREY_WORLD)[..., 0])
+    image = normalise(radiance, valid, settings=GREY_WORLD)
     inside = cv2.erode(valid.astype(np.uint8), np.ones((BORDER, BORDER)), borderValue=0) > 0
     if inside.sum() < FEWEST:
         return False
-    corners = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6)
+    corners = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6)  # Immerkaer 1996
     octave = np.subtract(*(cv2.GaussianBlur(image, (0, 0), sigma) for sigma in FINEST))
-    sharp = np.median(np.abs(corners[inside])) / max(np.median(np.abs(octave[inside])), 1e-4)
-    return bool(sharp < SHARP or max(_blocks(image, inside), _blocks(image.T, inside.T)) > BLOCKS)
+    finest, beside = (np.median(np.abs(each[inside]), axis=0) for each in (corners, octave))
+    sharp = finest / np.maximum(beside, 1e-4)
+    lightness = np.ascontiguousarray(image[..., 0])
+    blocks = max(_blocks(lightness, inside), _blocks(lightness.T, inside.T))
+    return bool(sharp[0] < SHARP or sharp.max() > GRAINY or blocks > BLOCKS)
 
 
 def _blocks(image, inside) -> float:

@@ -15,9 +15,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from btfsep_engine.conventions import grey
 from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
+from btfsep_engine.pipeline.black_and_white import without_colours
 from btfsep_engine.pipeline.verification import PLAIN, Verification
 from btfsep_engine.recognise.contrast import spoilt
 from btfsep_engine.recognise.judgement import TABLE
@@ -27,8 +29,10 @@ from btfsep_engine.storage.cache import digest
 from scripts.studies.estimates import scene_of
 from scripts.studies.photos import Photograph
 
-FLAWS = ("clean", "blurred", "noisy", "jpeg", "all three")
+SINGLE = ("small", "noisy", "jpeg", "blurred", "grey", "scaled")  # flaws
+FLAWS = ("clean", *SINGLE, "all three")  # noisy, jpeg and blurred
 BLUR, NOISE, QUALITY = (0.6, 1.6), (0.05, 0.2), (30, 80)  # pixels; of the region's mean; of JPEG
+SCALE = (0.4, 0.9)  # of its pixels a photo had along an edge, before it was enlarged
 
 
 class Remembering(Verification):
@@ -53,14 +57,20 @@ class Remembering(Verification):
 
 
 class View:
-    """All photographs of one object: its geometry is traced and trained on once."""
+    """All photographs of one object with one flaw: its geometry is traced and trained on once."""
 
-    def __init__(self, photograph: Photograph, library, settings):
+    def __init__(self, photograph: Photograph, library, settings, flaw: str = "clean"):
         self.library, self.scene = library, scene_of(photograph.folder, uv="xatlas")
+        if flaw == "small":
+            camera = self.scene.job.camera
+            self.scene = self.scene.at_most(-(-max(camera.width, camera.height) // 2))
+        elif flaw == "grey":
+            self.library, self.scene = library.without_colours(), without_colours(self.scene)
         self.region = recognition.training_region(self.scene.regions[0], settings.training_pixels)
         self.window = recognition.bounding_window(self.region)
-        self.recogniser = recognition.trained_recogniser(self.scene, 0, library, settings)
+        self.recogniser = recognition.trained_recogniser(self.scene, 0, self.library, settings)
         self.verification = Remembering(self.scene, 0, self.region, self.window, settings)
+        self.object = photograph.object
 
     def cues(self, radiance, *, without: str | None = None) -> dict:
         """{"names": candidates, "cues": {cue: values}} of a photograph (h, w, 3), NaN where a pixel is unusable."""
@@ -98,7 +108,18 @@ class Seen:
 
 def flawed(radiance, region, flaw: str, random) -> np.ndarray:
     """A photograph as a worse camera would have kept it; NaN where it is saturated."""
-    image, every = np.nan_to_num(np.asarray(radiance, np.float32)), flaw == "all three"
+    radiance = np.asarray(radiance, np.float32)
+    if flaw == "grey":
+        return grey(radiance)
+    if flaw == "small":  # as of `PreparedScene.at_most`
+        h, w = (n // 2 for n in radiance.shape[:2])
+        return radiance[: 2 * h, : 2 * w].reshape(h, 2, w, 2, 3).mean((1, 3))
+    image, every = np.nan_to_num(radiance), flaw == "all three"
+    if flaw == "scaled":
+        h, w = radiance.shape[:2]
+        before = tuple(round(random.uniform(*SCALE) * n) for n in (w, h))
+        reduced = cv2.resize(image, before, interpolation=cv2.INTER_AREA)
+        return np.maximum(cv2.resize(reduced, (w, h), interpolation=cv2.INTER_CUBIC), 0)
     if flaw == "blurred" or every:
         image = cv2.GaussianBlur(image, (0, 0), random.uniform(*BLUR))
     if flaw == "noisy" or every:
@@ -123,13 +144,13 @@ def cues_of(
     """
     code = Path(inspect.getfile(Verification)).read_bytes()  # no training depends on it, and so no digest
     weights = b"" if every else TABLE.read_bytes()  # they say which candidates are worth a rendering
-    key, out, view, of = digest(source_digest(), code, library.digest, settings, every, weights), [], None, None
+    key, out, view = digest(source_digest(), code, library.digest, settings, every, weights), [], None
     for photograph in photographs:
         path = photograph.folder / f"cues-{flaw.replace(' ', '-')}.json"
         kept = json.loads(path.read_text()) if path.exists() else {}
         if kept.get("key") != key:
-            if of != photograph.object:
-                view, of = View(photograph, library, settings), photograph.object
+            if view is None or view.object != photograph.object:
+                view = View(photograph, library, settings, flaw)
                 view.verification.every = every
             photo = load_job(photograph.folder).photo
             radiance = np.where(photo.usable[..., None], photo.radiance, np.nan)

@@ -2,7 +2,7 @@
 """How often the material is recognised, how sure it is said to be, and whether what is not known is said to be so.
 
 scripts/study recognition FOLDER                    250 photographs by Cycles, taken into FOLDER unless they are there
-scripts/study recognition FOLDER --no-take --flaws clean noisy
+scripts/study recognition FOLDER --no-take --flaws clean small noisy jpeg blurred grey scaled
 scripts/study recognition FOLDER --light            the error of the light, too, with the sets, with the true material
 
 Five objects, each in six of the library's materials, under six of Blender's studio lights; meso-structure as displaced
@@ -278,6 +278,9 @@ def main(arguments) -> int:
             judge_mirrors(answers(cues.cues_of(mirrors, library, settings, flaw=flaw)))
         if flaw == "clean":
             rows.append(judge(answers(seen, "votes"), "clean, by the classifier alone"))
+    flawed = [a for flaw in cues.SINGLE for a in answers_of.get(flaw, ())]
+    if flawed:
+        rows.append(judge(flawed, "all with one flaw"))
     heads = list(rows[0])
     print("\n" + tables.table(heads, [[row.get(h, "–") for h in heads] for row in rows]))
     (given.folder / "answers.json").write_text(json.dumps(answers_of, indent=1))

@@ -8,7 +8,7 @@ from itertools import product as pairs
 import numpy as np
 import pytest
 
-from btfsep_engine.linear_algebra import cholesky, product
+from btfsep_engine.linear_algebra import cholesky, lower_gram, product
 
 LAYOUTS = {
     "rows": np.ascontiguousarray,
@@ -31,6 +31,17 @@ def test_a_product_is_numpys(rng, kinds, shapes):
         assert found.shape == expected.shape and found.dtype == expected.dtype, layouts
         assert np.allclose(found, expected, rtol=1e-5, atol=1e-5), layouts
         assert found.ndim == 1 or found.flags.c_contiguous, layouts
+
+
+@pytest.mark.parametrize("kind", (np.float32, np.float64))
+@pytest.mark.parametrize("shape", ((5, 7), (7, 5), (6, 6), (1, 3)))
+def test_a_gram_matrix_is_the_smaller_products_lower_triangle(rng, kind, shape):
+    for layout in LAYOUTS.values():
+        a = layout(rng.standard_normal(shape).astype(kind))
+        found, expected = lower_gram(a), a @ a.T if len(a) < a.shape[1] else a.T @ a
+        assert found.dtype == kind and found.flags.f_contiguous
+        assert np.allclose(np.tril(found), np.tril(expected), rtol=1e-5, atol=1e-5)
+    assert lower_gram(np.zeros((0, 3), kind)).shape == (0, 0)
 
 
 def test_what_has_no_numbers_or_is_whole_or_a_stack_is_multiplied_too(rng):

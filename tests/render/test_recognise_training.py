@@ -222,7 +222,7 @@ def test_another_classifier_has_the_order_of_the_cues_and_its_own_limit(monkeypa
 def test_cells_of_light_make_the_picture_that_the_light_makes(scene, library, name):
     transport = scene.transport(scene.points(0, textured=True), directions=256)
     light, directions = SHLighting(positive_light(4, seed=3) * [1.0, 0.9, 0.7]), fibonacci_sphere(400)
-    cells = CELLS.means(light.radiance(directions)[:, 0].T, directions)
+    cells = CELLS.means(light.radiance(directions)[:, 0].T[None], directions)[0]
     assert cells.shape == (CELLS.count, 3)
     found = np.einsum("pmc,mc->pc", transport.radiance(library.load(name), CELLS), cells)
     expected = transport.radiance(library.load(name), light)[:, 0]

@@ -10,8 +10,9 @@ no light of theirs is in the evaluation (`scripts/study recognition`), and no li
 trained under. The lights: two of Blender's eight studio lights, drawn by chance, each photograph with another turn of
 it; and draws from the prior of natural light (`light/log_field.py`) with up to two lamps.
 
-Four models: "verified", of all cues; "spoilt", the same of photographs that have lost their finest detail: each is
-blurred, made noisier and coded as JPEG once more; "explained", which says what is worth a rendering; and "votes", of
+Four models: "verified", of all cues; "spoilt", the same of photographs that have lost their finest detail, as each has
+that is blurred, made noisier and coded as JPEG; each is also used made noisier alone, half as large, enlarged, and
+black and white, by the model that it is judged by; "explained", which says what is worth a rendering; and "votes", of
 the classifier alone; of these two plain surfaces are no part. The weights are those of the largest likelihood (a
 multinomial logistic regression with a ridge), each photograph of the library's materials twice: with all, where its own
 is right, and without its own, where none is. The strangeness of what is right in each photograph is that under weights
@@ -62,7 +63,7 @@ MODELS = {
     "explained": ("classifier", *EXPLANATIONS),
     "votes": ("classifier",),
 }
-FLAWS = ("clean", "all three")
+FLAWS = ("clean", "noisy", "small", "scaled", "grey", "all three")
 RIDGE = 0.3  # of weights of cues of deviation 1: 0.1 does as well of clear photographs, 0.5 to 1 of spoilt ones
 LEFT_OUT = 0.1  # how much a photograph without its material counts beside one with it
 
