@@ -34,7 +34,8 @@ UNSEEN = 0.03  # log2 units: a contrast that noise might be
 GREY_WORLD = Settings(white_balance=1.0)
 FINEST = (0.8, 1.6)  # pixels, of the octave beside which the finest detail is looked at
 SHARP = 0.45  # finest detail over that of this octave: less is a photo out of focus, or smoothed;
-GRAINY = 1.6  # more, of lightness or a colour difference, is noise: it has 4.2, textures up to 1.3
+GRAINY = 1.6  # of a colour difference more is noise: it has 4.2, textures up to 1.3,
+ROUNDED = 0.02  # log2 units of this octave at least: of less, what is found is how 8 bits are rounded
 BLOCK = 8  # pixels, of JPEG
 BLOCKS = 1.12  # steps between blocks over those within
 
@@ -151,10 +152,10 @@ def spoilt(radiance, mask) -> bool:
     corners = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6)  # Immerkaer 1996
     octave = np.subtract(*(cv2.GaussianBlur(image, (0, 0), sigma) for sigma in FINEST))
     finest, beside = (np.median(np.abs(each[inside]), axis=0) for each in (corners, octave))
-    sharp = finest / np.maximum(beside, 1e-4)
+    sharp = finest / np.maximum(beside, (1e-4, ROUNDED, ROUNDED))
     lightness = np.ascontiguousarray(image[..., 0])
     blocks = max(_blocks(lightness, inside), _blocks(lightness.T, inside.T))
-    return bool(sharp[0] < SHARP or sharp.max() > GRAINY or blocks > BLOCKS)
+    return bool(sharp[0] < SHARP or sharp[1:].max() > GRAINY or blocks > BLOCKS)
 
 
 def _blocks(image, inside) -> float:

@@ -173,5 +173,10 @@ def test_a_flaw_changes_a_photograph_and_not_its_brightness(flaw):
     image = rng.uniform(0.2, 1.0, (64, 64, 3)).astype(np.float32)
     region = np.ones((64, 64), bool)
     spoilt = cues.flawed(image, region, flaw, rng)
-    assert spoilt.shape == image.shape and np.nanmean(np.abs(spoilt - image)) > 0.005
+    assert spoilt.dtype == np.float32
+    if flaw == "small":
+        assert spoilt.shape == (32, 32, 3) and spoilt.std() == pytest.approx(image.std() / 2, rel=0.1)
+    else:
+        assert spoilt.shape == image.shape and np.nanmean(np.abs(spoilt - image)) > 0.005
+    assert (np.ptp(spoilt, axis=-1).max() == 0) == (flaw == "grey")
     assert np.nanmean(spoilt) == pytest.approx(image.mean(), rel=0.1)
