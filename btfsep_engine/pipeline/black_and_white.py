@@ -16,6 +16,7 @@ from btfsep_engine.pipeline.scene import PreparedScene
 
 ALIKE = 0.01  # of the brightest channel: as far apart the channels of a pixel without a colour may be
 ALL = 0.98  # of the pixels: so many have none, where a file in colours rounds them by a code
+COLOURLESS = "the photo is black and white: of the light's colours nothing is known, and it was taken to be grey"
 LOOKED_AT = 100_000  # pixels at most, about
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from btfsep_engine.fit.stated import Fit, mixed
 from btfsep_engine.light.files import MAP_SIZE, Lighting, lighting_map
 from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixture, mixture_words
-from btfsep_engine.pipeline.black_and_white import as_photographed
+from btfsep_engine.pipeline.black_and_white import COLOURLESS, as_photographed
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
@@ -295,7 +295,8 @@ def light_of(model: Model, library, refinements=None) -> Estimate:
     """The light of a model in its simplest form, and what refines both; nothing is recognised."""
     refinements = refinements_of(model.settings) if refinements is None else refinements
     model, light, choice = refined(*solve_model(model), refinements)
-    choice |= {"light": light_words(light.fit), "colour": colour_words(light.fit)}
+    colour = colour_words(light.fit) if model.problems[0].scene.has_colours else COLOURLESS
+    choice |= {"light": light_words(light.fit), "colour": colour}
     with model.reporter.stage("alternatives"):
         others = tuple(alternatives(model, light, library))
     if others:

@@ -112,6 +112,7 @@ def test_the_light_of_a_black_and_white_photo_is_grey(monkeypatch, scene, librar
     right, grey_right = (errors(f.fit.coefficients, light)["order2"] for f in (known, found))
     assert np.ptp(found.fit.coefficients, axis=1).max() < 0.01 * np.abs(found.fit.coefficients).max()
     assert grey_right < 1.2 * right + 0.01 < 0.3
+    assert found.choice["colour"].startswith(SAID) and not known.choice["colour"].startswith(SAID)
     assert sum(SAID in said for said in without.reporter.warnings) == 1
     assert not any(SAID in said for said in in_colours.reporter.warnings)
     monkeypatch.setattr(estimation, "as_photographed", lambda scenes, library: (scenes, library))
