@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What recognition costs with libraries of several sizes: a new object, one more material, a photograph.
 
-scripts/study bench-recognition FOLDER                                  photographs, of `scripts/study recognition`
-scripts/study bench-recognition FOLDER --library LIBRARY --sizes 14 42  `btfsep library build LIBRARY` makes one of 42
+scripts/study bench-recognition FOLDER                photographs, of `scripts/study recognition`
+scripts/study bench-recognition FOLDER --sizes 14 42
 
-Of each size: the training of an object that has not been seen; that of the same object after one more material has come
-(the last by name); and the answers to photographs of it in one material, the first of a process and the median of the
-others, nothing of the fit of the light. The preset is balanced, the cache is empty at first. Seconds are by the clock,
-and of all processors together: those hardly depend on what else the machine does.
+Materials beyond the library's are its own under other names. Of each size: the training of an object that has not been
+seen; that of the same object after one more material has come (the last by name); and the answers to photographs of it
+in one material, the first of a process and the median of the others, nothing of the fit of the light. The preset is
+balanced, the cache is empty at first. Seconds are by the clock, and of all processors together: those hardly depend on
+what else the machine does.
 """
 
 import os
@@ -48,11 +49,22 @@ def costs(photographs, library, settings) -> list:
     return [*trainings, answers[0], np.median(answers[1:], axis=0)]
 
 
+def of_size(library, size: int):
+    """A library with so many materials, spread over its own; of more than it has, each under several names."""
+    names = list(library.entries)
+    if size <= len(names):
+        chosen = [names[i] for i in np.linspace(0, len(names) - 1, size).round().astype(int)]
+        return replace(library, entries={name: library.entries[name] for name in chosen})
+    every = [(name, f"{name}-{turn}" if turn else name) for turn in range(-(-size // len(names))) for name in names]
+    entries = {other: library.entries[name].model_copy(update={"name": other}) for name, other in every[:size]}
+    return replace(library, entries=entries)
+
+
 def main(arguments) -> int:
     options = parser("bench-recognition", __doc__)
     options.add_argument("folder", type=Path)
     options.add_argument("--library", type=Path, help="the shipped one by default")
-    options.add_argument("--sizes", type=int, nargs="+", default=[14], help="materials, spread over the library's")
+    options.add_argument("--sizes", type=int, nargs="+", default=[14], help="materials")
     options.add_argument("--object", default=OBJECTS[0])
     given = options.parse_args(arguments)
     every, settings = open_library(given.library), choose("balanced")
@@ -60,12 +72,10 @@ def main(arguments) -> int:
     some = [p for p in some if p.shown == some[0].shown]  # in another material its outline, and so its mask, is another
     rows = []
     for size in given.sizes:
-        names = list(every.entries)
-        chosen = [names[i] for i in np.linspace(0, len(names) - 1, min(size, len(names))).round().astype(int)]
-        library = replace(every, entries={name: every.entries[name] for name in chosen})
+        library = of_size(every, size)
         with tempfile.TemporaryDirectory() as folder:
             os.environ[cache.ENVIRONMENT] = folder
-            rows.append([len(chosen), *(f"{clock:.1f} ({work:.1f})" for clock, work in costs(some, library, settings))])
+            rows.append([size, *(f"{clock:.1f} ({work:.1f})" for clock, work in costs(some, library, settings))])
         print(rows[-1], flush=True)
     heads = ["materials", "a new object, one material less", "one more material", "the first photo", "others"]
     print(f"\nseconds by the clock (of all processors); {given.object}\n\n" + tables.table(heads, rows))
