@@ -50,9 +50,9 @@ class Material(ABC):
         (n, 3) float, 1/sr, without the cosine
         """
 
-    @abstractmethod
     def without_colours(self) -> "Material":
         """The same material as a black-and-white photo shows it: of the luminance of what it reflects."""
+        return self.table.without_colours()
 
     @cached_property
     def table(self) -> "Tabulated":

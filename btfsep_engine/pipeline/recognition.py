@@ -12,7 +12,7 @@ from btfsep_engine.pipeline.like_pixels import is_textured
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings
 from btfsep_engine.pipeline.verification import CELLS, PLAIN, Verification
-from btfsep_engine.recognise.contrast import spoilt
+from btfsep_engine.recognise.contrast import judged_as
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.model_file import cached, known_materials
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition
@@ -202,7 +202,7 @@ def recognised(photo, region, window, recogniser: Recogniser, library, verificat
     if not verification and not calibrated:
         return recogniser.judged(vectors)
     names, cues = candidate_cues(radiance, vectors, recogniser, library, verification)
-    model = "votes" if not verification else "spoilt" if spoilt(radiance, region[window]) else "verified"
+    model = judged_as(radiance, region[window]) if verification else "votes"
     answer = judgements()[model].answer(names, cues, plain=PLAIN)
     if calibrated:
         return answer

@@ -138,24 +138,27 @@ def _apart(a, b) -> np.ndarray:
     return np.abs(np.log((a + UNSEEN) / (b + UNSEEN)))
 
 
-def spoilt(radiance, mask) -> bool:
-    """Whether a photo (h, w, 3), NaN where unusable, has lost its finest detail, by blur, noise or JPEG's blocks.
+def judged_as(radiance, mask) -> str:
+    """What a photo (h, w, 3), NaN where unusable, shows of the finest detail: a model of `judgement.judgements`.
 
-    A texture's contrast is then that of the camera, and judged beside photographs like it. So is a surface that has no
+    "spoilt" where it is lost, by blur or JPEG's blocks, "grainy" where noise lies over it, else "verified". A texture's
+    contrast is that of the camera where it is lost, and judged beside photographs like it. So is a surface that has no
     fine detail to lose.
     """
     valid = mask & np.isfinite(radiance).all(-1)
     image = normalise(radiance, valid, settings=GREY_WORLD)
     inside = cv2.erode(valid.astype(np.uint8), np.ones((BORDER, BORDER)), borderValue=0) > 0
     if inside.sum() < FEWEST:
-        return False
+        return "verified"
     corners = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6)  # Immerkaer 1996
     octave = np.subtract(*(cv2.GaussianBlur(image, (0, 0), sigma) for sigma in FINEST))
     finest, beside = (np.median(np.abs(each[inside]), axis=0) for each in (corners, octave))
     sharp = finest / np.maximum(beside, (1e-4, ROUNDED, ROUNDED))
     lightness = np.ascontiguousarray(image[..., 0])
     blocks = max(_blocks(lightness, inside), _blocks(lightness.T, inside.T))
-    return bool(sharp[0] < SHARP or sharp[1:].max() > GRAINY or blocks > BLOCKS)
+    if sharp[0] < SHARP or blocks > BLOCKS:
+        return "spoilt"
+    return "grainy" if sharp[1:].max() > GRAINY else "verified"
 
 
 def _blocks(image, inside) -> float:

@@ -21,7 +21,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.black_and_white import without_colours
 from btfsep_engine.pipeline.verification import PLAIN, Verification
-from btfsep_engine.recognise.contrast import spoilt
+from btfsep_engine.recognise.contrast import judged_as
 from btfsep_engine.recognise.judgement import TABLE
 from btfsep_engine.recognise.model_file import source_digest
 from btfsep_engine.storage.atomic import write_text
@@ -85,18 +85,13 @@ class View:
 class Seen:
     """A photograph's cues with all materials, and without its own (None: the library never had it).
 
-    ``spoilt`` : whether it is judged beside spoilt photographs (`recognise.contrast.spoilt`)
+    ``model`` : which of `judgement.judgements` it is judged by
     """
 
     photograph: Photograph
     known: dict
     left_out: dict | None
-    spoilt: bool = False
-
-    @property
-    def model(self) -> str:
-        """Which of `judgement.judgements` it is judged by."""
-        return "spoilt" if self.spoilt else "verified"
+    model: str = "verified"
 
     def of_candidates(self, *, left_out: bool = False, plain: bool = True) -> tuple[tuple[str, ...], dict]:
         """The names of the candidates, and their cues; ``plain`` : with those of `verification.PLAIN`."""
@@ -162,9 +157,9 @@ def cues_of(
             known = view.cues(radiance)  # first, so that lights are looked for from where an estimate does
             left_out = view.cues(radiance, without=photograph.material) if has else None
             kept = {"key": key, "known": known, "left_out": left_out}
-            kept["spoilt"] = spoilt(radiance[view.window], view.region[view.window])
+            kept["model"] = judged_as(radiance[view.window], view.region[view.window])
             write_text(path, json.dumps(kept))
-        out.append(Seen(photograph, kept["known"], kept["left_out"], kept["spoilt"]))
+        out.append(Seen(photograph, kept["known"], kept["left_out"], kept["model"]))
     return out
 
 

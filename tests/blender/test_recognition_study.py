@@ -151,7 +151,7 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     known, left_out = seen.known["names"], seen.left_out["names"]
     assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome", *PLAIN} == {*left_out, THREE[1]}
     assert all(len(values) == len(known) for values in seen.known["cues"].values())
-    models = dict.fromkeys(("verified", "spoilt"), learned_by_hand())
+    models = dict.fromkeys(("verified", "spoilt", "grainy"), learned_by_hand())
     monkeypatch.setattr(recognition, "judgements", lambda: models)
     (answer,) = recognition.answers([seen])
     assert answer["truth"] == THREE[1] and answer["left_out"] > answer["strangeness"]

@@ -90,7 +90,7 @@ def test_the_shipped_table_is_of_enough_lights_and_asks_for_cues_that_there_are(
     explained = {"classifier", *EXPLANATIONS}
     every = explained | {*SIMILARITIES}
     every |= {IS_PLAIN}
-    cues = {"verified": every, "spoilt": every, "explained": explained, "votes": {"classifier"}}
+    cues = {"verified": every, "spoilt": every, "grainy": every, "explained": explained, "votes": {"classifier"}}
     for name, model in judgements().items():
         assert set(model.weights) == cues[name] and len(model.strangeness) >= 19
         assert (np.diff(model.strangeness) >= 0).all() and np.isfinite(model.strangeness).all()

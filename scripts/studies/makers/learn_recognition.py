@@ -10,13 +10,13 @@ no light of theirs is in the evaluation (`scripts/study recognition`), and no li
 trained under. The lights: two of Blender's eight studio lights, drawn by chance, each photograph with another turn of
 it; and draws from the prior of natural light (`light/log_field.py`) with up to two lamps.
 
-Four models: "verified", of all cues; "spoilt", the same of photographs that have lost their finest detail, as each has
-that is blurred, made noisier and coded as JPEG; each is also used made noisier alone, half as large, enlarged, and
-black and white, by the model that it is judged by; "explained", which says what is worth a rendering; and "votes", of
-the classifier alone; of these two plain surfaces are no part. The weights are those of the largest likelihood (a
-multinomial logistic regression with a ridge), each photograph of the library's materials twice: with all, where its own
-is right, and without its own, where none is. The strangeness of what is right in each photograph is that under weights
-which were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
+Five models: "verified", of all cues; "spoilt" and "grainy", the same of photographs that have lost their finest detail,
+or have noise over it: each is used made noisier, half as large, enlarged, black and white, and blurred, made noisier
+and coded as JPEG, too, by the model that it is judged by; "explained", which says what is worth a rendering; and
+"votes", of the classifier alone; of these two plain surfaces are no part. The weights are those of the largest
+likelihood (a multinomial logistic regression with a ridge), each photograph of the library's materials twice: with all,
+where its own is right, and without its own, where none is. The strangeness of what is right in each photograph is that
+under weights which were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
 """
 
 import itertools
@@ -60,6 +60,7 @@ PLAIN_TURNS, PLAIN_RESOLUTION = 2, 256
 MODELS = {
     "verified": ("classifier", *EXPLANATIONS, *SIMILARITIES, IS_PLAIN),
     "spoilt": ("classifier", *EXPLANATIONS, *SIMILARITIES, IS_PLAIN),
+    "grainy": ("classifier", *EXPLANATIONS, *SIMILARITIES, IS_PLAIN),
     "explained": ("classifier", *EXPLANATIONS),
     "votes": ("classifier",),
 }
@@ -220,7 +221,7 @@ def main(arguments) -> int:
         for flaw, into in seen.items():
             into += cues.cues_of(some, library, choose("balanced"), flaw=flaw, every=True)
     every, clean = [s for some in seen.values() for s in some], seen[FLAWS[0]]
-    used = {model: examples([s for s in every if s.model == model]) for model in ("verified", "spoilt")}
+    used = {model: examples([s for s in every if s.model == model]) for model in ("verified", "spoilt", "grainy")}
     table = {
         "photographs": len(clean),
         "objects": sorted({s.photograph.object for s in clean}),
