@@ -296,13 +296,15 @@ class Verification:
 
     def similarities(self, candidates, photo: Photographed) -> list[dict[str, float]]:
         """`similarity` of each of ``candidates`` (material, light), two at a time; of mirrors NaN."""
-        images = [m.mirror_reflectance is None and self.transport.radiance(m, CELLS) for m, _ in candidates]
+        images = [
+            self.transport.radiance(material, CELLS) if material.mirror_reflectance is None else None
+            for material, _ in candidates
+        ]
 
-        def of_one(candidate, under):
-            material, light = candidate
-            if material.mirror_reflectance is not None:
+        def of_one(candidate, under) -> dict[str, float]:
+            if under is None:
                 return dict.fromkeys(SIMILARITIES, np.nan)
-            return self.similarity(material, light, under, photo)
+            return self.similarity(*candidate, under, photo)
 
         with ThreadPoolExecutor(AT_ONCE) as beside:
             return list(beside.map(of_one, candidates, images))
