@@ -45,7 +45,7 @@ from scripts.studies.photos import WHITE
 
 OBJECTS = ("suzanne", "blob", "cloth")
 LIGHTS = ("city", "sunrise")  # of the eight, drawn by chance
-LIGHTS_EACH = 5  # of an object in a material; the last is a studio light
+LIGHTS_EACH, PLAIN_LIGHTS_EACH = (5, 5, 2), 5  # of a material's objects; the last is a studio light
 DRAWN = "drawn"  # what the other lights' names begin with
 VARIATION = 2  # of the texels: the library has 0, the evaluation 1
 HEIGHT = 128  # rows of a light
@@ -107,9 +107,9 @@ class Lights:
         self.random = np.random.default_rng(seed)
         self.folder.mkdir(parents=True, exist_ok=True)
 
-    def next(self, k: int, j: int) -> Path:
-        """The k-th of an object in the j-th material."""
-        if k == LIGHTS_EACH - 1:
+    def next(self, j: int, *, studio: bool) -> Path:
+        """The next, of an object in the j-th material: of the studio, or drawn."""
+        if studio:
             light = LIGHTS[j % len(LIGHTS)]
             radiance = read_map(studio_lights()[light])
             radiance = turned(shrink(radiance, max(1, len(radiance) // 256)), self.random.uniform(0, 360))
@@ -127,19 +127,21 @@ def shots(folder: Path, materials) -> list[list]:
     """The photographs of each of `RESOLUTIONS`, their lights written beside them, and those of plain surfaces; those of
     one object in one material stand together."""
     names, lights = [photos.studio_name(m) for m in materials], Lights(folder, 0)
-    out = [of_objects(folder, names, lights, turn) for turn in range(len(RESOLUTIONS))]
+    out = [of_objects(folder, names, lights, turn, each) for turn, each in enumerate(LIGHTS_EACH)]
     lights = Lights(folder, 1, "plain-")
-    plain = [of_objects(folder / photos.PLAIN, SHOWN_PLAIN, lights, turn) for turn in range(PLAIN_TURNS)]
+    plain = [
+        of_objects(folder / photos.PLAIN, SHOWN_PLAIN, lights, turn, PLAIN_LIGHTS_EACH) for turn in range(PLAIN_TURNS)
+    ]
     return [*out, list(itertools.chain(*plain))]
 
 
-def of_objects(folder: Path, materials, lights: Lights, turn: int) -> list:
-    """Photographs of an object in each of some materials, of the studio's names."""
-    grid = itertools.product(enumerate(materials), range(LIGHTS_EACH))
-    return [
-        photos.shot(folder, OBJECTS[(j + turn) % len(OBJECTS)], m, lights.next(k, j), variation=VARIATION)
-        for (j, m), k in grid
-    ]
+def of_objects(folder: Path, materials, lights: Lights, turn: int, each: int) -> list:
+    """Photographs of an object in each of some materials, of the studio's names, under so many lights."""
+    out = []
+    for (j, material), k in itertools.product(enumerate(materials), range(each)):
+        light = lights.next(j, studio=k == each - 1)
+        out.append(photos.shot(folder, OBJECTS[(j + turn) % len(OBJECTS)], material, light, variation=VARIATION))
+    return out
 
 
 @dataclass(frozen=True)
