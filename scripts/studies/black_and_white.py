@@ -21,6 +21,7 @@ from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 
 AS_COLOURS = (1.02, 1.0, 1.0)
+COLUMNS = (("photographs", len), *tables.OF_LIGHT, ("coloured", tables.spread_of("coloured")))
 
 
 def ways_of(photo, truth) -> dict:
@@ -37,26 +38,10 @@ def rows_of(shot) -> list[dict]:
     """What each way finds of a photograph."""
     job, rows = load_job(shot.folder), []
     for way, (radiance, truth) in ways_of(job.photo.radiance, shot.truth(4)).items():
-        scene = scene_of(replace(job, photo=replace(job.photo, radiance=radiance)))
-        found = worth(estimate := estimated(scene, shot.material), truth)
-        mean = estimate.fit.coefficients[0]
-        coloured = np.ptp(mean) / mean.mean()
-        rows.append({"way": way, "error": found["order2"], "stated": found["stated2"], "coloured": coloured} | found)
+        found = estimated(scene_of(replace(job, photo=replace(job.photo, radiance=radiance))), shot.material)
+        row, mean = worth(found, truth), found.fit.coefficients[0]
+        rows.append(row | {"way": way, "over": row["order2"] / row["stated2"], "coloured": np.ptp(mean) / mean.mean()})
     return rows
-
-
-def of_ways(rows):
-    """Medians and the worst of each way."""
-    for way, some in tables.groups(rows, "way", every=None):
-        error, stated = (np.array([r[key] for r in some]) for key in ("error", "stated"))
-        cells = [tables.spread(error), f"{np.median(stated):.2f}", tables.spread(error / stated)]
-        yield (
-            way,
-            len(some),
-            *cells,
-            tables.percent([r["inside"] for r in some]),
-            tables.spread([r["coloured"] for r in some]),
-        )
 
 
 def main(arguments) -> int:
@@ -66,6 +51,5 @@ def main(arguments) -> int:
     given = options.parse_args(arguments)
     some = [p for p in photos.photographs_in(given.photos, objects=given.objects) if p.material != photos.WHITE]
     rows = [row for shot in tqdm(some) for row in rows_of(shot)]
-    heads = ("photo", "photos", "error", "stated", "error over stated", "95 % range", "coloured")
-    print(tables.table(heads, of_ways(rows)))
+    print(tables.summary("photo", COLUMNS, tables.groups(rows, "way", every=None)))
     return 0
