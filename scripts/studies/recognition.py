@@ -272,6 +272,8 @@ def main(arguments) -> int:
         print(f"{flaw}: {time.perf_counter() - begun:.0f} s")
         answers_of[flaw] = answers(seen)
         rows.append(judge(answers_of[flaw], flaw))
+        if flaw in cues.SINGLE:
+            continue
         if plain:
             judge_plain(answers(cues.cues_of(plain, library, settings, flaw=flaw)), answers_of[flaw])
         if mirrors:

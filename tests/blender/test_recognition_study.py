@@ -34,22 +34,23 @@ def test_nothing_that_was_learned_on_is_judged_by(tmp_path):
     assert counts == [10] * 15
 
 
-def test_each_material_is_learned_on_every_object_and_on_one_of_twice_the_size(tmp_path, monkeypatch):
-    monkeypatch.setattr(learn, "HEIGHT", 16)  # of 260 maps
+def test_each_material_is_learned_on_two_objects(tmp_path, monkeypatch):
+    monkeypatch.setattr(learn, "HEIGHT", 16)  # of 230 maps
     materials = [photos.WHITE, *open_library().entries]
-    *by_size, plain = learn.shots(tmp_path, materials)
-    assert len(by_size) == len(learn.RESOLUTIONS) and [len(some) for some in by_size] == [75, 75, 30]
-    assert len({s.folder for some in by_size for s in some}) == 180
-    meshes = [{(s.object, photos.library_name(s.material)) for s in some} for some in by_size]
-    assert all(len(some) == 15 for some in meshes)
-    assert set.union(*meshes) == {(name, material) for name in learn.OBJECTS for material in materials}
-    assert {s.material for s in plain} == set(learn.SHOWN_PLAIN) and {s.object for s in plain} == set(learn.OBJECTS)
+    some, plain = learn.shots(tmp_path, materials)
+    assert len(some) == len({s.folder for s in some}) == 150 and len({s.folder for s in plain}) == 80
+    for shots, names in ((some, map(photos.studio_name, materials)), (plain, learn.SHOWN_PLAIN)):
+        meshes = {(s.object, s.material) for s in shots}
+        assert all(sum(material == name for _, material in meshes) == 2 for name in names)
+        assert {name for name, _ in meshes} == set(learn.OBJECTS)
+    assert {s.material for s in plain} == set(learn.SHOWN_PLAIN)
     # what other studies are given has the library's materials alone
     assert {Path(s.folder).parent for s in plain} == {tmp_path / photos.PLAIN}
-    assert {Path(s.folder).parent for some in by_size for s in some} == {tmp_path}
-    lights = [s.light for some in (*by_size, plain) for s in some]
-    assert len(set(lights)) == 180 + 80 and not any(light in recognition.LIGHTS for light in lights)
-    same = [np.array_equal(read_map(a), read_map(b)) for a, b in zip(lights[:4], lights[180:184], strict=True)]
+    assert {Path(s.folder).parent for s in some} == {tmp_path}
+    lights = [s.light for s in (*some, *plain)]
+    assert len(set(lights)) == 150 + 80 and not any(light in recognition.LIGHTS for light in lights)
+    assert sum(Path(light).name.startswith(learn.DRAWN) for light in lights) == 4 * (30 + 16)
+    same = [np.array_equal(read_map(a), read_map(b)) for a, b in zip(lights[:4], lights[150:154], strict=True)]
     assert not any(same)
 
 

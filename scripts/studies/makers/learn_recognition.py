@@ -3,12 +3,12 @@
 
 scripts/study learn-recognition FOLDER              takes the photographs into FOLDER, and writes the table
 
-The photographs are by Cycles, of displaced geometry whose texels are not the library's: three objects in every material
-of the library, each under a light of its own; of each material one object's are twice as large; and objects in plain
-surfaces, of which the library has none: right are there `verification.PLAIN`, of a matte one white, too. No object and
-no light of theirs is in the evaluation (`scripts/study recognition`), and no light among those that a recogniser is
-trained under. The lights: two of Blender's eight studio lights, drawn by chance, each photograph with another turn of
-it; and draws from the prior of natural light (`light/log_field.py`) with up to two lamps.
+The photographs are by Cycles, of displaced geometry whose texels are not the library's: three objects, two of them in
+each material of the library, each photograph under a light of its own; and objects in plain surfaces, of which the
+library has none: right are there `verification.PLAIN`, of a matte one white, too. No object and no light of theirs is
+in the evaluation (`scripts/study recognition`), and no light among those that a recogniser is trained under. The
+lights: two of Blender's eight studio lights, drawn by chance, each photograph with another turn of it; and draws from
+the prior of natural light (`light/log_field.py`) with up to two lamps.
 
 Five models: "verified", of all cues; "spoilt" and "grainy", the same of photographs that have lost their finest detail,
 or have noise over it: each is used made noisier, half as large, enlarged, black and white, and blurred, made noisier
@@ -45,18 +45,18 @@ from scripts.studies.photos import WHITE
 
 OBJECTS = ("suzanne", "blob", "cloth")
 LIGHTS = ("city", "sunrise")  # of the eight, drawn by chance
-LIGHTS_EACH, PLAIN_LIGHTS_EACH = (5, 5, 2), 5  # of a material's objects; the last is a studio light
+LIGHTS_EACH = 5  # of an object in a material; the last is a studio light
 DRAWN = "drawn"  # what the other lights' names begin with
 VARIATION = 2  # of the texels: the library has 0, the evaluation 1
 HEIGHT = 128  # rows of a light
 LAMPS = (0.4, 0.4, 0.2)  # how probable none, one and two are
 LAMP_PIXELS = 2.0  # radius of a lamp's disc
-RESOLUTIONS, SAMPLES = (256, 256, 512), 64  # of a photograph: of a material's first object, second, third
+OBJECTS_EACH = 2  # of a material
+RESOLUTION, SAMPLES = 256, 64
 SHOWN_PLAIN = (
     *("plain/matte-red", "plain/matte-navy", "plain/satin-clay", "plain/satin-grey"),
     *("plain/gloss-red", "plain/gloss-grey", "plain/metal-clay", "plain/metal-grey"),
 )
-PLAIN_TURNS, PLAIN_RESOLUTION = 2, 256
 MODELS = {
     "verified": ("classifier", *EXPLANATIONS, *SIMILARITIES, IS_PLAIN),
     "spoilt": ("classifier", *EXPLANATIONS, *SIMILARITIES, IS_PLAIN),
@@ -124,23 +124,22 @@ class Lights:
 
 
 def shots(folder: Path, materials) -> list[list]:
-    """The photographs of each of `RESOLUTIONS`, their lights written beside them, and those of plain surfaces; those of
-    one object in one material stand together."""
-    names, lights = [photos.studio_name(m) for m in materials], Lights(folder, 0)
-    out = [of_objects(folder, names, lights, turn, each) for turn, each in enumerate(LIGHTS_EACH)]
-    lights = Lights(folder, 1, "plain-")
-    plain = [
-        of_objects(folder / photos.PLAIN, SHOWN_PLAIN, lights, turn, PLAIN_LIGHTS_EACH) for turn in range(PLAIN_TURNS)
+    """The photographs of the library's materials, and those of plain surfaces, their lights written beside them; those
+    of one object in one material stand together."""
+    names = [photos.studio_name(m) for m in materials]
+    beside = folder / photos.PLAIN
+    return [
+        of_objects(folder, names, Lights(folder, 0)),
+        of_objects(beside, SHOWN_PLAIN, Lights(folder, 1, "plain-")),
     ]
-    return [*out, list(itertools.chain(*plain))]
 
 
-def of_objects(folder: Path, materials, lights: Lights, turn: int, each: int) -> list:
-    """Photographs of an object in each of some materials, of the studio's names, under so many lights."""
+def of_objects(folder: Path, materials, lights: Lights) -> list:
+    """Photographs of `OBJECTS_EACH` objects in each of some materials, of the studio's names."""
     out = []
-    for (j, material), k in itertools.product(enumerate(materials), range(each)):
-        light = lights.next(j, studio=k == each - 1)
-        out.append(photos.shot(folder, OBJECTS[(j + turn) % len(OBJECTS)], material, light, variation=VARIATION))
+    for turn, (j, material), k in itertools.product(range(OBJECTS_EACH), enumerate(materials), range(LIGHTS_EACH)):
+        name, light = OBJECTS[(j + turn) % len(OBJECTS)], lights.next(j, studio=k == LIGHTS_EACH - 1)
+        out.append(photos.shot(folder, name, material, light, variation=VARIATION))
     return out
 
 
@@ -213,12 +212,11 @@ def main(arguments) -> int:
     library = open_library()
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
     if given.take:
-        for some, resolution in zip(wanted, (*RESOLUTIONS, PLAIN_RESOLUTION), strict=True):
-            photos.take(some, resolution=resolution, samples=SAMPLES, denoise=True)
+        photos.take(list(itertools.chain(*wanted)), resolution=RESOLUTION, samples=SAMPLES, denoise=True)
     found = [cues.seen_in(given.folder, some) for some in wanted]
     found += [photos.photographs_in(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
     seen = {flaw: [] for flaw in FLAWS}
-    for some in found:  # of one size each: an object's training is used for all of its photographs
+    for some in found:
         some.sort(key=lambda p: p.object)
         for flaw, into in seen.items():
             into += cues.cues_of(some, library, choose("balanced"), flaw=flaw, every=True)
