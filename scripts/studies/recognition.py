@@ -2,15 +2,16 @@
 """How often the material is recognised, how sure it is said to be, and whether what is not known is said to be so.
 
 scripts/study recognition FOLDER                    250 photographs by Cycles, taken into FOLDER unless they are there
-scripts/study recognition FOLDER --no-take --flaws clean small noisy jpeg blurred grey scaled
+scripts/study recognition FOLDER --no-take --flaws clean small noisy jpeg blurred grey scaled "all three"
 scripts/study recognition FOLDER --light            the error of the light, too, with the sets, with the true material
 
 Five objects, each in six of the library's materials, under six of Blender's studio lights; meso-structure as displaced
 geometry with other texels than the library's and another UV map. No object and no light of theirs is among those on
 which the weights and the sets' size were learned (`scripts/study learn-recognition`). The same objects and lights, with
 surfaces that are alike all over, are what the library has nothing of; mirrors of the same shapes are its chrome. The
-answers are those of an estimate with the same preset. Shares come with the range that holds the true one with 95 %
-(Wilson's, as if photos were independent; those of one object in one material are not quite).
+answers are those of an estimate with the same preset; plain surfaces and mirrors are not asked of single flaws. Shares
+come with the range that holds the true one with 95 % (Wilson's, as if photos were independent; those of one object in
+one material are not quite).
 """
 
 import itertools
