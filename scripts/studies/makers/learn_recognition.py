@@ -16,7 +16,8 @@ and coded as JPEG, too, by the model that it is judged by; "explained", which sa
 "votes", of the classifier alone; of these two plain surfaces are no part. The weights are those of the largest
 likelihood (a multinomial logistic regression with a ridge), each photograph of the library's materials twice: with all,
 where its own is right, and without its own, where none is. The strangeness of what is right in each photograph is that
-under weights which were learned on the other objects, and its p-value's rank is what `recognise.judgement` says.
+under weights which were learned on the other objects, each light counting once, and its p-value's rank is what
+`recognise.judgement` says.
 """
 
 import itertools
@@ -191,7 +192,11 @@ def learned(data: list[Example], names) -> tuple[dict, float]:
 
 
 def strangeness(data: list[Example], names) -> list:
-    """-log p of what is right in one photograph of each light, under weights learned on the other objects."""
+    """-log p of what is right under weights learned on the other objects: as many values as there are lights.
+
+    Of a light are several photographs; which of them is drawn moves the set's coverage by a tenth. So the values are
+    quantiles of all of them, each light counting once.
+    """
     of_light: dict = {}
     for name in sorted({one.object for one in data}):
         weights, none = learned([one for one in data if one.object != name], names)
@@ -199,8 +204,11 @@ def strangeness(data: list[Example], names) -> list:
             if one.object == name and one.right:
                 p = judged(utilities(weights, one.cues), none, np.zeros(1)).probabilities[list(one.right)].sum()
                 of_light.setdefault(one.light, []).append(round(-float(np.log(max(p, 1e-300))), 4))
-    random = np.random.default_rng(0)
-    return sorted(float(random.choice(values)) for values in of_light.values())
+    values = np.concatenate(list(of_light.values()))
+    counts = np.concatenate([np.full(len(own), 1 / len(own)) for own in of_light.values()])
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(counts[order])
+    return values[order][np.searchsorted(below, np.arange(len(of_light)) + 0.5)].tolist()
 
 
 def main(arguments) -> int:
