@@ -43,7 +43,7 @@ SHOWN_MIRRORS, MIRROR = ("plain/mirror-white", "plain/mirror-grey"), "reference/
 # white paint is white paint, by whichever name; and no mirror
 PLAIN_CLASSES = {"reference/white-diffuse": "matte", "surface/matte": "matte", "reference/chrome": "mirror"}
 RESOLUTION, SAMPLES = 256, 64
-BINS = 10  # of the calibration
+BINS, FEWEST = 10, 5  # of the calibration; photographs of one that is drawn
 PICTURES = ROOT / "docs" / "results" / "images"
 
 
@@ -205,6 +205,7 @@ def calibration_picture(answers_of: dict, path: Path) -> None:
     left.plot((0, 1), (0, 1), color="#999999", linewidth=0.8)
     for (flaw, answers), colour in zip(answers_of.items(), tables.COLOURS, strict=False):
         bins = calibration([a["confidence"] for a in answers], [a["answer"] == a["truth"] for a in answers])[1]
+        bins = [b for b in bins if b[2] >= FEWEST]
         left.plot([b[0] for b in bins], [b[1] for b in bins], "o-", color=colour, label=flaw, markersize=3, linewidth=1)
         for key, line in (("strangeness", "-"), ("left_out", "--")):
             values = np.sort([a[key] for a in answers if a[key] is not None])
@@ -289,7 +290,8 @@ def main(arguments) -> int:
     (given.folder / "answers.json").write_text(json.dumps(answers_of, indent=1))
     if given.pictures:
         confusion_picture(answers_of[given.flaws[0]], PICTURES / "recognition-confusions.png")
-        calibration_picture(answers_of, PICTURES / "recognition-calibration.png")
+        shown = {flaw: some for flaw, some in answers_of.items() if flaw not in cues.SINGLE}
+        calibration_picture(shown | ({"one flaw": flawed} if flawed else {}), PICTURES / "recognition-calibration.png")
     if given.light:
         print(light_words(light_errors(found, library, settings)))
     return 0
