@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.btf.library import Library
 from btfsep_engine.job.model import Job
 from btfsep_engine.pipeline.scene import PreparedScene
 
@@ -29,8 +28,8 @@ def is_black_and_white(photo) -> bool:
     return bool((np.ptp(colours, axis=-1) <= ALIKE * colours.max(-1)).mean() >= ALL)
 
 
-def as_photographed(scenes: list[PreparedScene], library: Library) -> tuple[list[PreparedScene], Library]:
-    """The scenes and the library, without colours where no photo has any: then it is said."""
+def as_photographed(scenes: list[PreparedScene], library) -> tuple:
+    """The scenes and the library (btf.library.Library), without colours where no photo has any: then it is said."""
     if not all(is_black_and_white(scene.job.photo) for scene in scenes):
         return scenes, library
     scenes[0].reporter.warn(
