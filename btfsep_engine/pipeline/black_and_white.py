@@ -16,6 +16,10 @@ from btfsep_engine.pipeline.scene import PreparedScene
 ALIKE = 0.01  # of the brightest channel: as far apart the channels of a pixel without a colour may be
 ALL = 0.98  # of the pixels: so many have none, where a file in colours rounds them by a code
 COLOURLESS = "the photo is black and white: of the light's colours nothing is known, and it was taken to be grey"
+SAID = (
+    "the photo is black and white: everything in it is taken for grey, and so is the light, whose colours are not known "
+    "(give a photo in colours, if there is one)"
+)
 LOOKED_AT = 100_000  # pixels at most, about
 
 
@@ -32,10 +36,7 @@ def as_photographed(scenes: list[PreparedScene], library) -> tuple:
     """The scenes and the library (btf.library.Library), without colours where no photo has any: then it is said."""
     if not all(is_black_and_white(scene.job.photo) for scene in scenes):
         return scenes, library
-    scenes[0].reporter.warn(
-        "the photo is black and white: everything in it is taken for grey, and so is the light, whose colours are not "
-        "known (give a photo in colours, if there is one)"
-    )
+    scenes[0].reporter.warn(SAID)
     return [without_colours(scene) for scene in scenes], library.without_colours()
 
 

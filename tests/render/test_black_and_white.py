@@ -142,6 +142,7 @@ def test_a_material_is_recognised_by_its_texture(monkeypatch, scene, library, tm
     assert found.materials[0].name == TEAL and not found.scene.has_colours
     following = Follower(found, library)
     further = following.scene_of(scene, replace(photo.job.photo, radiance=1.5 * photo.job.photo.radiance), Reporter())
+    assert any(SAID in said for said in further.reporter.warnings)
     again = following.estimate(further).estimate.fit.coefficients
     assert np.allclose(again, 1.5 * found.fit.coefficients, rtol=0.1, atol=0.05 * np.abs(again).max())
     alone = recognise_object(without_colours(photo), 0, library.without_colours(), settings)
