@@ -17,8 +17,8 @@ ALIKE = 0.01  # of the brightest channel: as far apart the channels of a pixel w
 ALL = 0.98  # of the pixels: so many have none, where a file in colours rounds them by a code
 COLOURLESS = "the photo is black and white: of the light's colours nothing is known, and it was taken to be grey"
 SAID = (
-    "the photo is black and white: everything in it is taken for grey, and so is the light, whose colours are not known "
-    "(give a photo in colours, if there is one)"
+    "the photo is black and white: everything in it is taken for grey, and so is the light, whose colours are not "
+    "known (give a photo in colours, if there is one)"
 )
 LOOKED_AT = 100_000  # pixels at most, about
 

@@ -58,7 +58,7 @@ class Follower:
 
     def __init__(self, first: Estimate, library):
         self.chosen = self._elected = self._last = first
-        self.library = library if first.scene.has_colours else library.without_colours()
+        self.library = library.without_colours() if library and not first.scene.has_colours else library
         self._curves, self._tones = first.scene.curves, first.scene.tones
 
     def scene_of(self, scene: PreparedScene, photo: Photo, reporter) -> PreparedScene:
