@@ -18,11 +18,15 @@ import numpy as np
 REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
+def luminance(pixels) -> np.ndarray:
+    """(...,) luminance of ``pixels : (..., 3) float, linear Rec.709``."""
+    return np.asarray(pixels) @ REC709_LUMINANCE.astype(np.asarray(pixels).dtype)
+
+
 def grey(values, axis: int = -1) -> np.ndarray:
-    """Linear Rec.709 values with their luminance in every channel, as wide; ``axis`` : that of the three."""
-    values = np.moveaxis(np.asarray(values), axis, -1)
-    luminance = values @ REC709_LUMINANCE.astype(np.result_type(values, np.float32))
-    return np.ascontiguousarray(np.moveaxis(np.repeat(luminance[..., None], 3, -1), -1, axis))
+    """Linear Rec.709 floats with their luminance in every channel, as wide; ``axis`` : that of the three."""
+    alone = luminance(np.moveaxis(np.asarray(values), axis, -1))
+    return np.ascontiguousarray(np.moveaxis(np.repeat(alone[..., None], 3, -1), -1, axis))
 
 
 def equirect_to_direction(u, v):

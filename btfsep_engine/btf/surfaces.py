@@ -8,6 +8,7 @@ import numpy as np
 from btfsep_engine.conventions import grey
 
 CLASS = "surface"
+COLOURED = 0.01  # difference between the channels of a colour: of less, nothing is seen
 GIVEN = "surface/given"  # the material that is made from the numbers of a job
 
 
@@ -52,6 +53,12 @@ class Surface:
     def plain(self) -> bool:
         """Whether it is one dielectric all over, without a layer above."""
         return self.image is None and self.finish is None and not (self.metallic or self.coat or any(self.sheen))
+
+    @property
+    def coloured(self) -> bool:
+        """Whether any of its numbers, or its image, has a colour that is seen."""
+        each = (self.base_color if self.image is None else self.image, self.sheen, self.emission)
+        return any(np.ptp(values, axis=-1).max() > COLOURED for values in each)
 
     def without_colours(self) -> "Surface":
         """The same of a luminance alone."""

@@ -16,7 +16,6 @@ import numpy as np
 import OpenEXR
 
 from btfsep_engine import MAX_PIXELS
-from btfsep_engine.conventions import REC709_LUMINANCE
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import blender_views, camera_curve, colour_profile, image_headers
 from btfsep_engine.imaging.colour_profile import Profile
@@ -63,11 +62,6 @@ class Image:
     orientation: int = 1
     is_render: bool = False
     is_jpeg: bool = False
-
-
-def luminance(pixels) -> np.ndarray:
-    """(...,) luminance of ``pixels : (..., 3) float, linear Rec.709``."""
-    return np.asarray(pixels) @ REC709_LUMINANCE.astype(np.asarray(pixels).dtype)
 
 
 def read_linear(

@@ -19,8 +19,7 @@ from functools import lru_cache
 import numpy as np
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
-from btfsep_engine.imaging.images import luminance
+from btfsep_engine.conventions import luminance, pixel_directions, pixel_solid_angles
 
 FLOOR = 0.5  # of the blurred luminance: no place is darker
 ROUNDING = 1e-6  # of the brightest radiance: less below zero than that is none

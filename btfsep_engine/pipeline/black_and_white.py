@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from btfsep_engine.btf.surfaces import COLOURED
 from btfsep_engine.job.model import Job
 from btfsep_engine.pipeline.scene import PreparedScene
 
@@ -25,19 +26,35 @@ LOOKED_AT = 100_000  # pixels at most, about
 
 def is_black_and_white(photo) -> bool:
     """Whether a photo (job.model.Photo) has no colours anywhere; a sepia has."""
-    lit = photo.usable & (photo.radiance.max(-1) > 0)
-    colours = photo.radiance[lit][:: 1 + int(lit.sum()) // LOOKED_AT]
+    some = (slice(None, None, 1 + int((photo.usable.size / LOOKED_AT) ** 0.5)),) * 2
+    colours = photo.radiance[some][photo.usable[some]]
+    colours = colours[colours.max(-1) > 0]
     if not len(colours):
         return False
     return bool((np.ptp(colours, axis=-1) <= ALIKE * colours.max(-1)).mean() >= ALL)
 
 
-def as_photographed(scenes: list[PreparedScene], library) -> tuple:
-    """The scenes and the library (btf.library.Library), without colours where no photo has any: then it is said."""
+def as_photographed(scenes: list[PreparedScene], library, *, names=None) -> tuple:
+    """The scenes and the library (btf.library.Library), without colours where no photo has any: then it is said.
+
+    Where all that is in them is said to be grey, a photo in colours has none either, in white light: nothing is done.
+
+    ``names`` : of each scene's objects' materials, None of those that are recognised; None: all are
+    """
     if not all(is_black_and_white(scene.job.photo) for scene in scenes):
+        return scenes, library
+    if names and all(_is_grey(scene.job, library, own) for scene, own in zip(scenes, names, strict=True)):
         return scenes, library
     scenes[0].reporter.warn(SAID)
     return [without_colours(scene) for scene in scenes], library.without_colours()
+
+
+def _is_grey(job: Job, library, names) -> bool:
+    """Whether all of a job is said to have no colours."""
+    surfaces = [o.surface for o, name in zip(job.objects, names, strict=True) if name is None]
+    albedos = [library.load(name).diffuse_albedo() for name in names if name is not None]
+    said = all(surfaces) and not any(s.coloured for s in (*surfaces, *(o.surface for o in job.occluders)) if s)
+    return said and all(np.ptp(albedo) <= COLOURED for albedo in albedos)
 
 
 def without_colours(scene: PreparedScene) -> PreparedScene:

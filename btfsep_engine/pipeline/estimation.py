@@ -232,7 +232,9 @@ def found_light(
     others : PreparedScenes of further photographs under the same light, each with an exposure of its own
     refinements : what the model may need beside its simplest form, in turn; None: what the settings ask for
     """
-    scenes, library = as_photographed([scene, *others], library)
+    scenes = [scene, *others]
+    names = [[material or o.material for o in each.job.objects] for each in scenes]
+    scenes, library = as_photographed(scenes, library, names=names)
     tones = strengths(scenes, settings)
     refuse_unknown(scenes, settings)
     usual, *more = tones

@@ -18,7 +18,7 @@ import numpy as np
 from btfsep_engine.fit.stated import Fit
 from btfsep_engine.job.model import Photo
 from btfsep_engine.pipeline.alternatives import alternatives
-from btfsep_engine.pipeline.black_and_white import SAID, is_black_and_white, without_colours
+from btfsep_engine.pipeline.black_and_white import SAID, without_colours
 from btfsep_engine.pipeline.estimation import REFINEMENTS, Estimate, light_of, refinements_of
 from btfsep_engine.pipeline.mirrors import with_picture
 from btfsep_engine.pipeline.model import Model, first_model
@@ -70,7 +70,7 @@ class Follower:
             out = read_by(out, Curves(codes_of(out.job), known.curves, known.shares))
         out = with_picture(out, out.job.photo)
         out.reporter, out.greys = reporter, None
-        if is_black_and_white(photo):
+        if not out.has_colours:
             reporter.warn(SAID)
         return out
 

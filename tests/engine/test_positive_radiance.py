@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from btfsep_engine import sh
-from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
+from btfsep_engine.conventions import fibonacci_sphere, luminance, pixel_directions, pixel_solid_angles
 from btfsep_engine.fit.compare import FRONT, sphere_normals
-from btfsep_engine.imaging.images import luminance
 from btfsep_engine.light.files import exactly, lighting_map, seen_lighting
 from btfsep_engine.light.lightings import EnvironmentMaps, SHLighting
 from btfsep_engine.light.positivity import positive_radiance, positive_share

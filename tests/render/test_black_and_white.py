@@ -115,9 +115,22 @@ def test_the_light_of_a_black_and_white_photo_is_grey(monkeypatch, scene, librar
     assert found.choice["colour"].startswith(SAID) and not known.choice["colour"].startswith(SAID)
     assert sum(SAID in said for said in without.reporter.warnings) == 1
     assert not any(SAID in said for said in in_colours.reporter.warnings)
-    monkeypatch.setattr(estimation, "as_photographed", lambda scenes, library: (scenes, library))
+    monkeypatch.setattr(estimation, "as_photographed", lambda scenes, library, **_: (scenes, library))
     wrong = estimate(with_photo(scene, without.job.photo.radiance), library, settings, material=name)
     assert np.ptp(wrong.fit.coefficients[0]) > 0.1 * wrong.fit.coefficients[0].max()
+
+
+def test_of_grey_things_in_white_light_a_photo_in_colours_has_none_either(scene, library):
+    """A clay render by default lights is no black-and-white photo, unless something in it is said to have a colour."""
+    white, light, settings = "reference/white-diffuse", grey(positive_light(4, seed=3)), choose("draft")
+    neutral = shown(scene, library.load(white), light, noise=0.0)
+    assert is_black_and_white(neutral.job.photo)
+    found = estimate(neutral, library, settings, material=white)
+    assert found.scene.has_colours and not any(SAID in said for said in neutral.reporter.warnings)
+    (ball,), photo = neutral.job.objects, neutral.job.photo
+    for surface, has_colours in ((Surface((0.8, 0.8, 0.8)), True), (Surface((0.8, 0.5, 0.2)), False)):
+        job = replace(scene.job, photo=photo, objects=(replace(ball, surface=surface),))
+        assert estimate(PreparedScene(job, Reporter()), library, settings).scene.has_colours == has_colours
 
 
 def test_what_stands_around_is_grey_too(scene):

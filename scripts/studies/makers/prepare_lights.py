@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from btfsep_engine.conventions import pixel_solid_angles
+from btfsep_engine.conventions import luminance, pixel_solid_angles
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
 from btfsep_engine.light.lightings import shrink
@@ -30,7 +30,7 @@ def normalised(radiance) -> np.ndarray:
     """
     a = np.asarray(radiance, np.float64)
     weight = pixel_solid_angles(*a.shape[:2])[:, None] / (4 * np.pi)
-    mean = float((images.luminance(a) * weight).sum())
+    mean = float((luminance(a) * weight).sum())
     if not mean > 0:
         raise ValueError("a black map has no scale")
     return a / (np.pi * mean)
