@@ -121,7 +121,7 @@ def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> M
             )
     if settings.estimator == "map":
         problems = with_curves([replace(p, weights=chroma_weights(p)) for p in problems], settings)
-        if untried is not None and appearance == "mean":  # the texture is in no basis images
+        if appearance == "mean":  # the texture is in no basis images
             problems = [as_seen_on_the_whole(p, settings) for p in problems]
         recognised = [[not m.is_given for m in each] for each in materials]
         problems = [as_real_photo(p, settings, recognised=r) for p, r in zip(problems, recognised, strict=True)]
@@ -129,7 +129,8 @@ def first_model(scenes: list[PreparedScene], materials, settings: Settings) -> M
     if untried is None:
         how = replace(model.modelled, appearance="textured")
         of_btfs = [stand_ins([m.material for m in each], "textured") for each in materials]
-        looks["textured"] = [p.of_materials(each, how) for p, each in zip(problems, of_btfs, strict=True)]
+        alone = [p.of_single_pixels() for p in problems]  # the texture is in its basis images
+        looks["textured"] = [p.of_materials(each, how) for p, each in zip(alone, of_btfs, strict=True)]
     return replace(model, looks=looks)
 
 
@@ -144,8 +145,6 @@ def solve_model(model: Model, *, beside: Fit | None = None):
     """
     settings, problems = model.settings, model.problems
     choice = {"scale": scale_words(problems)}
-    if words := like_pixels_words(problems):
-        choice["pixels"] = words
     if settings.robust:
         choice["robust"] = left_out_words(problems)
     with model.reporter.stage("fit"):
@@ -156,4 +155,8 @@ def solve_model(model: Model, *, beside: Fit | None = None):
                 b = np.concatenate([p.radiance() for p in problems])
                 order, choice["order"] = cross_validated_order(basis, b, blocks, LARGEST_ORDER, seed=settings.seed)
                 settings = replace(settings, order=order)
-        return refined(model, fit_together(problems, settings, beside=beside), choice, (textures, reported_order))
+        light = fit_together(problems, settings, beside=beside)
+        model, light, choice = refined(model, light, choice, (textures, reported_order))
+    if words := like_pixels_words(model.problems):
+        choice["pixels"] = words
+    return model, light, choice

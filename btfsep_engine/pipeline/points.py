@@ -7,7 +7,7 @@ from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.sampling import REGION, choose_pixels, thinned
-from btfsep_engine.render.surface import SurfacePoints
+from btfsep_engine.render.surface import SurfacePoints, as_gathered
 from btfsep_engine.storage import kept
 
 LEAST_LEFT = 0.2  # of an object's pixels
@@ -37,7 +37,7 @@ def chosen_points(scene: PreparedScene, settings: Settings, *, regions, textured
         def chosen(region=region, share=share, index=index, fibrous=fibrous):
             if share:  # not all is worth computing at
                 region = thinned(region, max(REGION, 4 * share), seed=settings.seed)
-            points = scene.bare_points(index, region=region)
+            points = as_gathered(scene.bare_points(index, region=region))
             if fibrous:
                 points = facing(points)
             return points.take(choose_pixels(points, share, seed=settings.seed)) if share else points

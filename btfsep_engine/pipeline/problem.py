@@ -126,6 +126,14 @@ class Problem:
         good &= usable[tuple(self.pixels.T)][:, None]
         return replace(self, around=np.where(good[..., None], self.around, -1))
 
+    def of_single_pixels(self) -> "Problem":
+        """The same whose points stand alone, where they were means of those `around`."""
+        alone = self if self.around is None else replace(self, around=None)
+        if alone is self or self.measured is None:
+            return alone
+        values = alone.as_measured(alone.means_of(self.scene.job.photo.radiance))
+        return replace(alone, measured=np.where(self.clipped, self.measured, values))
+
     def radiance(self, photo=None) -> np.ndarray:
         """(p, 3) float64 to be fitted, of the job's photograph, or of another ``photo`` (h, w, 3) of the same view."""
         if photo is None and self.measured is not None:

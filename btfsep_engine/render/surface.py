@@ -12,6 +12,10 @@ from btfsep_engine.render.tracer import Tracer
 
 BESIDE = (0.031, 0.017)  # pixels
 SLIPPED = 1e-3  # scene radii
+# Of the square of a pixel, the edge of the one that has as much spread as what a photograph's pixels gather from: lens
+# and the camera's mosaic, or a renderer's filter, 0.35 to 0.4 pixels where the square has 0.29. On 36 aligned
+# photographs by Cycles the texture has then the photo's contrast (0.98 to 1.02 times; with the square 0.82 to 0.88)
+GATHERED = 1.3
 RAYS_AT_ONCE = 2**19  # the view of a large photo is traced in bands of rows: memory for the rays of one band only
 
 
@@ -160,6 +164,11 @@ def surface_points(view: View, job: Job, index: int, *, region=None) -> SurfaceP
         weights.astype(np.float32),
         footprint,
     )
+
+
+def as_gathered(points: SurfacePoints) -> SurfacePoints:
+    """The points of a photograph's pixels, each of which has gathered light from somewhat beyond its square."""
+    return replace(points, footprint=GATHERED * points.footprint)
 
 
 def with_texture(points: SurfacePoints, job: Job, index: int, *, reporter=None) -> SurfacePoints:

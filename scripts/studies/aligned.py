@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Textures that line up with the photo: what the light gains by the BTF's texture over its mean ABRDF, and where.
+
+scripts/study aligned FOLDER --make     takes the photographs, once
+scripts/study aligned FOLDER
+
+The library's own texels in the mesh's own UVs, displaced by Cycles; beside them the same material with other texels in
+the same UVs (`OTHER`), which line up nowhere, and which nothing says so of but the photo. The material is given. Ways:
+*mean*, the mean ABRDF; *textured*, the BTF; *auto*, what an estimate takes of the two.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from btfsep_engine.btf.library import open_library
+from btfsep_engine.pipeline.refine.texture import relief
+from btfsep_engine.storage.atomic import write_json
+from scripts.studies import parser, photos, tables
+from scripts.studies.estimates import estimated, scene_of, worth
+
+OBJECTS, LIGHTS = ("pebble", "cushion", "suzanne"), ("interior", "courtyard")
+ALIGNED, OTHER = "aligned", "other texels"  # folders in one of photographs
+VARIATIONS = {ALIGNED: 0, OTHER: 1}  # the library's is 0
+WAYS = ("mean", "textured", "auto")
+TRUE_ORDER = 4
+
+
+def shots(folder: Path, materials, objects, lights) -> list:
+    """The photographs; those of an object in a material stand together."""
+    return [
+        photos.shot(folder / kind.replace(" ", "-"), thing, photos.studio_name(material), light, variation=variation)
+        for kind, variation in VARIATIONS.items()
+        for thing in objects
+        for material in materials
+        for light in lights
+    ]
+
+
+def study(photograph, kind: str) -> list[dict]:
+    """One estimate each way."""
+    rows = []
+    for way in WAYS:
+        scene = scene_of(photograph.folder, uv="mesh")
+        found = estimated(scene, photograph.material, appearance=way)
+        if way == WAYS[0]:
+            material = open_library().load(photograph.material)
+            share = relief(material, scene.footprint(0) * scene.millimetres_per_unit)
+        row = {"photograph": photograph.folder.name, "kind": kind, "material": photograph.material, "way": way}
+        row |= {"relief": share, "with texture": found.model.appearance == "textured"}
+        row |= worth(found, photograph.truth(TRUE_ORDER))
+        rows.append(row | {"over": row["order2"] / row["stated2"]})
+    return [row | {"gain": row["order2"] / rows[0]["order2"]} for row in rows]
+
+
+def mean_gain(rows) -> str:
+    """The geometric mean of what the error is of that with the mean ABRDF."""
+    return f"{np.exp(np.mean(np.log([r['gain'] for r in rows]))):.2f}"
+
+
+COLUMNS = (
+    ("photographs", len),
+    ("relief", tables.median_of("relief")),
+    ("textured", tables.percent_of("with texture")),
+    ("error over the mean ABRDF's", mean_gain),
+    *tables.OF_LIGHT,
+)
+
+
+def main(arguments) -> int:
+    options = parser("aligned", __doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--make", action="store_true", help="take the photographs")
+    options.add_argument("--materials", nargs="+", help="all of the library that have a texture, by default")
+    options.add_argument("--objects", nargs="+", default=OBJECTS)
+    options.add_argument("--lights", nargs="+", default=LIGHTS)
+    options.add_argument("--numbers", type=Path, metavar="FILE", help="write all numbers, JSON")
+    given = options.parse_args(arguments)
+    library, folder = open_library(), given.folder.resolve()
+    materials = given.materials or [n for n in library.names() if library.load(n).has_texture]
+    if given.make:
+        photos.take(shots(folder, materials, given.objects, given.lights))
+        return 0
+    shown = [photos.folder_name("", m, "").strip("_") for m in materials]
+    chosen = {"objects": given.objects, "lights": given.lights, "materials": shown}
+    rows = []
+    for kind in VARIATIONS:
+        seen = photos.photographs_in(folder / kind.replace(" ", "-"), **chosen)
+        rows += [row for p in tqdm(seen, desc=kind) for row in study(p, kind)]
+    if given.numbers:
+        write_json(given.numbers, rows)
+    for kind, some in tables.groups(rows, "kind", every=None):
+        print(f"\n{kind}:\n")
+        print(tables.summary(("way", "material"), COLUMNS, tables.groups_of_ways(some, "material")))
+    return 0
