@@ -19,8 +19,8 @@ from btfsep_engine.pipeline.together import fit_together, stacked
 from btfsep_engine.storage import kept
 
 VISIBLE_CONTRAST = 0.05  # of the texture as the camera resolves it: less is not worth a second transport
-# Share of it that is no paint. Of the library's 14 only denim has less (0.23; the next are 0.42 and 0.51): its photographs
-# (`scripts/study aligned`) err 1.1 times as much with the texture, those of the others less in the mean
+# Share of it that is no paint. Of the library's 14 only denim has less (0.23; the next are 0.42 and 0.51): photos of it
+# err 1.1 times as much with the texture, those of the others less in the mean (`scripts/study aligned`)
 RELIEF = 1 / 3
 SOME_TEXELS, EVERY_VIEW = 128, 6  # of which it is found,
 LOBES, SHARP = 128, 30  # under lights as broad as the fit's finest (powers of cosines about directions of the sphere)
