@@ -37,7 +37,6 @@ from scripts.studies.measures import covered, errors, order2
 
 LIGHTS = ("courtyard", "sunset")
 PIXELS, DIRECTIONS = 2000, 256
-TEXTURES = {"aligned": "mesh", "not aligned": "xatlas"}
 ORDER = 4
 CLIPPED = (0.01, 0.05, 0.1, 0.2, 0.4)  # share of the object's pixels
 CODED = ("8-bit", "JPEG 95", "JPEG 75", "JPEG 50", "8-bit, 4 stops dark")
@@ -57,7 +56,7 @@ class View:
     pixels : (p, 2) row and column, spread over all that shows the object, silhouettes included
     depth : (p,) int, how many pixels inside the silhouette (1: at it)
     normals : (p, 3) unit, world
-    basis : {"mean", "aligned", "not aligned"} -> (p, terms, 3) float32; textures only where the material has one
+    basis : (p, terms, 3) float32
     photos : {light: (h, w, 3) float32}; truths : {light: (terms, 3)}
     region : (h, w) bool, all that shows the object
     """
@@ -66,7 +65,7 @@ class View:
     depth: np.ndarray
     normals: np.ndarray
     region: np.ndarray
-    basis: dict
+    basis: np.ndarray
     photos: dict
     truths: dict
 
@@ -78,17 +77,13 @@ class View:
 def view_of(shown: list, library) -> View:
     """The view of one object's photographs."""
     jobs = {p.light: load_job(p.folder) for p in shown}
-    job, material, lights, basis = jobs[shown[0].light], library.load(shown[0].material), SHBasis(9), {}
-    asked = {"mean": (material.mean_material(), None)}
-    if material.has_texture:
-        asked |= {k: (material, uv) for k, uv in TEXTURES.items()}
-    for key, (used, uv) in asked.items():
-        scene = scene_of(job, uv=uv or "mesh")
-        region = scene.view.mesh == 0
-        points = scene.points(0, region=region, textured=uv is not None)
-        points = points.take(spread(points, PIXELS, seed=0))
-        indirect = scene.indirect([used], lights, Settings(), bounces=MODELLED_BOUNCES)
-        basis[key] = scene.radiance(points, used, lights, directions=DIRECTIONS, indirect=indirect)
+    lights, material = SHBasis(9), library.load(shown[0].material).mean_material()
+    scene = scene_of(jobs[shown[0].light])
+    region = scene.view.mesh == 0
+    points = scene.points(0, region=region, textured=False)
+    points = points.take(spread(points, PIXELS, seed=0))
+    indirect = scene.indirect([material], lights, Settings(), bounces=MODELLED_BOUNCES)
+    basis = scene.radiance(points, material, lights, directions=DIRECTIONS, indirect=indirect)
     inside = distance_transform_cdt(np.pad(region, 1), "chessboard")[1:-1, 1:-1]
     images = {light: each.photo.radiance for light, each in jobs.items()}
     truths = {p.light: p.truth(9) for p in shown}
@@ -100,14 +95,14 @@ def error(fit, truth) -> float:
     return order2(fit.coefficients, truth)
 
 
-def solver_of(view, chosen, key="mean", *, coarsening=1.0) -> LightSolver:
+def solver_of(view, chosen, *, coarsening=1.0) -> LightSolver:
     """The basis images of the chosen pixels, (p,) bool or numbers, made ready."""
-    return LightSolver(view.basis[key][chosen], normals=view.normals[chosen], order=ORDER, coarsening=coarsening)
+    return LightSolver(view.basis[chosen], normals=view.normals[chosen], order=ORDER, coarsening=coarsening)
 
 
-def plain(view, b, chosen, key="mean"):
+def plain(view, b, chosen):
     """The fit of the chosen pixels, (p,) bool or numbers."""
-    return solver_of(view, chosen, key).solve(b[chosen])
+    return solver_of(view, chosen).solve(b[chosen])
 
 
 def censored(view, cut, clipped, keep):
@@ -188,11 +183,11 @@ def edges(view, light, rng) -> dict:
     return out
 
 
-def robust_fits(view, b, keep, key="mean"):
+def robust_fits(view, b, keep):
     """(name, Fit) with all pixels, and without those that the light does not explain."""
-    yield "all pixels", plain(view, b, keep, key)
-    out = outliers(solver_of(view, keep, key, coarsening=STIFF), b[keep])
-    yield "left out by pixel (--robust)", plain(view, b, np.flatnonzero(keep)[~out], key)
+    yield "all pixels", plain(view, b, keep)
+    out = outliers(solver_of(view, keep, coarsening=STIFF), b[keep])
+    yield "left out by pixel (--robust)", plain(view, b, np.flatnonzero(keep)[~out])
 
 
 def specks(view, light, rng) -> dict:
@@ -214,18 +209,6 @@ def specks(view, light, rng) -> dict:
     return rows
 
 
-def textures(view, light, rng) -> dict | None:
-    """Errors with the mean ABRDF and with the texture, where it lines up and where not; None without a texture."""
-    if "aligned" not in view.basis:
-        return None
-    b, keep, truth = view.at(view.photos[light]).astype(np.float64), inner(view), view.truths[light]
-    rows: dict = {}
-    for key in ("mean", "aligned", "not aligned"):
-        for name, fit in robust_fits(view, b, keep, key):
-            rows.setdefault(name, []).append(error(fit, truth))
-    return rows
-
-
 def shades(view, other, light, rng) -> dict:
     """Errors with no free scale, where a second object's dye is not the library's: alone held, both held, one free.
 
@@ -233,7 +216,7 @@ def shades(view, other, light, rng) -> dict:
     between them.
     """
     truth, keep = view.truths[light], (inner(view), inner(other))
-    basis = [v.basis["mean"][k] for v, k in zip((view, other), keep, strict=True)]
+    basis = [v.basis[k] for v, k in zip((view, other), keep, strict=True)]
     normals = [v.normals[k] for v, k in zip((view, other), keep, strict=True)]
     photos = [v.at(v.photos[light]).astype(np.float64)[k] for v, k in zip((view, other), keep, strict=True)]
     blocks = [block_labels(view.pixels)[keep[0]], block_labels(other.pixels)[keep[1]] + (1 << 20)]
@@ -259,11 +242,6 @@ AXES = {  # what is done -> title, severities, how
     "coding": ("How the photo is stored", ("linear", *CODED), coding),
     "edges": ("Pixels used from so many pixels inside the outline", tuple(map(str, EDGES)), edges),
     "specks": ("Covered by other things: share of the object", ("none", *(f"{100 * v:.0f} %" for v in SPECKS)), specks),
-    "textures": (
-        "Texture, with and without what is not explained",
-        ("mean ABRDF", "texture lines up", "texture does not"),
-        textures,
-    ),
     "shades": (
         "Another dye: ratio in red and blue (no free scale)", ("1", *(f"{v:g}" for v in SHADES)), shades
     ),
@@ -296,8 +274,8 @@ def answers(views: list, library, given) -> dict:
         lights = given.lights if given.all else [given.lights[i // 2 % len(given.lights)]]
         for photo in [p for p in shown if p.light in lights]:
             for name in given.only:
-                found = kept(given.work, f"{name}_{photo.folder.name}", partial(laid, name, photo.light, i, other))
-                out[name] += [found] if found is not None else []
+                how = partial(laid, name, photo.light, i, other)
+                out[name].append(kept(given.work, f"{name}_{photo.folder.name}", how))
     return out
 
 
@@ -314,15 +292,14 @@ def draw(path: Path, found: dict) -> None:
     figure = tables.figure(12, 7.2)
     figure.suptitle("Median relative error of the light up to order 2", fontsize=13)
     shown = {name: rows for name, rows in found.items() if name not in SHARES}
-    for axes, (name, rows) in zip(figure.subplots(2, 3).ravel(), shown.items(), strict=True):
+    *places, empty = figure.subplots(2, 3).ravel()
+    empty.axis("off")
+    for axes, (name, rows) in zip(places, shown.items(), strict=True):
         title, severities, _ = AXES[name]
         x = np.arange(len(severities))
         for i, estimator in enumerate(rows[0]):
             y, look = np.median([row[estimator] for row in rows], 0), {"color": tables.COLOURS[i], "label": estimator}
-            if name == "textures":  # kinds of appearance, no severities
-                axes.bar(x + 0.3 * (i - (len(rows[0]) - 1) / 2), y, 0.28, **look)
-            else:
-                axes.plot(x, y, marker="o", markersize=4, **look)
+            axes.plot(x, y, marker="o", markersize=4, **look)
         axes.set_title(title, fontsize=10)
         axes.set_xticks(x, [s.replace(", ", ",\n") for s in severities])
         tables.plain(axes)

@@ -262,7 +262,7 @@ def test_a_photo_after_others_is_answered_as_the_first_of_a_process(monkeypatch,
 def test_a_training_leaves_room_for_all_else(monkeypatch, scene, library, settings, tmp_path):
     monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path))
     pixels = recognition.training_region(scene.regions[0], settings.training_pixels).sum()
-    each = 12 * CELLS.count * pixels
+    each = 6 * CELLS.count * pixels  # three channels in half precision
     kinds, get = [], STORE.get
 
     def asked(key, make, *, size=None):
