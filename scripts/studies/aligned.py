@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Textures that line up with the photo: what the light gains by the BTF's texture over its mean ABRDF, and where.
 
-scripts/study aligned FOLDER --make     takes the photographs, once
-scripts/study aligned FOLDER
+scripts/study aligned FOLDER --make             takes the photographs, once
+scripts/study aligned FOLDER --other PHOTOS     beside those that scripts/study photos leaves
 
-The library's own texels in the mesh's own UVs, displaced by Cycles; beside them the same material with other texels in
-the same UVs (`OTHER`), which line up nowhere, and which nothing says so of but the photo. The material is given. Ways:
-*mean*, the mean ABRDF; *textured*, the BTF; *auto*, what an estimate takes of the two.
+The library's own texels in the mesh's own UVs, displaced by Cycles; beside them PHOTOS, which have the same UVs and
+other texels: these line up nowhere, and nothing says so but the photo. The material is given. Ways: *mean*, the mean
+ABRDF; *textured*, the BTF; *auto*, what an estimate takes of the two.
 """
 
 from pathlib import Path
@@ -21,17 +21,15 @@ from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 
 OBJECTS, LIGHTS = ("pebble", "cushion", "suzanne"), ("interior", "courtyard")
-ALIGNED, OTHER = "aligned", "other texels"  # folders in one of photographs
-VARIATIONS = {ALIGNED: 0, OTHER: 1}  # the library's is 0
+ALIGNED, OTHER = "the library's own texels", "other texels"
 WAYS = ("mean", "textured", "auto")
 TRUE_ORDER = 4
 
 
 def shots(folder: Path, materials, objects, lights) -> list:
-    """The photographs; those of an object in a material stand together."""
+    """The photographs; those of an object in a material stand together. The library's variation is 0."""
     return [
-        photos.shot(folder / kind.replace(" ", "-"), thing, photos.studio_name(material), light, variation=variation)
-        for kind, variation in VARIATIONS.items()
+        photos.shot(folder, thing, photos.studio_name(material), light, variation=0)
         for thing in objects
         for material in materials
         for light in lights
@@ -72,6 +70,7 @@ def main(arguments) -> int:
     options = parser("aligned", __doc__)
     options.add_argument("folder", type=Path)
     options.add_argument("--make", action="store_true", help="take the photographs")
+    options.add_argument("--other", type=Path, metavar="PHOTOS", help="of other texels, of scripts/study photos")
     options.add_argument("--materials", nargs="+", help="all of the library that have a texture, by default")
     options.add_argument("--objects", nargs="+", default=OBJECTS)
     options.add_argument("--lights", nargs="+", default=LIGHTS)
@@ -82,12 +81,11 @@ def main(arguments) -> int:
     if given.make:
         photos.take(shots(folder, materials, given.objects, given.lights))
         return 0
-    shown = [photos.folder_name("", m, "").strip("_") for m in materials]
-    chosen = {"objects": given.objects, "lights": given.lights, "materials": shown}
-    rows = []
-    for kind in VARIATIONS:
-        seen = photos.photographs_in(folder / kind.replace(" ", "-"), **chosen)
-        rows += [row for p in tqdm(seen, desc=kind) for row in study(p, kind)]
+    seen = {ALIGNED: photos.photographs_in(folder, objects=given.objects, lights=given.lights)}
+    if given.other:
+        seen[OTHER] = photos.photographs_in(given.other)
+    seen = {kind: [p for p in some if p.material in materials] for kind, some in seen.items()}
+    rows = [row for kind, some in seen.items() for p in tqdm(some, desc=kind) for row in study(p, kind)]
     if given.numbers:
         write_json(given.numbers, rows)
     for kind, some in tables.groups(rows, "kind", every=None):
