@@ -15,7 +15,6 @@ import numpy as np
 from tqdm import tqdm
 
 from btfsep_engine.btf.library import open_library
-from btfsep_engine.pipeline.refine.texture import relief
 from btfsep_engine.storage.atomic import write_json
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
@@ -40,13 +39,9 @@ def study(photograph, kind: str) -> list[dict]:
     """One estimate each way."""
     rows = []
     for way in WAYS:
-        scene = scene_of(photograph.folder, uv="mesh")
-        found = estimated(scene, photograph.material, appearance=way)
-        if way == WAYS[0]:
-            material = open_library().load(photograph.material)
-            share = relief(material, scene.footprint(0) * scene.millimetres_per_unit)
+        found = estimated(scene_of(photograph.folder, uv="mesh"), photograph.material, appearance=way)
         row = {"photograph": photograph.folder.name, "kind": kind, "material": photograph.material, "way": way}
-        row |= {"relief": share, "with texture": found.model.appearance == "textured"}
+        row |= {"with texture": found.model.appearance == "textured"}
         row |= worth(found, photograph.truth(TRUE_ORDER))
         rows.append(row | {"over": row["order2"] / row["stated2"]})
     return [row | {"gain": row["order2"] / rows[0]["order2"]} for row in rows]
@@ -59,7 +54,6 @@ def mean_gain(rows) -> str:
 
 COLUMNS = (
     ("photographs", len),
-    ("relief", tables.median_of("relief")),
     ("textured", tables.percent_of("with texture")),
     ("error over the mean ABRDF's", mean_gain),
     *tables.OF_LIGHT,

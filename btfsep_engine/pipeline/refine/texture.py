@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether the BTF is fitted with its texture: where that could line up, and explains the photo better.
 
-A texture tells of the light where it is relief: each of its slopes faces another part of the light. Paint is the same
-under all lights, and means of like pixels (`pipeline.like_pixels`) are rid of it. So a texture is tried only where
-enough of its variation changes with the light (`relief`).
+A texture tells of the light by its slopes: each faces another part of it. Those of yarn and fibres are too fine for
+texels: with it the light of such things errs more than with means of like pixels (`pipeline.like_pixels`), which stand
+for it wherever it is not taken.
 
 The richer model is taken only where it predicts the photo better by more than one standard error, which is counted over
 blocks of neighbouring pixels (misfit is structured, pixels are no independent witnesses).
@@ -13,18 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.pipeline.together import fit_together, stacked
-from btfsep_engine.storage import kept
 
 VISIBLE_CONTRAST = 0.05  # of the texture as the camera resolves it: less is not worth a second transport
-# Share of it that is no paint. Of the library's 14 only denim has less (0.23; the next are 0.42 and 0.51): photos of it
-# err 1.1 times as much with the texture, those of the others less in the mean (`scripts/study aligned`)
-RELIEF = 1 / 3
-SOME_TEXELS, EVERY_VIEW = 128, 6  # of which it is found,
-LOBES, SHARP = 128, 30  # under lights as broad as the fit's finest (powers of cosines about directions of the sphere)
-SLANTED = 0.35  # cosine to the eye of the views
+# Classes of which no texture is tried. Aligned photographs (`scripts/study aligned`): these err 1.1 to 1.3 times as
+# much with it (denim, linen, two felts), leather, stone and wood 0.5 to 0.9 times
+FIBROUS = ("fabric", "felt")
 
 
 def textures(model, light):
@@ -58,43 +53,14 @@ def texture_contrast(material, footprint_mm: float) -> float:
     """
     if not material.has_texture:
         return 0.0
-    if (texels := texels_seen(material, footprint_mm)) is None:
-        return 0.0
-    seen = texels @ material.angular.mean((0, 1, 2)).astype(np.float64)
-    return float(seen.std() / max(abs(seen.mean()), 1e-30))
-
-
-def texels_seen(material, footprint_mm: float) -> np.ndarray | None:
-    """(h, w, k) float64, a material's texels averaged over pixels of a footprint; None where one pixel has them all."""
+    brightness = material.texels @ material.angular.mean((0, 1, 2))
     size = max(1, round(footprint_mm / material.texel_mm))
-    if size >= max(material.texels.shape[:2]):
-        return None
+    if size >= max(brightness.shape):
+        return 0.0
     from scipy.ndimage import uniform_filter  # slow to import, and many objects have no texture
 
-    return uniform_filter(material.texels.astype(np.float64), (size, size, 0), mode="wrap")
-
-
-def relief(material, footprint_mm: float) -> float:
-    """The share of a texture's variation that changes with the light, as pixels of a footprint see it; 0 without one.
-
-    What texel and view make of each light, less what the mean ABRDF makes of it times the texel's own factor, over what
-    it differs from the mean ABRDF by: norms, over lights that are broad enough to average the noise of single paths.
-    """
-    if not material.has_texture or (texels := texels_seen(material, footprint_mm)) is None:
-        return 0.0
-    some = np.random.default_rng(0).permutation(texels[..., 0].size)[:SOME_TEXELS]
-    texels = texels.reshape(-1, texels.shape[-1])[some]
-    towards = fibonacci_sphere(LOBES)
-    towards = towards[towards[:, 2] > 0]
-    lobes = np.maximum(material.lights @ towards.T, 0) ** SHARP * np.maximum(material.lights[:, 2:], 0)
-    views = np.flatnonzero(material.views[:, 2] > SLANTED)[::EVERY_VIEW]
-    under = np.einsum("vlck,lg->vgck", material.angular[views].astype(np.float64), lobes / lobes.sum(0))
-    under *= towards[:, 2, None, None]
-    each = np.einsum("vgck,tk->tvgc", under, texels)
-    mean = (under @ material.mean_texel.astype(np.float64))[None]
-    factor = (each * mean).sum(2, keepdims=True) / np.maximum(np.square(mean).sum(2, keepdims=True), 1e-300)
-    beside_paint, all_of_it = (np.linalg.norm(part) for part in (each - factor * mean, each - mean))
-    return float(beside_paint / max(all_of_it, 1e-300))
+    seen = uniform_filter(brightness.astype(np.float64), size, mode="wrap")
+    return float(seen.std() / max(abs(seen.mean()), 1e-30))
 
 
 def texture_may_help(obj, material, footprint_mm: float) -> tuple[bool, str]:
@@ -105,13 +71,11 @@ def texture_may_help(obj, material, footprint_mm: float) -> tuple[bool, str]:
         return False, "an image in the mesh's own UVs lines up and is used"
     if obj.uv != "mesh":
         return False, "computed charts cannot line up with the photo's texture"
+    if material.material_class in FIBROUS:
+        return False, f"{material.name} is of fibres: means of pixels without its texture tell more of the light"
     contrast = texture_contrast(material, footprint_mm)
     if contrast < VISIBLE_CONTRAST:
         return False, f"the camera does not resolve it (contrast {100 * contrast:.0f} %)"
-    share = kept.recalled("relief", [material, float(footprint_mm)], lambda: relief(material, footprint_mm))
-    if share < RELIEF:
-        why = "it is paint more than relief, and tells less of the light than means of pixels without it"
-        return False, f"{why} ({100 * share:.0f} % of it changes with the light)"
     return True, f"the camera resolves it (contrast {100 * contrast:.0f} %)"
 
 
