@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether the BTF is fitted with its texture: where that could line up, and explains the photo better.
 
-A texture tells of the light by its slopes: each faces another part of it. Those of yarn and fibres are too fine for
-texels: with it the light of such things errs more than with means of like pixels (`pipeline.like_pixels`), which stand
-for it wherever it is not taken.
+A texture tells of the light by its slopes: each faces another part of it. Where it is not taken, means of like pixels
+(`pipeline.like_pixels`) stand for it.
 
 The richer model is taken only where it predicts the photo better by more than one standard error, which is counted over
 blocks of neighbouring pixels (misfit is structured, pixels are no independent witnesses).
@@ -17,9 +16,6 @@ from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.pipeline.together import fit_together, stacked
 
 VISIBLE_CONTRAST = 0.05  # of the texture as the camera resolves it: less is not worth a second transport
-# Classes of which no texture is tried. Aligned photographs (`scripts/study aligned`): these err 1.1 to 1.3 times as
-# much with it (denim, linen, two felts), leather, stone and wood 0.5 to 0.9 times
-FIBROUS = ("fabric", "felt")
 
 
 def textures(model, light):
@@ -71,8 +67,6 @@ def texture_may_help(obj, material, footprint_mm: float) -> tuple[bool, str]:
         return False, "an image in the mesh's own UVs lines up and is used"
     if obj.uv != "mesh":
         return False, "computed charts cannot line up with the photo's texture"
-    if material.material_class in FIBROUS:
-        return False, f"{material.name} is of fibres: means of pixels without its texture tell more of the light"
     contrast = texture_contrast(material, footprint_mm)
     if contrast < VISIBLE_CONTRAST:
         return False, f"the camera does not resolve it (contrast {100 * contrast:.0f} %)"
