@@ -11,8 +11,9 @@ from btfsep_engine.btf.model import Lambertian, Tabulated
 from btfsep_engine.commands.record import determined_words
 from btfsep_engine.commands.sequence import frame_files
 from btfsep_engine.errors import InputError
+from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.pipeline.refine.order import cross_validated_order, determined_order
-from btfsep_engine.pipeline.refine.texture import appearance_choice, texture_contrast, texture_may_help
+from btfsep_engine.pipeline.refine.texture import appearance_choice, stated_error, texture_contrast, texture_may_help
 
 
 def checkered(period=8):
@@ -50,6 +51,19 @@ def test_the_richer_model_has_to_earn_it(rng):
     one = factor[:, None] * simple
     assert np.square(one).sum() < np.square(simple).sum()
     assert appearance_choice(simple, one, blocks)[0] == "mean"
+
+
+def test_of_two_lights_the_highest_order_that_is_stated_counts_and_least_squares_states_none(rng):
+    x = rng.normal(size=(9, 3))
+    samples = x + 0.2 * rng.normal(size=(200, 9, 3))
+    whole, low, least = (
+        SimpleNamespace(coefficients=x[:n], samples=s)
+        for n, s in ((9, samples), (4, samples[:, :4]), (1, samples[:, :1]))
+    )
+    expected = expected_error(x, samples)
+    assert stated_error(whole) == expected["order_2"]["median"] > 0.1
+    assert stated_error(low) == expected["order_1"]["median"] != stated_error(whole)
+    assert stated_error(least) == 0 == stated_error(SimpleNamespace(coefficients=x, samples=None))
 
 
 def test_cross_validation_finds_the_order_that_made_the_photo(rng):

@@ -11,6 +11,7 @@ from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import materials_of_all
 from btfsep_engine.pipeline.model import first_model
+from btfsep_engine.pipeline.refine import texture
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.surface import as_gathered
 from tests.render.scenes import egg_and_pebble, job_of, looking_down, off_as_seen, picture, scene_of, with_photo
@@ -72,6 +73,16 @@ def test_one_that_does_not_is_left_out_and_the_light_is_that_of_means_of_like_pi
     asked = light_of(elsewhere, appearance="textured")
     off, wrong = (off_as_seen(each.fit.coefficients, LIGHT) for each in (found, asked))
     assert off < 0.5 * wrong
+
+
+def test_one_by_which_less_is_known_of_the_light_is_left_out_too(leather, monkeypatch):
+    scene = photographed(leather)
+    monkeypatch.setattr(texture, "WIDER", 0.01)
+    found = light_of(scene)
+    assert found.model.appearance == "mean" and "the mean of up to 25" in found.choice["pixels"]
+    assert "explains" in found.choice["appearance"] and "tells less of the light" in found.choice["appearance"]
+    asked = light_of(scene, estimator="least-squares", order=2)
+    assert asked.model.appearance == "textured"  # which states nothing
 
 
 def test_both_looks_are_of_the_same_points_and_each_of_its_own_values(elsewhere):
