@@ -26,10 +26,7 @@ class Lightings(Protocol):
     """M lights. The last axis of the arrays has 3 channels, or 1 where all channels are alike."""
 
     returns: bool
-    """Whether every photo asks for the same ones again: what is made of them is kept, ..."""
-
-    kept_as: type
-    """... as floats of this kind."""
+    """Whether every photo asks for the same ones again: what is made of them is kept."""
 
     @property
     def count(self) -> int:
@@ -67,7 +64,7 @@ class SHBasis:
     """The spherical harmonics up to ``order`` as (order + 1)^2 lights, the same in all channels; they go negative."""
 
     order: int
-    returns, kept_as = True, np.float32
+    returns = True
 
     @property
     def count(self) -> int:

@@ -116,7 +116,7 @@ def trained_recogniser(scene: PreparedScene, index: int, library, settings: Reco
             transport = scene.transport(points, directions=settings.training_directions)
 
         # under cells of light is what `Verification` asks for next: kept, of as many as leave room for all else
-        each = CELLS.count * 3 * np.dtype(CELLS.kept_as).itemsize * len(points)
+        each = CELLS.count * 3 * np.float32().nbytes * len(points)
         most = KEPT * kept.STORE.most_bytes / each if settings.verify else 0
 
         def render(material):

@@ -137,11 +137,10 @@ class Cells:
     """``count`` lights that share out the sphere: each is 1 where it is the nearest, and 0 elsewhere.
 
     An object's images under them are the same for every photograph; their mixture is a picture in any smooth light.
-    There are many: half precision holds a picture to a two thousandth.
     """
 
     count: int
-    returns, kept_as = True, np.float16
+    returns = True
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -316,7 +315,7 @@ class Verification:
         ``under`` : (p, `CELLS`, 3), the material's images under these
         """
         light = light.astype(np.float32)
-        pixels = np.stack([product(under[..., c].astype(np.float32), light[:, c]) for c in range(3)], 1)
+        pixels = np.stack([product(under[..., c], light[:, c]) for c in range(3)], 1)
         differences = unlike(contrast_of(pixels[photo.seen.valid[self.region]], photo.seen), photo.contrast)
         return {name: -differences[name] for name in SIMILARITIES}
 

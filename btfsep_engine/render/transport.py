@@ -90,8 +90,7 @@ class Transport:
 
         Returns
         -------
-        (p, M, 3) float32, the channels outermost in memory; of a basis it is kept for the next photo, and not writable,
-        of the kind that the lightings say
+        (p, M, 3) float32, the channels outermost in memory; of a basis it is kept for the next photo, and not writable
         """
         return self.radiances(material, lightings)[0]
 
@@ -104,11 +103,8 @@ class Transport:
                 found.extend(self._radiances(material, lightings))
             return found[number]
 
-        def lasting(number: int) -> np.ndarray:
-            return made(number).astype(lightings[number].kept_as, copy=False)
-
         return [
-            kept.recalled("basis", [self.key, material, each], lambda number=number: lasting(number))
+            kept.recalled("basis", [self.key, material, each], lambda number=number: made(number))
             if each.returns
             else made(number)
             for number, each in enumerate(lightings)
