@@ -16,7 +16,7 @@ from collections import OrderedDict
 import numpy as np
 
 ENVIRONMENT = "BTFSEP_KEEP_MB"
-USUAL_MB = 768  # what recognition among 42 materials asks for again (docs/results/recognition.md, What it costs)
+USUAL_MB = 1024  # as the resident engine: what recognition among 42 materials asks for again finds room
 LARGEST = 0.5  # of all that may be kept: a larger thing is not, or it would be the only one
 SMALL = 512  # bytes that Python takes for a thing, about
 
