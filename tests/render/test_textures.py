@@ -85,6 +85,13 @@ def test_one_by_which_less_is_known_of_the_light_is_left_out_too(leather, monkey
     assert asked.model.appearance == "textured"  # which states nothing
 
 
+def test_a_grainy_photo_is_held_against_both_by_its_single_pixels(leather, monkeypatch):
+    """Means of pixels have a fifth of their noise: by these nothing could be explained as well."""
+    monkeypatch.setattr(texture, "WIDER", np.inf)
+    found = light_of(photographed(leather, noise=0.12))
+    assert found.model.appearance == "textured" and found.photos[0].residuals[0] > 0.1
+
+
 def test_both_looks_are_of_the_same_points_and_each_of_its_own_values(elsewhere):
     materials = materials_of_all([elsewhere], open_library(None), SETTINGS, name=LEATHER)
     model = first_model([elsewhere], materials, SETTINGS)
