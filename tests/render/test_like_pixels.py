@@ -13,8 +13,10 @@ from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.like_pixels import (
+    GLOSSY,
     TEXTURED,
     as_seen_on_the_whole,
+    glossiness,
     like_pixels_words,
     variation,
     with_like_pixels,
@@ -146,6 +148,23 @@ def test_a_smooth_photo_is_left_as_it_is_and_so_are_others_that_have_no_use_of_i
     lined_up = replace(rough, materials=[laid])
     assert as_seen_on_the_whole(lined_up, SETTINGS) is lined_up
     assert "of up to 25 around it" in like_pixels_words([as_seen_on_the_whole(rough, SETTINGS)])
+
+
+def test_gloss_has_no_means_for_its_highlights_are_no_noise():
+    """White varies as much from pixel to pixel; what is told apart is how fast the basis images change."""
+    settings = replace(SETTINGS, order=9)
+    problem, _ = of_mesh(egg_and_pebble(), texture=0.2)
+    made = {}
+    for name in ("reference/white-diffuse", "wood/oak-boards", "leather/brown-grain", "leather/black-nappa"):
+        material = open_library(None).load(name).mean_material()
+        made[name] = make_problem(problem.scene, [material], problem.points, settings)
+    white, oak, grain, nappa = (glossiness(each) for each in made.values())
+    assert white < 0.15 < oak < GLOSSY < grain < nappa < 1
+    seen = {name: as_seen_on_the_whole(each, settings) for name, each in made.items()}
+    assert [each.around is not None for each in seen.values()] == [True, True, False, False]
+    assert seen["leather/black-nappa"] is made["leather/black-nappa"]
+    few = make_problem(problem.scene, [WHITE], problem.points, replace(settings, order=1, estimator="least-squares"))
+    assert glossiness(few) == 0  # of few orders nothing is known
 
 
 def test_clipped_and_unusable_pixels_are_in_no_mean():
