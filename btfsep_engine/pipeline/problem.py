@@ -44,6 +44,8 @@ class Problem:
     left_out : how many points `fit.robust.outliers` took out; None where it was not asked
     around : (p, k, 2) int32, places in the picture, row * width + column, of pairs of pixels that show what a point's
         own does (`pipeline.like_pixels`), -1 where there is none; None: the point's own stands alone
+    coarsening : how many times less a pixel counts than it would: what is left over of means is no noise, where they
+        are of gloss
     """
 
     scene: object
@@ -63,6 +65,7 @@ class Problem:
     painted: bool = False
     left_out: int | None = None
     around: np.ndarray | None = None
+    coarsening: float = 1.0
 
     @property
     def all_basis(self) -> np.ndarray:
@@ -128,7 +131,7 @@ class Problem:
 
     def of_single_pixels(self) -> "Problem":
         """The same whose points stand alone, where they were means of those `around`."""
-        alone = self if self.around is None else replace(self, around=None)
+        alone = self if self.around is None else replace(self, around=None, coarsening=1.0)
         if alone is self or self.measured is None:
             return alone
         values = alone.as_measured(alone.means_of(self.scene.job.photo.radiance))

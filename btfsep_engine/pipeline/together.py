@@ -81,7 +81,7 @@ class SolvedLight:
 def light_solver(problems: list[Problem], settings: FitSettings, *, coarsening: float = 1.0) -> LightSolver:
     """The basis images of all photos together made ready, for the estimator with a prior."""
     order = min(settings.order, settings.fit_order)
-
+    coarsening *= max(p.coarsening for p in problems)
     given, hidden = given_lamps([p.scene.job for p in problems]), hidden_directions(problems)
     things = things_of(problems)
 

@@ -13,7 +13,7 @@ from btfsep_engine.job.model import Photo
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.like_pixels import (
-    GLOSSY,
+    FEWEST,
     TEXTURED,
     as_seen_on_the_whole,
     glossiness,
@@ -24,6 +24,7 @@ from btfsep_engine.pipeline.like_pixels import (
 from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.refine.curves import _read_by
 from btfsep_engine.pipeline.settings import choose
+from btfsep_engine.pipeline.together import fit_together, light_solver
 from btfsep_engine.pipeline.tone import Curves, codes_of
 from tests.render.scenes import (
     as_mesh,
@@ -150,19 +151,23 @@ def test_a_smooth_photo_is_left_as_it_is_and_so_are_others_that_have_no_use_of_i
     assert "of up to 25 around it" in like_pixels_words([as_seen_on_the_whole(rough, SETTINGS)])
 
 
-def test_gloss_has_no_means_for_its_highlights_are_no_noise():
-    """White varies as much from pixel to pixel; what is told apart is how fast the basis images change."""
+def test_means_of_gloss_count_for_less_and_leave_more_unknown():
+    """All vary as much from pixel to pixel; what is told apart is how fast the basis images change."""
     settings = replace(SETTINGS, order=9)
     problem, _ = of_mesh(egg_and_pebble(), texture=0.2)
-    made = {}
+    made = []
     for name in ("reference/white-diffuse", "wood/oak-boards", "leather/brown-grain", "leather/black-nappa"):
         material = open_library(None).load(name).mean_material()
-        made[name] = make_problem(problem.scene, [material], problem.points, settings)
-    white, oak, grain, nappa = (glossiness(each) for each in made.values())
-    assert white < 0.15 < oak < GLOSSY < grain < nappa < 1
-    seen = {name: as_seen_on_the_whole(each, settings) for name, each in made.items()}
-    assert [each.around is not None for each in seen.values()] == [True, True, False, False]
-    assert seen["leather/black-nappa"] is made["leather/black-nappa"]
+        alone = make_problem(problem.scene, [material], problem.points, settings)
+        made.append(as_seen_on_the_whole(alone, settings))
+        assert made[-1].around is not None and alone.coarsening == made[-1].of_single_pixels().coarsening == 1
+    white, oak, grain, nappa = (each.coarsening for each in made)
+    assert white == 1 < oak < 1.4 < grain == nappa == FEWEST
+    fits = [fit_together([replace(made[3], coarsening=c)], settings).fit for c in (1.0, nappa)]
+    sharp, plain = (fit.effective_degrees_of_freedom for fit in fits)
+    assert plain < 0.95 * sharp
+    of_two = light_solver([replace(made[3], coarsening=c) for c in (1.25, nappa)], settings)
+    assert of_two.coarsening == nappa
     few = make_problem(problem.scene, [WHITE], problem.points, replace(settings, order=1, estimator="least-squares"))
     assert glossiness(few) == 0  # of few orders nothing is known
 

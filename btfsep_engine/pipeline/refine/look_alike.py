@@ -13,7 +13,6 @@ from dataclasses import replace
 
 from btfsep_engine.btf.surfaces import GIVEN, SURFACES
 from btfsep_engine.fit.stated import widened
-from btfsep_engine.pipeline.like_pixels import is_textured
 
 GUESSED, BY_NUMBERS = 2.0, 1.5  # times what is stated
 LOOK_ALIKE = "look_alike"  # its name among what is chosen
@@ -25,8 +24,8 @@ def look_alike(model, light):
         return model, light, {}
     factors = {}
     for problem, materials in zip(model.problems, model.materials, strict=True):
-        for i, (thing, material) in enumerate(zip(problem.scene.job.objects, materials, strict=True)):
-            if (factor := _factor(material)) > 1 and is_textured(problem.scene, i, seed=model.settings.seed):
+        for thing, material in zip(problem.scene.job.objects, materials, strict=True):
+            if problem.around is not None and (factor := _factor(material)) > 1:
                 factors[thing.name] = max(factor, factors.get(thing.name, 1.0))
     if not factors:
         return model, light, {}
