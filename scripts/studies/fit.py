@@ -33,6 +33,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.least_squares import solve
 from btfsep_engine.fit.misalignment import silhouette_shift
+from btfsep_engine.fit.stated import Fit
 from btfsep_engine.fit.three_spheres import ROWS, three_spheres
 from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import Lighting, lighting_map
@@ -88,11 +89,12 @@ class View:
         """The pixels' values (p, 3)."""
         return photo[tuple(self.points.pixels.T)].astype(np.float64)
 
-    def seen_on_the_whole(self, job) -> np.ndarray:
-        """What an estimate fits of a job of this view (p, 3): of textured photographs the means of like pixels."""
+    def fitted(self, job) -> Fit:
+        """An estimate's fit of a job of this view: of textured photographs, to the means of like pixels."""
         scene = copy(self.scene)
         scene.job = job
-        return as_seen_on_the_whole(replace(self.right, scene=scene), self.settings).radiance()
+        seen = as_seen_on_the_whole(replace(self.right, scene=scene), self.settings)
+        return light_solver([seen], self.settings).solve(seen.radiance())
 
     def doubts(self, solver, b, photo) -> dict:
         """Which doubts an estimate raises, as `pipeline.checks.all_doubts` does."""
@@ -139,7 +141,7 @@ def study(shown: list, library, given):
         job = load_job(shot.folder)
         photo = job.photo.radiance
         b, tuned, truth = view.values(photo), shot.light in given.tuned, shot.truth(4)
-        fit, basis, blocks = solver.solve(view.seen_on_the_whole(job)), view.right.all_basis, view.right.blocks
+        fit, basis, blocks = view.fitted(job), view.right.all_basis, view.right.blocks
         order, _ = cross_validated_order(basis, b, blocks, view.settings.fit_order)
         *plain, chosen = (solve(basis[:, : (n + 1) ** 2], b, blocks=blocks).coefficients[:25] for n in (*ORDERS, order))
         plain.append(np.pad(chosen, ((0, 25 - len(chosen)), (0, 0))))  # what it left out, it took for 0
