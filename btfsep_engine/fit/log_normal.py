@@ -45,6 +45,7 @@ from btfsep_engine.fit.search import Solution, nearby, solve
 from btfsep_engine.fit.sharp_lamp import Sharpened, SharpLight
 from btfsep_engine.fit.stated import REFLECTANCE, Fit, Lamp, Stated, decided_unknowns, stated_by
 from btfsep_engine.light.log_field import as_vivid, natural_field
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.threads import one_thread
 
 SAMPLES = 200
@@ -330,16 +331,14 @@ class LightSolver:
         The derivative of the fit by the photograph: with J of the unknowns, b - A J_x (I + J^T J)^-1 J_x^T A^T N^-1 b.
         """
         best, photo = fit.election.solution, fit.election.photo
-        terms = self.basis.terms
-        by_light = best.model.jacobian(
-            best.white, best.radiance, [np.eye(terms, best.x.shape[1])] * 3
-        )  # (3 terms, unknowns)
+        terms, every = self.basis.terms, best.by_unknowns.reshape(*best.x.shape, -1)
+        by_light = every[:, :terms].reshape(3 * terms, -1)
 
         def left(values):
             with one_thread():
-                step = by_light.T @ photo.scores(values, best.v, best.discrepancy).ravel()
+                step = product(photo.scores(values, best.v, best.discrepancy).ravel(), by_light)
                 step = solve_triangular(best.factor, step, lower=True)
-                x = by_light @ solve_triangular(best.factor.T, step, lower=False)
+                x = product(by_light, solve_triangular(best.factor.T, step, lower=False))
                 return values - self.basis.predicted(x.reshape(3, terms).T * photo.level)
 
         return left

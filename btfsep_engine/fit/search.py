@@ -79,6 +79,11 @@ class Solution:
         return self.model.jacobian(self.white, self.radiance, self.rows.root)
 
     @cached_property
+    def by_unknowns(self) -> np.ndarray:
+        """(3 * terms, unknowns), derivatives of the coefficients ``x``, channel by channel."""
+        return self.model.jacobian(self.white, self.radiance, [np.eye(self.x.shape[1])] * 3)
+
+    @cached_property
     def factor(self) -> np.ndarray:
         """(unknowns, unknowns), lower Cholesky factor of I + J^T J."""
         return cholesky(_and_one(product(self.jacobian.T, self.jacobian)))
