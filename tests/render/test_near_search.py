@@ -206,6 +206,23 @@ def test_places_that_only_make_the_light_plainer_are_not_believed(far_answer, mo
     assert (near.placed_lamps(scene, found.lamps) is not None) == bool(believed)
 
 
+@pytest.mark.parametrize(("coarsening", "number", "from_how_many"), [(1.0, 2, [2, 1]), (1.0, 1, [1]), (1.5, 2, [1])])
+def test_of_means_of_gloss_a_search_begins_at_the_brightest_alone(
+    far_answer, monkeypatch, coarsening, number, from_how_many
+):
+    model = far_answer.model.changed(lambda problem: replace(problem, coarsening=coarsening))
+    scene, starts = near_places.Photographed(model, far_answer.light), []
+
+    def search(scene, of, afar):
+        starts.extend(of)
+        return a_placed(of[0], afar, better=0.0)
+
+    monkeypatch.setattr(near, "search", search)
+    lamps = (near_places.Lamp(WHERE), near_places.Lamp(-WHERE))[:number]
+    assert near.placed_lamps(scene, lamps) is None
+    assert [len(each) for each in starts] == from_how_many and all(each[0] is lamps[0] for each in starts)
+
+
 def test_what_is_left_over_may_look_like_a_lamps_nearness(far_answer):
     scene, fit = near_places.Photographed(far_answer.model, far_answer.light), far_answer.fit
     added = scene.placed(near.bright_lamps(scene)[:1], fit, turns=1).correction

@@ -139,11 +139,16 @@ def looks_near(scene: Photographed, nearness) -> float:
 
 def placed_lamps(scene: Photographed, lamps) -> Placed | None:
     """The lamps that stand near, of those that may, as `bright_lamps` has them, or None: from all of them on, or from
-    the brightest, about which the light as from afar may have the others where none is."""
+    the brightest, about which the light as from afar may have the others where none is.
+
+    From the brightest alone where means of gloss are fitted (`pipeline.like_pixels`): three lamps nearby imitate what
+    is wrong with highlights. Three gained a walnut under natural light 30, its brightest alone nothing.
+    """
     afar = scene.light.fit
     (brightest,) = scene.nearness_of(lamps[:1], scene.mounds(afar, lamps[:1]))
     most = afar.residual * (LEAVES_WHERE_IT_SPEAKS if looks_near(scene, brightest) > LOOKS_NEAR else LEAVES)
-    starts = [lamps, lamps[:1]] if len(lamps) > 1 else [lamps]
+    of_gloss = any(problem.coarsening > 1 for problem in scene.problems)
+    starts = [lamps[:1]] if of_gloss or len(lamps) == 1 else [lamps, lamps[:1]]
     found = search(scene, starts, afar)
     if found.evidence < afar.election.evidence_of_photo + clearly(scene.problems) or found.fit.residual >= most:
         return None
