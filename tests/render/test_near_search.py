@@ -206,21 +206,35 @@ def test_places_that_only_make_the_light_plainer_are_not_believed(far_answer, mo
     assert (near.placed_lamps(scene, found.lamps) is not None) == bool(believed)
 
 
-@pytest.mark.parametrize(("coarsening", "number", "from_how_many"), [(1.0, 2, [2, 1]), (1.0, 1, [1]), (1.5, 2, [1])])
-def test_of_means_of_gloss_a_search_begins_at_the_brightest_alone(
-    far_answer, monkeypatch, coarsening, number, from_how_many
+@pytest.mark.parametrize(
+    ("coarsening", "many", "alone", "number", "believed"),
+    [
+        (1.0, near.CLEARLY + 1, -9.0, 2, 1),
+        (1.0, near.CLEARLY - 1, 9.0, 2, 0),
+        (1.5, near.CLEARLY - 1, near.ALONE + 1, 2, 1),  # its pixels count less, and so the evidence
+        (1.5, near.CLEARLY / 1.5 - 1, near.ALONE + 1, 2, 0),
+        (1.5, near.CLEARLY + 9, near.ALONE - 1, 2, 0),
+        (1.5, near.CLEARLY + 9, -9.0, 1, 1),  # one lamp is alone
+    ],
+)
+def test_of_gloss_the_brightest_lamp_alone_has_to_explain_the_photo_better(
+    far_answer, monkeypatch, coarsening, many, alone, number, believed
 ):
     model = far_answer.model.changed(lambda problem: replace(problem, coarsening=coarsening))
-    scene, starts = near_places.Photographed(model, far_answer.light), []
+    scene, afar = near_places.Photographed(model, far_answer.light), far_answer.fit
+    lamps = (near_places.Lamp(WHERE), near_places.Lamp(-WHERE))[:number]
 
-    def search(scene, of, afar):
-        starts.extend(of)
-        return a_placed(of[0], afar, better=0.0)
+    def search(scene, starts, fit):
+        found = a_placed(starts[0], fit, better=many if len(starts[0]) == number else alone)
+        found.fit.residual = 0.5 * fit.residual
+        return replace(found, correction=0.0)
 
     monkeypatch.setattr(near, "search", search)
-    lamps = (near_places.Lamp(WHERE), near_places.Lamp(-WHERE))[:number]
-    assert near.placed_lamps(scene, lamps) is None
-    assert [len(each) for each in starts] == from_how_many and all(each[0] is lamps[0] for each in starts)
+    monkeypatch.setattr(scene, "placed", lambda lamps, start, *, turns=2: search(scene, [lamps], afar))
+    monkeypatch.setattr(scene, "solve", lambda correction, start: None)
+    for name in ("followed", "with_further", "without_idle"):
+        monkeypatch.setattr(near, name, lambda scene, at: at)
+    assert (near.placed_lamps(scene, lamps) is not None) == bool(believed)
 
 
 def test_what_is_left_over_may_look_like_a_lamps_nearness(far_answer):

@@ -32,6 +32,9 @@ LOOKS_NEAR = 12.0
 # one was; a lamp at 3.5 radii that gives half of the light gains 18 to 150, where the material is right. Of depths,
 # whose slopes are less sure, those of a painted owl gain 16 to 36.
 CLEARLY, OF_A_DEPTH = 20.0, 40.0  # of the logarithm of the evidence
+# And that of the brightest lamp alone, of gloss: of two lamps near a nappa and a granite 10 and more, where light from
+# far away was taken for three nearby -12 and 0
+ALONE = 5.0
 # Of what is left over, at most: places that only make the light plainer are none. Where light from far away gained 20
 # to 90, 0.95 and more was left; where softboxes stand near, 0.1 to 0.9. Of gloss, whose highlights are left over either
 # way, it may be all (0.96 to 1.01 where a ball stands near), where that looks like the nearness of the brightest lamp
@@ -112,7 +115,13 @@ def brightest_left(fit: Fit, lamps) -> np.ndarray:
 
 def clearly(problems) -> float:
     """How much larger the evidence has to be, its logarithm."""
-    return OF_A_DEPTH if any(unseen_meshes(problem.scene.job) for problem in problems) else CLEARLY
+    usual = OF_A_DEPTH if any(unseen_meshes(problem.scene.job) for problem in problems) else CLEARLY
+    return usual / _counts_less(problems)
+
+
+def _counts_less(problems) -> float:
+    """How many times less pixels count, and so the evidence."""
+    return max(problem.coarsening for problem in problems)
 
 
 def speak_for_nearness(scene: Photographed, lamps) -> bool:
@@ -141,17 +150,20 @@ def placed_lamps(scene: Photographed, lamps) -> Placed | None:
     """The lamps that stand near, of those that may, as `bright_lamps` has them, or None: from all of them on, or from
     the brightest, about which the light as from afar may have the others where none is.
 
-    From the brightest alone where means of gloss are fitted (`pipeline.like_pixels`): three lamps nearby imitate what
-    is wrong with highlights. Three gained a walnut under natural light 30, its brightest alone nothing.
+    Where means of gloss are fitted (`pipeline.like_pixels`), several imitate what is wrong with highlights: there the
+    brightest alone has to explain the photo better, too.
     """
     afar = scene.light.fit
     (brightest,) = scene.nearness_of(lamps[:1], scene.mounds(afar, lamps[:1]))
     most = afar.residual * (LEAVES_WHERE_IT_SPEAKS if looks_near(scene, brightest) > LOOKS_NEAR else LEAVES)
-    of_gloss = any(problem.coarsening > 1 for problem in scene.problems)
-    starts = [lamps[:1]] if of_gloss or len(lamps) == 1 else [lamps, lamps[:1]]
+    starts = [lamps, lamps[:1]] if len(lamps) > 1 else [lamps]
     found = search(scene, starts, afar)
     if found.evidence < afar.election.evidence_of_photo + clearly(scene.problems) or found.fit.residual >= most:
         return None
+    if _counts_less(scene.problems) > 1 and len(found.lamps) > 1:
+        alone = search(scene, starts[-1:], afar)
+        if alone.evidence < afar.election.evidence_of_photo + ALONE:
+            return None
     # lamps that stood in for nearness are gone from a light that is elected anew
     found = followed(scene, scene.placed(found.lamps, scene.solve(found.correction, None)))
     found = without_idle(scene, with_further(scene, found))
