@@ -207,26 +207,28 @@ def test_places_that_only_make_the_light_plainer_are_not_believed(far_answer, mo
 
 
 @pytest.mark.parametrize(
-    ("coarsening", "many", "alone", "number", "believed"),
+    ("coarsening", "many", "alone", "leaves", "number", "believed"),
     [
-        (1.0, near.CLEARLY + 1, -9.0, 2, 1),
-        (1.0, near.CLEARLY - 1, 9.0, 2, 0),
-        (1.5, near.CLEARLY - 1, near.ALONE + 1, 2, 1),  # its pixels count less, and so the evidence
-        (1.5, near.CLEARLY / 1.5 - 1, near.ALONE + 1, 2, 0),
-        (1.5, near.CLEARLY + 9, near.ALONE - 1, 2, 0),
-        (1.5, near.CLEARLY + 9, -9.0, 1, 1),  # one lamp is alone
+        (1.0, near.CLEARLY + 1, -9.0, 1.1, 2, 1),
+        (1.0, near.CLEARLY - 1, 9.0, 0.9, 2, 0),
+        (1.5, near.CLEARLY - 1, near.ALONE + 1, 0.99, 2, 1),  # its pixels count less, and so the evidence
+        (1.5, near.CLEARLY / 1.5 - 1, near.ALONE + 1, 0.9, 2, 0),
+        (1.5, near.CLEARLY + 9, near.ALONE - 1, 0.9, 2, 0),
+        (1.5, near.CLEARLY + 9, near.ALONE + 9, 1.01, 2, 0),
+        (1.5, near.CLEARLY + 9, -9.0, 1.1, 1, 1),  # one lamp is alone
     ],
 )
 def test_of_gloss_the_brightest_lamp_alone_has_to_explain_the_photo_better(
-    far_answer, monkeypatch, coarsening, many, alone, number, believed
+    far_answer, monkeypatch, coarsening, many, alone, leaves, number, believed
 ):
     model = far_answer.model.changed(lambda problem: replace(problem, coarsening=coarsening))
     scene, afar = near_places.Photographed(model, far_answer.light), far_answer.fit
     lamps = (near_places.Lamp(WHERE), near_places.Lamp(-WHERE))[:number]
 
     def search(scene, starts, fit):
-        found = a_placed(starts[0], fit, better=many if len(starts[0]) == number else alone)
-        found.fit.residual = 0.5 * fit.residual
+        is_all = len(starts[0]) == number
+        found = a_placed(starts[0], fit, better=many if is_all else alone)
+        found.fit.residual = (0.5 if is_all else leaves) * fit.residual
         return replace(found, correction=0.0)
 
     monkeypatch.setattr(near, "search", search)
