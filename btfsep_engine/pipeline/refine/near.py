@@ -33,8 +33,8 @@ LOOKS_NEAR = 12.0
 # whose slopes are less sure, those of a painted owl gain 16 to 36.
 CLEARLY, OF_A_DEPTH = 20.0, 40.0  # of the logarithm of the evidence
 # And that of the brightest lamp alone, of gloss, which has to leave over less than light from far away: of two lamps
-# near a nappa or a granite 10 and more, and 0.88 to 0.99 times as much; where three were found and none was there -12 to
-# 18, and 1.00 to 1.02, or 0.97 with -12
+# near a nappa or a granite 10 and more, and 0.88 to 0.99 times as much; where three were found and none was there -12
+# to 18, and 1.00 to 1.02, or 0.97 with -12
 ALONE = 5.0
 # Of what is left over, at most: places that only make the light plainer are none. Where light from far away gained 20
 # to 90, 0.95 and more was left; where softboxes stand near, 0.1 to 0.9. Of gloss, whose highlights are left over either
