@@ -31,6 +31,7 @@ from btfsep_engine.pipeline.refine.mirrored import mirrored
 from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
+from btfsep_engine.pipeline.refine.near_between import light_between_near_surfaces
 from btfsep_engine.pipeline.refine.painted import painted_surfaces
 from btfsep_engine.pipeline.refine.parted import in_parts
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
@@ -171,6 +172,7 @@ REFINEMENTS = (
     shifted,
     limb_brightness,
     near_lamps,
+    light_between_near_surfaces,
     sharp_lamps,
     veiled,
     painted_surfaces,
