@@ -12,7 +12,7 @@ from btfsep_engine.pipeline.like_pixels import is_textured
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import RecognitionSettings
 from btfsep_engine.pipeline.verification import CELLS, PLAIN, Verification
-from btfsep_engine.recognise.contrast import judged_as
+from btfsep_engine.recognise.finest import judged_as
 from btfsep_engine.recognise.judgement import judgements
 from btfsep_engine.recognise.model_file import cached, known_materials
 from btfsep_engine.recognise.recogniser import Recogniser, Recognition

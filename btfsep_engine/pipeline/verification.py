@@ -36,6 +36,7 @@ from btfsep_engine.light.log_field import coarse_field, even_field
 from btfsep_engine.light.maps import training_lights
 from btfsep_engine.linear_algebra import product
 from btfsep_engine.recognise.contrast import Contrast, contrast_of, unlike
+from btfsep_engine.recognise.finest import CLEAR, Finest, as_kept, finest
 from btfsep_engine.recognise.judgement import judgements, utilities
 from btfsep_engine.recognise.masked import Masked
 from btfsep_engine.render.homogeneous import homogeneous
@@ -95,10 +96,16 @@ class Photographed:
     ----------
     seen : recognise.masked.Masked, the pixels of the region that have a value in the photograph
     contrast : recognise.contrast.Contrast
+    finest : recognise.finest.Finest
     """
 
     seen: Masked
     contrast: Contrast
+    finest: Finest
+
+    def beside(self, picture) -> Contrast:
+        """Of a picture (n, 3) of its pixels, as its camera would have kept it."""
+        return contrast_of(as_kept(np.asarray(picture, np.float32), self.seen, self.finest), self.seen)
 
 
 @dataclass(frozen=True)
@@ -233,7 +240,8 @@ class Verification:
             likely = [i for i in likely[:RENDERED] if odds[i] > enough or mirrors[i]]
             kinds = [i for i in kinds if below[i] >= below[last:].max() - BESIDE]
         seen = Masked(self.region, self.region & np.isfinite(radiance).all(-1))
-        photo = Photographed(seen, contrast_of(seen.values_of(radiance), seen))
+        of_photo = seen.values_of(radiance)
+        photo = Photographed(seen, contrast_of(of_photo, seen), finest(of_photo, seen))
         similar = self.similarities([(materials[i], explained[i].light) for i in (*likely, *kinds)], photo)
         each = {cue: np.array([s[cue] for s in similar]) for cue in SIMILARITIES}
         cues |= {cue: _of_all(values[: len(likely)], likely, count) for cue, values in each.items()}
@@ -316,7 +324,7 @@ class Verification:
         """
         light = light.astype(np.float32)
         pixels = np.stack([product(under[..., c], light[:, c]) for c in range(3)], 1)
-        differences = unlike(contrast_of(pixels[photo.seen.valid[self.region]], photo.seen), photo.contrast)
+        differences = unlike(photo.beside(pixels[photo.seen.valid[self.region]]), photo.contrast)
         return {name: -differences[name] for name in SIMILARITIES}
 
     def similarity_of_mirrors(self, photo: Photographed) -> dict[str, float]:
@@ -324,16 +332,18 @@ class Verification:
 
         Which light a mirror shows nobody knows: the one that the photo implies is the photo itself, always.
         """
+        valid = photo.seen.valid
 
         def made() -> list[Contrast]:
-            pictures = self.transport.mirrored(training_lights(1))[photo.seen.valid[self.region]]
+            pictures = self.transport.mirrored(training_lights(1))[valid[self.region]]
             pictures = pictures if self.has_colours else grey(pictures)
-            return [contrast_of(picture, photo.seen) for picture in np.moveaxis(pictures, 1, 0)]
+            return [photo.beside(picture) for picture in np.moveaxis(pictures, 1, 0)]
 
-        valid = photo.seen.valid
-        natural = kept.recalled(
-            "mirrors", [self.transport.key, np.packbits(valid), *valid.shape, self.has_colours], made
-        )
+        if photo.finest.model == CLEAR:
+            parts = [self.transport.key, np.packbits(valid), *valid.shape, self.has_colours]
+            natural = kept.recalled("mirrors", parts, made)
+        else:  # each such photo has lost something else
+            natural = made()
         differences = [unlike(each, photo.contrast) for each in natural]
         return {name: -min(each[name] for each in differences) for name in SIMILARITIES}
 

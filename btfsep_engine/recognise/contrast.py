@@ -20,7 +20,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from btfsep_engine.recognise.descriptors import Settings, normalise, normalised
+from btfsep_engine.recognise.descriptors import Settings, normalised
 from btfsep_engine.recognise.masked import Masked, smoothed
 
 SIGMAS = (0.57, 0.8, 1.13, 1.6, 2.26, 3.2)  # pixels; a band lies between two
@@ -32,12 +32,6 @@ BORDER = 7  # pixels of the outline: a silhouette is no texture
 FEWEST = 500  # pixels: a smaller object keeps its border
 UNSEEN = 0.03  # log2 units: a contrast that noise might be
 GREY_WORLD = Settings(white_balance=1.0)
-FINEST = (0.8, 1.6)  # pixels, of the octave beside which the finest detail is looked at
-SHARP = 0.45  # finest detail over that of this octave: less is a photo out of focus, or smoothed;
-GRAINY = 1.6  # of a colour difference more is noise: it has 4.2, textures up to 1.3,
-ROUNDED = 0.02  # log2 units of this octave at least: of less, what is found is how 8 bits are rounded
-BLOCK = 8  # pixels, of JPEG
-BLOCKS = 1.12  # steps between blocks over those within
 
 
 @dataclass(frozen=True)
@@ -136,37 +130,3 @@ def unlike(a: Contrast, b: Contrast) -> dict[str, float]:
 
 def _apart(a, b) -> np.ndarray:
     return np.abs(np.log((a + UNSEEN) / (b + UNSEEN)))
-
-
-def judged_as(radiance, mask) -> str:
-    """What a photo (h, w, 3), NaN where unusable, shows of the finest detail: a model of `judgement.judgements`.
-
-    "spoilt" where it is lost, by blur or JPEG's blocks, "grainy" where noise lies over it, else "verified". A texture's
-    contrast is that of the camera where it is lost, and judged beside photographs like it. So is a surface that has no
-    fine detail to lose.
-    """
-    valid = mask & np.isfinite(radiance).all(-1)
-    image = normalise(radiance, valid, settings=GREY_WORLD)
-    inside = cv2.erode(valid.astype(np.uint8), np.ones((BORDER, BORDER)), borderValue=0) > 0
-    if inside.sum() < FEWEST:
-        return "verified"
-    corners = cv2.filter2D(image, -1, np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32) / 6)  # Immerkaer 1996
-    octave = np.subtract(*(cv2.GaussianBlur(image, (0, 0), sigma) for sigma in FINEST))
-    finest, beside = (np.median(np.abs(each[inside]), axis=0) for each in (corners, octave))
-    sharp = finest / np.maximum(beside, (1e-4, ROUNDED, ROUNDED))
-    lightness = np.ascontiguousarray(image[..., 0])
-    blocks = max(_blocks(lightness, inside), _blocks(lightness.T, inside.T))
-    if sharp[0] < SHARP or blocks > BLOCKS:
-        return "spoilt"
-    return "grainy" if sharp[1:].max() > GRAINY else "verified"
-
-
-def _blocks(image, inside) -> float:
-    """The mean step between columns at the border of JPEG's blocks, wherever these begin, over that between others."""
-    both = inside[:, 1:] & inside[:, :-1]
-    count, total = both.sum(0), (np.abs(np.diff(image, axis=1)) * both).sum(0)
-    phase = np.arange(len(count)) % BLOCK
-    of_phase = np.array([[total[phase == k].sum(), count[phase == k].sum()] for k in range(BLOCK)])
-    rest = of_phase.sum(0) - of_phase
-    means = of_phase[:, 0] / np.maximum(of_phase[:, 1], 1), rest[:, 0] / np.maximum(rest[:, 1], 1)
-    return float((means[0] / np.maximum(means[1], 1e-6)).max())

@@ -21,7 +21,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline import recognition
 from btfsep_engine.pipeline.black_and_white import without_colours
 from btfsep_engine.pipeline.verification import PLAIN, Verification
-from btfsep_engine.recognise.contrast import judged_as
+from btfsep_engine.recognise.finest import judged_as
 from btfsep_engine.recognise.judgement import TABLE
 from btfsep_engine.recognise.model_file import source_digest
 from btfsep_engine.storage.atomic import write_text

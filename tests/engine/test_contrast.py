@@ -2,13 +2,11 @@
 """Statistics of a texture: which size, strength, form and direction it has, whatever the light's level and slow
 changes."""
 
-import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
-from btfsep_engine.recognise.contrast import SIGMAS, contrast, judged_as, unlike
+from btfsep_engine.recognise.contrast import SIGMAS, contrast, unlike
 
 MASK = np.hypot(*(np.indices((160, 160)) - 80.0)) < 70
 
@@ -83,27 +81,3 @@ def test_the_colours_of_a_texture_and_how_they_go_with_its_lightness_are_told(rn
     assert red.correlation[1, 0] > 0.95 and blue.correlation[1, 0] < -0.95
     assert unlike(red, blue)["correlation"] > 5 * unlike(red, red)["correlation"] + 0.3
     assert unlike(red, grey)["correlation"] > 0.3
-
-
-def coded(image, quality):
-    """The image as JPEG keeps it."""
-    code = (linear_to_srgb(np.clip(image / 4, 0, 1)) * 255).round().astype(np.uint8)
-    code = cv2.imencode(".jpg", code, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return 4 * srgb_to_linear(cv2.imdecode(code, cv2.IMREAD_COLOR) / 255)
-
-
-def test_a_photo_that_has_lost_its_finest_detail_is_spoilt(rng):
-    """By blur, and by JPEG's blocks, wherever in the photo the window begins; noise over it is another matter."""
-    image = texture(rng, 0.5, 0.3)
-    blurred = gaussian_filter(image, (1.2, 1.2, 0))
-    noisy = image * (1 + 0.1 * rng.standard_normal(image.shape))
-    assert [judged_as(each, MASK) for each in (image, noisy, blurred)] == ["verified", "grainy", "spoilt"]
-    assert judged_as(coded(image, 98), MASK) == "verified"
-    for begin in (0, 3):
-        assert judged_as(coded(image, 15)[begin:, begin:], MASK[begin:, begin:]) == "spoilt"
-
-
-def test_colours_of_a_texture_and_how_8_bits_are_rounded_are_no_noise(rng):
-    image = texture(rng, 0.8, 0.3)
-    rounded = srgb_to_linear((linear_to_srgb(np.clip(image / 4, 0, 1)) * 255).round() / 255)
-    assert [judged_as(each, MASK) for each in (rounded, image ** np.linspace(0.7, 1.3, 3))] == ["verified"] * 2

@@ -10,14 +10,13 @@ in the evaluation (`scripts/study recognition`), and no light among those that a
 lights: two of Blender's eight studio lights, drawn by chance, each photograph with another turn of it; and draws from
 the prior of natural light (`light/log_field.py`) with up to two lamps.
 
-Five models: "verified", of all cues; "spoilt" and "grainy", the same of photographs that have lost their finest detail,
-or have noise over it: each is used made noisier, half as large, enlarged, black and white, and blurred, made noisier
-and coded as JPEG, too, by the model that it is judged by; "explained", which says what is worth a rendering; and
-"votes", of the classifier alone; of these two plain surfaces are no part. The weights are those of the largest
-likelihood (a multinomial logistic regression with a ridge), each photograph of the library's materials twice: with all,
-where its own is right, and without its own, where none is. The strangeness of what is right in each photograph is that
-under weights which were learned on the other objects, each light counting once, and its p-value's rank is what
-`recognise.judgement` says.
+Five models: "verified", of all cues; "spoilt" and "grainy", the same of photographs that have lost their finest
+detail, or have noise over it: each is used with every flaw of `cues.FLAWS`, too, by the model that it is judged by;
+"explained", which says what is worth a rendering; and "votes", of the classifier alone; of these two plain surfaces are
+no part. The weights are those of the largest likelihood (a multinomial logistic regression with a ridge), each
+photograph of the library's materials twice: with all, where its own is right, and without its own, where none is. The
+strangeness of what is right in each photograph is that under weights which were learned on the other objects, each
+light counting once, and its p-value's rank is what `recognise.judgement` says.
 """
 
 import itertools
@@ -65,7 +64,6 @@ MODELS = {
     "explained": ("classifier", *EXPLANATIONS),
     "votes": ("classifier",),
 }
-FLAWS = ("clean", "noisy", "small", "scaled", "grey", "all three")
 RIDGE = 0.3  # of weights of cues of deviation 1: 0.1 does as well of clear photographs, 0.5 to 1 of spoilt ones
 LEFT_OUT = 0.1  # how much a photograph without its material counts beside one with it
 
@@ -223,12 +221,12 @@ def main(arguments) -> int:
         photos.take(list(itertools.chain(*wanted)), resolution=RESOLUTION, samples=SAMPLES, denoise=True)
     found = [cues.seen_in(given.folder, some) for some in wanted]
     found += [photos.photographs_in(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
-    seen = {flaw: [] for flaw in FLAWS}
+    seen = {flaw: [] for flaw in cues.FLAWS}
     for some in found:
         some.sort(key=lambda p: p.object)
         for flaw, into in seen.items():
             into += cues.cues_of(some, library, choose("balanced"), flaw=flaw, every=True)
-    every, clean = [s for some in seen.values() for s in some], seen[FLAWS[0]]
+    every, clean = [s for some in seen.values() for s in some], seen[cues.FLAWS[0]]
     used = {model: examples([s for s in every if s.model == model]) for model in ("verified", "spoilt", "grainy")}
     table = {
         "photographs": len(clean),
