@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.pipeline.verification import Photographed
 from btfsep_engine.recognise.contrast import contrast_of, unlike
 from btfsep_engine.recognise.finest import as_kept, finest, judged_as
 from btfsep_engine.recognise.masked import Masked
@@ -99,3 +100,21 @@ def test_of_few_pixels_nothing_is_said(rng):
     seen = Masked(few, few)
     blurred = gaussian_filter(texture(rng, 0.5, 0.3), (2, 2, 0))[few].astype(np.float32)
     assert finest(blurred, seen).model == "verified" and as_kept(blurred, seen, finest(blurred, seen)) is blurred
+
+
+@pytest.mark.parametrize("flaw", ("blurred", "noisy"))
+def test_candidates_are_compared_as_the_photos_camera_would_have_kept_them(flaw, rng):
+    """Of two textures that differ in grain, the photo's own is the more alike for it, and the other hardly."""
+
+    def spoilt(image):
+        return gaussian_filter(image, (1.1, 1.1, 0)) if flaw == "blurred" else noisy(image, 0.15, rng)
+
+    photo, own, coarser = (
+        values(image) for image in (spoilt(texture(rng, 0.5, 0.3)), *(texture(rng, sigma, 0.3) for sigma in (0.5, 1.5)))
+    )
+    photographed = Photographed(SEEN, contrast_of(photo, SEEN), finest(photo, SEEN))
+    as_it_is, as_kept_there = (
+        [sum(unlike(look(picture), photographed.contrast).values()) for picture in (own, coarser)]
+        for look in (lambda picture: contrast_of(picture, SEEN), photographed.beside)
+    )
+    assert as_kept_there[0] < 0.5 * as_it_is[0] and as_kept_there[0] < 0.4 * as_kept_there[1]
