@@ -23,7 +23,7 @@ CLEAR, SPOILT, NOISY = "verified", "spoilt", "grainy"  # models of `judgement.ju
 FINEST = (0.8, 1.6)  # pixels, of the octave beside which the finest detail is looked at
 SHARP = 0.45  # finest detail over that of this octave: less is a photo out of focus, or smoothed;
 GRAINY = 1.6  # of a colour difference more is noise: it has 4.2, textures up to 1.3,
-FAINT = 1e-4  # log2 units of this octave at least,
+FAINT = 1e-4  # of it, and log2 units of this octave, at least,
 ROUNDED = 0.02  # of colours: of less, what is found is how 8 bits are rounded
 BLOCK = 8  # pixels, of JPEG
 BLOCKS = 1.12  # steps between blocks over those within
@@ -38,7 +38,7 @@ class Finest:
 
     Attributes
     ----------
-    sharp : finest detail over that of the octave beside it, of lightness; 0.6 of most textures
+    sharp : finest detail over that of the octave beside it, of lightness; 0.9 in the median of 150 clear photographs of textures
     grain : log2 units, finest detail of the two colour differences
     model : which of `judgement.judgements` a photo is judged by: "spoilt" where its finest detail is lost, by blur or
         JPEG's blocks, "grainy" where noise lies over it, else "verified"
@@ -65,7 +65,7 @@ def finest(colours, seen: Masked) -> Finest:
     blocks = max(_blocks(lightness, inside), _blocks(lightness.T, inside.T))
     spoilt, grainy = sharp[0] < SHARP or blocks > BLOCKS, sharp[1:].max() > GRAINY
     model = SPOILT if spoilt else NOISY if grainy else CLEAR
-    return Finest(float(sharp[0]), float(corners[1:].mean()), model)
+    return Finest(_over(corners[0], octave[0]), float(corners[1:].mean()), model)
 
 
 def judged_as(radiance, mask) -> str:
@@ -115,7 +115,12 @@ def _noisy(picture, seen: Masked, grain: float) -> np.ndarray:
 def _sharp(picture, seen: Masked) -> float:
     lightness = seen.image(normalised(picture, settings=GREY_WORLD)[:, 0])
     corners, octave = _magnitudes(lightness, _inside(seen))
-    return float(corners / max(octave, FAINT))
+    return _over(corners, octave)
+
+
+def _over(corners, octave) -> float:
+    """Above 0, of an even image, too: of sharpness logarithms are taken."""
+    return max(float(corners / max(octave, FAINT)), FAINT)
 
 
 def _grain(picture, seen: Masked) -> float:

@@ -94,6 +94,15 @@ def test_beside_a_clear_photo_renderings_are_as_they_are(rng):
         assert as_kept(rendering, SEEN, finest(photo, SEEN)) is rendering
 
 
+def test_an_even_photo_and_an_even_rendering_are_no_stumbling_block(rng):
+    """As of a photo of 8 bits out of focus, or of a rendering that is dark in most places."""
+    even = np.ones((SEEN.valid.sum(), 3), np.float32)
+    nearly = values(np.where(np.indices(MASK.shape)[1][..., None] < 50, texture(rng, 0.5, 0.3), 1.0))
+    for photo in (even, nearly):
+        for rendering in (even, nearly, values(texture(rng, 0.5, 0.3))):
+            assert np.isfinite(as_kept(rendering, SEEN, finest(photo, SEEN))).all()
+
+
 def test_of_few_pixels_nothing_is_said(rng):
     few = np.zeros_like(MASK)
     few[60:80, 60:80] = True
