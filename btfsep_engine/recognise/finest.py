@@ -38,7 +38,8 @@ class Finest:
 
     Attributes
     ----------
-    sharp : finest detail over that of the octave beside it, of lightness; 0.9 in the median of 150 clear photographs of textures
+    sharp : finest detail over that of the octave beside it, of lightness, above 0; 0.9 in the median of 150 clear
+        photographs of textures
     grain : log2 units, finest detail of the two colour differences
     model : which of `judgement.judgements` a photo is judged by: "spoilt" where its finest detail is lost, by blur or
         JPEG's blocks, "grainy" where noise lies over it, else "verified"
