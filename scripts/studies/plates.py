@@ -193,10 +193,10 @@ def main(arguments) -> int:
         write_rows(given.to, rows, titles=("photo", "the light that was found", "the true light"))
         return 0
     todo = [(plate, folder, way) for folder, plates in places for plate in plates for way in given.ways]
-    todo = [t for t in todo if t[2] not in (RECOGNISED, AS_PLASTIC) or t[1].name not in ("several", "chrome")]
+    todo = [t for t in todo if t[2] not in (RECOGNISED, AS_PLASTIC) or not t[1].name.startswith(("several", "chrome"))]
     todo = [t for t in todo if t[2] not in OF_AGX or t[0]["curve"] == "agx"]
     todo = [t for t in todo if t[2] != AS_MEAN or "more" in t[0]]
-    todo = [t for t in todo if t[2] != NO_MIRROR or t[1].name == "chrome"]
+    todo = [t for t in todo if t[2] != NO_MIRROR or t[1].name.startswith("chrome")]
     todo = [t for t in todo if t[2] != NOT_LOOKED or not {"more", "told"} & set(t[0])]
     todo = [t for t in todo if t[2] != IN_LINE or any(t[0]["off"])]
     todo = [t for t in todo if t[2] not in OF_TABLES or t[0]["table"]]

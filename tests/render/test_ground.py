@@ -16,8 +16,9 @@ from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import shown_error
 from btfsep_engine.job.model import Occluder
 from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline.ground_places import places_of
 from btfsep_engine.pipeline.refine import ground
-from btfsep_engine.pipeline.refine.ground import places_of, tried_as_evidence, used_as_evidence
+from btfsep_engine.pipeline.refine.ground import tried_as_evidence, used_as_evidence
 from btfsep_engine.pipeline.refine.seen_colour import AGREE, seen_colours, seen_places
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, ball, job_of, looking_down, positive_light, scene_of, with_photo

@@ -8,30 +8,16 @@ does not explain all that it shows, it counts for less, the further what is left
 Where its light lies farther from the objects' own than was to be expected, one of them is wrong, and that is stated.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine import sh
-from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.btf.surfaces import Surface
-from btfsep_engine.conventions import pixel_directions
-from btfsep_engine.fit.ground import SKY, Ground
+from btfsep_engine.fit.ground import Ground
 from btfsep_engine.fit.stated import expected_error, shown_error, widened
-from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.pipeline.scene import INDIRECT_DIRECTIONS
-from btfsep_engine.pipeline.settings import MODELLED_BOUNCES
+from btfsep_engine.pipeline.ground_places import places_of, shadows_on
 from btfsep_engine.pipeline.together import all_weights
-from btfsep_engine.render.homogeneous import reflected_share, under_beams
-from btfsep_engine.render.radiosity import diffuse_albedo
-from btfsep_engine.render.surface import SurfacePoints, eroded, surface_points, with_any_tangent
-from btfsep_engine.storage import kept
 
-PLACES = 400  # of all that is seen of a ground: means over as many blocks of pixels, about
-FEWEST = 40
-ENOUGH = 100  # pixels of a block: of a large photo not all are read
-FULL = 0.5  # of a block that has to show the ground
-FINER = 2  # rays to each pixel of the sky's map, a side
 WORSE = 1.3  # of the objects' residual: a ground that asks for so much more speaks of something else than their light
 TOO_BRIGHT = 3.0  # times the light of the objects alone: lamps that reach next to nothing may be of any strength
 # Of the ground's root mean square, not explained: what is of one colour leaves 2 to 5 %, light between surfaces is
@@ -44,7 +30,6 @@ WORTH, WIDEST = 1.1, 4.0  # times what is stated, of a light that a ground which
 # A ground's light that lies so far from the objects' own is a surprise: times what was stated of that; of all light.
 SURPRISING, FAR = 2.0, 0.1
 MATTE, SATIN = 1.0, 0.5  # roughnesses that are tried beside its own; the second is that of a new Blender material
-WHITE = Lambertian("ground/white", np.ones(3))
 
 
 def used_as_evidence(job, settings) -> list[int]:
@@ -64,40 +49,6 @@ def tried_as_evidence(scene, settings) -> list[int]:
     return sorted(plain, key=lambda k: -seen[k])[:1]
 
 
-def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
-    """Points in the middle of blocks of the pixels that show an occluder, and the photo's mean over each (p, 3).
-
-    None where too little of it is seen.
-    """
-    photo, index = scene.job.photo, len(scene.job.objects) + k
-    region = eroded(scene.view.mesh == index) & photo.usable
-    for mask in (o.mask for o in scene.job.objects if o.mask is not None):
-        region &= ~mask  # the photo shows an object there, whatever the geometry says
-    rows, columns = np.nonzero(region)
-    every = max(1, int(np.sqrt(len(rows) / (PLACES * ENOUGH))))
-    few = (rows % every == 0) & (columns % every == 0)
-    rows, columns = rows[few], columns[few]
-    edge = every * max(1, int(np.sqrt(len(rows) / PLACES)))
-    block, number, count = np.unique(
-        rows // edge * region.shape[1] + columns // edge, return_inverse=True, return_counts=True
-    )
-
-    def mean(values):
-        return np.bincount(number, values) / count
-
-    middle = np.square(rows - mean(rows)[number]) + np.square(columns - mean(columns)[number])
-    first = np.lexsort((middle, number))[np.concatenate([[0], np.cumsum(count)[:-1]])] if len(block) else []
-    full = count >= FULL * (edge / every) ** 2
-    if full.sum() < FEWEST:
-        return None
-    chosen = first[full]
-    shown = np.zeros_like(region)
-    shown[rows[chosen], columns[chosen]] = True
-    radiance = np.stack([mean(photo.radiance[rows, columns, c].astype(np.float64)) for c in range(3)], 1)[full]
-    points = with_any_tangent(surface_points(scene.view, scene.job, index, region=shown))
-    return points, radiance[np.lexsort((columns[chosen], rows[chosen]))]  # in the order of the points
-
-
 def looks_of(scene, k: int) -> dict:
     """What an occluder may be like: {roughness: Surface}, None for a matte one, whatever the job says.
 
@@ -114,58 +65,6 @@ def looks_of(scene, k: int) -> dict:
     if own and own.plain and own.specular:
         out.setdefault(own.roughness, own)
     return out
-
-
-@dataclass(frozen=True)
-class Shadows:
-    """What reaches a ground's points from each pixel of a map of `SKY`, whatever the ground is like.
-
-    Attributes
-    ----------
-    open : (p, n) float32, how much of the pixel is seen; cosine : the same, times the cosine, averaged
-    sent : (p, n, 3) float32, what objects and other surfaces make of a beam from there, on a white matte ground
-    """
-
-    open: np.ndarray
-    cosine: np.ndarray
-    sent: np.ndarray
-
-    def response(self, points, surface: Surface | None) -> np.ndarray:
-        """`fit.ground.Ground.response` by a ground's ``surface``, or as it would be white and matte."""
-        if surface is None:
-            return self.cosine[..., None] / np.float32(np.pi) + self.sent
-        directions = pixel_directions(*SKY).reshape(-1, 3)
-        straight = self.open[..., None] * under_beams(surface, points.normal, points.to_eye, directions)
-        return straight + reflected_share(surface).astype(np.float32) * self.sent
-
-
-def shadows_on(scene, materials, points, settings) -> Shadows:
-    """The Shadows of a ground's points.
-
-    What objects and other surfaces send it is smooth: of the fit's order, and nowhere negative.
-    """
-
-    def found():
-        h, w = (FINER * n for n in SKY)
-        rays = pixel_directions(h, w).reshape(-1, 3)
-        seen = scene.tracer.visible(points.position, points.flat_normal, rays).astype(np.float32)
-        free, cosine = (_over_pixels(each) for each in (seen, seen * np.maximum(points.normal @ rays.T, 0)))
-        indirect = scene.indirect(materials, SHBasis(settings.fit_order), settings, bounces=MODELLED_BOUNCES)
-        sent = indirect.reflected(scene.transport(points, directions=INDIRECT_DIRECTIONS), WHITE)
-        y = sh.evaluate(settings.fit_order, pixel_directions(*SKY).reshape(-1, 3)).astype(np.float32)
-        above = cosine.any(0)  # what is behind the ground for all of it reaches nothing on it
-        between = np.maximum(np.einsum("ptc,nt->pnc", sent, y * above[:, None], optimize=True), 0)
-        return Shadows(free, cosine.astype(np.float32), between.astype(np.float32))
-
-    albedos = [*map(diffuse_albedo, materials), *scene.occluder_albedos]
-    parts = [scene.tracer.key, points.position, albedos, settings.fit_order, settings.surface_samples, settings.seed]
-    return kept.recalled("ground", parts, found)
-
-
-def _over_pixels(of_rays) -> np.ndarray:
-    """(p, h w): values (p, rays) in a map finer than `SKY`, averaged over its pixels."""
-    fine = of_rays.reshape(-1, SKY[0], FINER, SKY[1], FINER)
-    return fine.mean((2, 4)).reshape(len(of_rays), -1)
 
 
 def grounds_of(problems, exposures, settings, chosen) -> list[Ground]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.basis import USUAL
-from btfsep_engine.pipeline.refine.ground import WHITE, places_of
+from btfsep_engine.pipeline.ground_places import WHITE, places_of
 from btfsep_engine.pipeline.settings import MODELLED_BOUNCES
 from btfsep_engine.pipeline.together import fit_together
 
