@@ -31,6 +31,7 @@ DRAWN_TOGETHER = np.array(  # linear Rec.709 to the colours of which AgX takes l
         [0.11189821299995, 0.0767994186031903, 0.811302368396859],
     ]
 ) @ np.array([[0.6274039, 0.3292830, 0.0433131], [0.0690973, 0.9195404, 0.0113623], [0.0163914, 0.0880133, 0.8955953]])
+WHITISH, NEAR_WHITE = 0.98, 0.6  # of the largest code; of what it stands for
 COMPRESSED_FROM, DESATURATED, TOE = 0.76, 0.15, 0.08  # of Khronos PBR Neutral
 
 
@@ -91,6 +92,17 @@ def to_linear(codes, name: str = "agx") -> np.ndarray:
         grey = (logs @ REC709_LUMINANCE)[..., None]
         logs = PIVOT + (grey + (logs - grey) / view.saturation - PIVOT) / view.contrast
     return 2.0 ** (LEAST_LOG + STOPS * logs) @ np.linalg.inv(DRAWN_TOGETHER).T
+
+
+def near_white(codes, linear, name: str = "agx") -> np.ndarray:
+    """Where codes (..., 3) say no more than that it was at least so bright: (..., 3) bool.
+
+    A view brings all that is bright to white: near it a code more is a tenth more light, and a JPEG's are off by some.
+
+    ``linear`` : (..., 3), their `to_linear`
+    """
+    white = to_linear(np.ones(3), name).max()
+    return (codes >= WHITISH) | (np.max(linear, -1, keepdims=True) >= NEAR_WHITE * white)
 
 
 def _looked_up(roots, codes) -> np.ndarray:

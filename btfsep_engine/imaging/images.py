@@ -102,10 +102,10 @@ def read_linear(
     camera = "" if peak is None else image_headers.camera(header)
     decode = _decoder(colorspace, profile, peak is not None, stored.shape[-1], bool(by_camera and camera))
     clipped = np.zeros(stored.shape, bool) if peak is None else stored >= SATURATED * peak
-    saturated = clipped.any(-1)
     if peak is not None and colorspace in blender_views.VIEWS:
         stored = np.repeat(stored, 3, -1) if stored.shape[-1] == 1 else stored
         pixels = blender_views.to_linear(stored / peak, colorspace).astype(np.float32)
+        clipped = clipped | blender_views.near_white(stored / peak, pixels, colorspace)
     elif peak is not None:
         codes = np.arange(peak + 1) / peak
         tables = decode(np.repeat(codes[:, None], stored.shape[-1], -1)).astype(np.float32).T
@@ -120,6 +120,7 @@ def read_linear(
     elif profile is not None and profile.to_rec709 is not None:
         pixels = pixels @ profile.to_rec709.T.astype(np.float32)
     opaque = inside if alpha is None else inside & (alpha >= OPAQUE)
+    saturated = clipped.any(-1)
     clipped = np.broadcast_to(clipped, pixels.shape) & opaque[..., None]
     bits = None if peak is None else peak.bit_length()
     said = image_headers.has_coarse_chroma(header), camera, profile, image_headers.orientation(header)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a photo shows of a table or a floor, place by place, and what light reaches these places."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,11 +26,45 @@ FINER = 2  # rays to each pixel of the sky's map, a side
 WHITE = Lambertian("ground/white", np.ones(3))
 
 
-def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
-    """Points in the middle of blocks of the pixels that show an occluder, and the photo's mean over each (p, 3).
+def used_as_evidence(job, settings) -> list[int]:
+    """Numbers of the occluders that job or settings ask for."""
+    if settings.evidence == "never":
+        return []
+    return [k for k, o in enumerate(job.occluders) if o.evidence or settings.evidence == "all"]
 
-    None where too little of it is seen.
+
+def tried_as_evidence(scene, settings) -> list[int]:
+    """Of those that nobody asks for and that may be matte or plastic, the number of that of which most is seen."""
+    if settings.evidence != "auto" or settings.refine != "all":
+        return []
+    job, count = scene.job, len(scene.job.objects)
+    plain = [k for k, o in enumerate(job.occluders) if o.surface is None or replace(o.surface, image=None).plain]
+    seen = np.bincount(scene.view.mesh[scene.view.mesh >= count] - count, minlength=len(job.occluders))
+    return sorted(plain, key=lambda k: -seen[k])[:1]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Blocks of the pixels that show a ground, in the order of the points in their middle.
+
+    Attributes
+    ----------
+    rows, columns : (n,) int, of pixels
+    place : (n,) int, which of the p blocks each is of
     """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    place: np.ndarray
+
+    def means(self, image) -> np.ndarray:
+        """(p, channels) float64, of an image (h, w, channels) over each block."""
+        values = image[self.rows, self.columns].astype(np.float64)
+        return np.stack([np.bincount(self.place, v) for v in values.T], 1) / np.bincount(self.place)[:, None]
+
+
+def blocks_of(scene, k: int) -> tuple[SurfacePoints, Places] | None:
+    """Points in the middle of blocks of the pixels that show an occluder, and these; None where it shows too little."""
     photo, index = scene.job.photo, len(scene.job.objects) + k
     region = eroded(scene.view.mesh == index) & photo.usable
     for mask in (o.mask for o in scene.job.objects if o.mask is not None):
@@ -55,9 +89,20 @@ def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
     chosen = first[full]
     shown = np.zeros_like(region)
     shown[rows[chosen], columns[chosen]] = True
-    radiance = np.stack([mean(photo.radiance[rows, columns, c].astype(np.float64)) for c in range(3)], 1)[full]
     points = with_any_tangent(surface_points(scene.view, scene.job, index, region=shown))
-    return points, radiance[np.lexsort((columns[chosen], rows[chosen]))]  # in the order of the points
+    place = np.full(len(block), -1)
+    place[np.flatnonzero(full)[np.lexsort((columns[chosen], rows[chosen]))]] = np.arange(len(chosen))
+    of_full = full[number]
+    return points, Places(rows[of_full], columns[of_full], place[number[of_full]])
+
+
+def places_of(scene, k: int) -> tuple[SurfacePoints, np.ndarray] | None:
+    """Points in the middle of blocks of the pixels that show an occluder, and the photo's mean over each (p, 3).
+
+    None where too little of it is seen.
+    """
+    seen = blocks_of(scene, k)
+    return None if seen is None else (seen[0], seen[1].means(scene.job.photo.radiance))
 
 
 @dataclass(frozen=True)

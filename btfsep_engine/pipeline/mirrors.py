@@ -22,6 +22,7 @@ from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import JobObject, Photo
+from btfsep_engine.pipeline.clipped_lamps import Lamps, Table, as_a_rule, table_of
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, TransportSettings
 from btfsep_engine.pipeline.tone import read_by_most_usual, sought
@@ -43,9 +44,6 @@ PLACES = 3000  # of an object
 LEAST = 100  # of them: fewer tell nothing, and the object stays as it is
 LEAST_REFLECTED = 0.01  # a black mirror shows noise
 CLIPPED = 0.01  # of what a place shows, clipped: it shows at least so much, for a lamp may be a hundred times as bright
-# What is clipped lacks light, over all light there is, that grows with the share of all directions that it takes, as
-# exp(LACKS[0]) share**LACKS[1], give or take a factor exp(GUESS): by seven measured maps, each at nine exposures.
-LACKS, GUESS = (2.1, 0.7), 1.7
 OFF = 1.0  # pixels that the mesh is off, give or take: edges of a mirror show much of the light in few pixels
 
 
@@ -81,6 +79,7 @@ class Mirror:
     filled : (CELLS,) int, the cell that stands for each: the nearest that is shown
     places : (q, 2) int32; transport : to these; material : the rougher metal
     whole : (n, 2) int32, all pixels of the object; nearest : (n,), the place that stands for each
+    table : clipped_lamps.Table, by which it may be told how bright what is clipped in it is; or None
     """
 
     index: int
@@ -95,6 +94,7 @@ class Mirror:
     material: Material
     whole: np.ndarray
     nearest: np.ndarray
+    table: Table | None = None
 
     def light(self, values) -> np.ndarray:
         """(CELLS, 3), what ``values`` (p, 3) of the pixels are in each direction."""
@@ -115,15 +115,29 @@ class Mirror:
         nearest = seen[cKDTree(fibonacci_sphere(FINE)[seen]).query(fibonacci_sphere(FINE))[1]]
         return total[nearest] / there[nearest, None]
 
+    @property
+    def own(self) -> np.ndarray:
+        """(CELLS,) bool, the cells that it shows."""
+        return self.filled == np.arange(CELLS)
+
     @cached_property
     def shares(self) -> np.ndarray:
         """(CELLS,), how much of what lies around each cell is shown."""
         near = tree_of(CELLS).query(fibonacci_sphere(CELLS), k=AROUND)[1]
-        return (self.filled == np.arange(CELLS))[near].mean(1)
+        return self.own[near].mean(1)
 
     def shown(self, *lights) -> np.ndarray:
         """(q, lights, 3), at the places, under lights (CELLS, 3)."""
         return self.transport.radiance(self.material, CellLights(np.stack(lights, 1)))
+
+    def clipped_lamps(self, light, lost, over, photo: Photo) -> Lamps:
+        """What is clipped in it lacks, where no object tells that does not mirror.
+
+        ``light``, ``lost`` : (CELLS, 3), what is seen, and what of it is clipped; ``over`` : (p, 3) bool, where
+        """
+        share = float((self.weights @ over).mean()) / (4 * np.pi) if self.alone else 0.0
+        lamps = as_a_rule(light, lost * bool(share), share)
+        return lamps if self.table is None else self.table.told(lamps, light, lost, photo)
 
 
 @dataclass(frozen=True)
@@ -134,13 +148,15 @@ class MirrorLight:
     ----------
     radiance : (FINE, 3), from directions as near to each other as pixels tell apart; shares : (CELLS,), how far they
         are known around each: 1 where all is shown
-    clipped : (terms, 3), coefficients of what was added for clipped pixels: by a factor exp(GUESS) more or less
+    clipped : (k, terms, 3), coefficients of what was added for each patch of clipped pixels
+    lamps : clipped_lamps.Lamps, how well that is known
     right, down : (terms, 3), by how much the light changes if the mesh is off by `OFF` pixels
     """
 
     radiance: np.ndarray
     shares: np.ndarray
     clipped: np.ndarray
+    lamps: Lamps
     right: np.ndarray
     down: np.ndarray
 
@@ -163,8 +179,9 @@ class MirrorLight:
 
     def spread(self, count: int, random) -> np.ndarray:
         """(count, terms, 3), by what lights that are as probable differ."""
-        brighter, right, down = random.normal(size=(3, count, 1, 1))
-        return np.expm1(GUESS * brighter) * self.clipped + right * self.right + down * self.down
+        right, down = random.normal(size=(2, count, 1, 1))
+        brighter = np.expm1(random.normal(size=(count, self.lamps.doubt.shape[1])) @ self.lamps.doubt.T)
+        return np.einsum("nk,ktc->ntc", brighter, self.clipped) + right * self.right + down * self.down
 
 
 def mirror_like(surface: Surface | None) -> bool:
@@ -200,7 +217,8 @@ def softened(scene, materials, settings: TransportSettings):
         stands_for = materials[mirror.index].material
         metal = replace(mirror.material, name=stands_for.name, material_class=stands_for.material_class)
         materials[mirror.index] = replace(materials[mirror.index], material=metal, mirror=surfaces[mirror.index])
-    return with_mirrors(scene, found), materials
+    table = table_of(scene, [m.material for m in materials], settings) if alone and found else None
+    return with_mirrors(scene, [replace(mirror, table=table) for mirror in found]), materials
 
 
 def mirror_surface(thing: JobObject, made_of: ObjectMaterial) -> Surface | None:
@@ -243,28 +261,21 @@ def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[MirrorLight, ...]]:
         values = photo.radiance[at].astype(np.float64)
         over = clipped[at]
         light, lost = mirror.light(values), mirror.light(values * over)
-        share = float((mirror.weights @ over).mean()) / (4 * np.pi) if mirror.alone else 0.0
-        times = lacking(share, light, lost)
-        shown, at_least = np.moveaxis(mirror.shown(light + times * lost, lost), 1, 0)
+        own = lost * mirror.own[:, None]
+        lamps = mirror.clipped_lamps(light, own, over, photo)
+        more = lamps.parts(own)
+        shown, at_least = np.moveaxis(mirror.shown(light + more.sum(0), lost), 1, 0)
         radiance[to] = shown[mirror.nearest]
         clipped[to] = (not mirror.alone) & (at_least > CLIPPED * shown)[mirror.nearest]
         usable[to] = ~clipped[to].any(-1)
         moved = [OFF * _slope(photo.radiance, mirror.pixels, step) for step in ((0, 1), (1, 0))]
-        fine = mirror.fine_light(values * (1 + times * over))
-        open_to = map(mirror.coefficients, (times * lost, *map(mirror.light, moved)))
-        mirror_lights.append(MirrorLight(fine, mirror.shares, *open_to))
+        fine = mirror.fine_light(values * (1 + lamps.added_to(fibonacci_sphere(FINE)[mirror.fine])[:, None] * over))
+        brighter = np.reshape([mirror.coefficients(each) for each in more], (-1, (LARGEST_ORDER + 1) ** 2, 3))
+        open_to = map(mirror.coefficients, map(mirror.light, moved))
+        mirror_lights.append(MirrorLight(fine, mirror.shares, brighter, lamps, *open_to))
     # sums of light are no codes: no curve is sought by them
     clipped = clipped if clipped.any() else None
     return replace(photo, radiance=radiance, usable=usable, clipped=clipped, bits=None), tuple(mirror_lights)
-
-
-def lacking(share: float, light, clipped) -> float:
-    """How often the light of clipped pixels (CELLS, 3) is to be added to the ``light`` that is seen, as a rule.
-
-    ``share`` : of all directions, that they take
-    """
-    lacks = np.exp(LACKS[0] + LACKS[1] * np.log(share)) if share > 0 else 0.0
-    return float(lacks * light.sum() / max(clipped.sum(), 1e-300))
 
 
 def _slope(radiance, pixels, step) -> np.ndarray:

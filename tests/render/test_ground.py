@@ -15,10 +15,10 @@ from btfsep_engine.fit.ground import SKY, WithGround
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.stated import shown_error
 from btfsep_engine.job.model import Occluder
+from btfsep_engine.pipeline import ground_places
 from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.ground_places import places_of
+from btfsep_engine.pipeline.ground_places import places_of, tried_as_evidence, used_as_evidence
 from btfsep_engine.pipeline.refine import ground
-from btfsep_engine.pipeline.refine.ground import tried_as_evidence, used_as_evidence
 from btfsep_engine.pipeline.refine.seen_colour import AGREE, seen_colours, seen_places
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, ball, job_of, looking_down, positive_light, scene_of, with_photo
@@ -190,7 +190,7 @@ def test_places_are_means_of_blocks_of_what_shows_the_table(monkeypatch):
     assert 250 < len(points) < 900 and (points.position[:, 2] == pytest.approx(-1.01, abs=1e-6))
     here = job.photo.radiance[tuple(points.pixels.T)]
     assert np.abs(radiance / here - 1).mean() < 0.03
-    monkeypatch.setattr(ground, "ENOUGH", 2)  # as of a large photo: not all pixels are read
+    monkeypatch.setattr(ground_places, "ENOUGH", 2)  # as of a large photo: not all pixels are read
     fewer, sparse = places_of(scene, 0)
     assert 200 < len(fewer) < 900 and sparse.mean(0) == pytest.approx(radiance.mean(0), rel=0.02)
     hidden = replace(job, photo=replace(job.photo, usable=scene.view.mesh == 0))

@@ -15,7 +15,7 @@ import numpy as np
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.fit.ground import Ground
 from btfsep_engine.fit.stated import expected_error, shown_error, widened
-from btfsep_engine.pipeline.ground_places import places_of, shadows_on
+from btfsep_engine.pipeline.ground_places import places_of, shadows_on, tried_as_evidence, used_as_evidence
 from btfsep_engine.pipeline.together import all_weights
 
 WORSE = 1.3  # of the objects' residual: a ground that asks for so much more speaks of something else than their light
@@ -30,23 +30,6 @@ WORTH, WIDEST = 1.1, 4.0  # times what is stated, of a light that a ground which
 # A ground's light that lies so far from the objects' own is a surprise: times what was stated of that; of all light.
 SURPRISING, FAR = 2.0, 0.1
 MATTE, SATIN = 1.0, 0.5  # roughnesses that are tried beside its own; the second is that of a new Blender material
-
-
-def used_as_evidence(job, settings) -> list[int]:
-    """Numbers of the occluders that job or settings ask for."""
-    if settings.evidence == "never":
-        return []
-    return [k for k, o in enumerate(job.occluders) if o.evidence or settings.evidence == "all"]
-
-
-def tried_as_evidence(scene, settings) -> list[int]:
-    """Of those that nobody asks for and that may be matte or plastic, the number of that of which most is seen."""
-    if settings.evidence != "auto" or settings.refine != "all":
-        return []
-    job, count = scene.job, len(scene.job.objects)
-    plain = [k for k, o in enumerate(job.occluders) if o.surface is None or replace(o.surface, image=None).plain]
-    seen = np.bincount(scene.view.mesh[scene.view.mesh >= count] - count, minlength=len(job.occluders))
-    return sorted(plain, key=lambda k: -seen[k])[:1]
 
 
 def looks_of(scene, k: int) -> dict:

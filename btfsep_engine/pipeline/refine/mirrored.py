@@ -20,16 +20,21 @@ CLIPPED = (
 )
 
 
+BY_TABLE = "; lamps that are clipped in it are as bright as the table beside it shows"
+
+
 def mirrored(model, light):
     """The refinement: wider ranges by what is left open of the light that mirrors show."""
     mirror_lights = [each for problem in model.problems for each in problem.scene.mirror_lights]
     if not mirror_lights:
         return model, light, {}
-    if any(each.clipped.any() for each in mirror_lights):
+    clipped = [each.lamps for each in mirror_lights if each.clipped.any()]
+    if not all(lamps.by_table for lamps in clipped):
         model.reporter.warn(CLIPPED)
+    words = {"mirrors": WORDS + BY_TABLE * any(lamps.by_table for lamps in clipped)}
     if light.fit.samples is None:
-        return model, light, {"mirrors": WORDS}
+        return model, light, words
     samples, random = light.fit.samples.copy(), np.random.default_rng(model.settings.seed)
     for each in mirror_lights:  # of several mirrors each says as much of the light
         samples += each.spread(len(samples), random)[:, : samples.shape[1]] / np.sqrt(len(mirror_lights))
-    return model, replace(light, fit=restated(light.fit, samples)), {"mirrors": WORDS}
+    return model, replace(light, fit=restated(light.fit, samples)), words
