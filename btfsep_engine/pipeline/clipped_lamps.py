@@ -67,6 +67,12 @@ class Lamps:
         return (here * self.times[:, None])[..., None] * lost
 
 
+def whitened(lost) -> np.ndarray:
+    """(n, 3), clipped light (n, 3) as bright in each channel that is clipped: it has not a coloured mirror's colour."""
+    there = lost > 0
+    return there * (lost.sum(1) / np.maximum(there.sum(1), 1))[:, None]
+
+
 def patch_of(directions) -> np.ndarray:
     """(n,) int, in which of `PATCHES` directions (n, 3) lie."""
     return _patches().query(directions)[1]
@@ -190,7 +196,7 @@ class Asked:
         """The logarithms (k,) of lamps' factors, and a root (k, k) of their covariance."""
         q = self.doubt.shape[1]
         z = np.zeros(3 + q)
-        noise = self.left(np.zeros(len(self.doubt)))
+        noise = max(self.left(np.zeros(len(self.doubt))), LEAST_NOISE)
         for _ in range(ROUNDS):
             per_value = min(1.0, INDEPENDENT / len(self.shown)) / np.square(self.shown).mean(0) / noise**2
             z, curvature = self._settled(z, per_value)

@@ -22,7 +22,7 @@ from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import JobObject, Photo
-from btfsep_engine.pipeline.clipped_lamps import Lamps, Table, as_a_rule, table_of
+from btfsep_engine.pipeline.clipped_lamps import Lamps, Table, as_a_rule, table_of, whitened
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, TransportSettings
 from btfsep_engine.pipeline.tone import read_by_most_usual, sought
@@ -261,7 +261,8 @@ def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[MirrorLight, ...]]:
         values = photo.radiance[at].astype(np.float64)
         over = clipped[at]
         light, lost = mirror.light(values), mirror.light(values * over)
-        own = lost * mirror.own[:, None]
+        white = whitened(values * over / mirror.reflectance) * mirror.reflectance
+        own = mirror.light(white) * mirror.own[:, None]
         lamps = mirror.clipped_lamps(light, own, over, photo)
         more = lamps.parts(own)
         shown, at_least = np.moveaxis(mirror.shown(light + more.sum(0), lost), 1, 0)
@@ -269,7 +270,7 @@ def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[MirrorLight, ...]]:
         clipped[to] = (not mirror.alone) & (at_least > CLIPPED * shown)[mirror.nearest]
         usable[to] = ~clipped[to].any(-1)
         moved = [OFF * _slope(photo.radiance, mirror.pixels, step) for step in ((0, 1), (1, 0))]
-        fine = mirror.fine_light(values * (1 + lamps.added_to(fibonacci_sphere(FINE)[mirror.fine])[:, None] * over))
+        fine = mirror.fine_light(values + lamps.added_to(fibonacci_sphere(FINE)[mirror.fine])[:, None] * white)
         brighter = np.reshape([mirror.coefficients(each) for each in more], (-1, (LARGEST_ORDER + 1) ** 2, 3))
         open_to = map(mirror.coefficients, map(mirror.light, moved))
         mirror_lights.append(MirrorLight(fine, mirror.shares, brighter, lamps, *open_to))

@@ -118,3 +118,18 @@ def test_pictures_are_read_by_it(tmp_path, name, kind):
     expected = to_linear(np.broadcast_to((stored / np.iinfo(kind).max).reshape(20, 30, -1), (20, 30, 3)))
     np.testing.assert_allclose(read.pixels, expected, rtol=1e-5, atol=1e-6)
     assert read.usable.all() and read.bits == (8 if kind is np.uint8 else 16)
+
+
+@pytest.mark.parametrize(("name", "least"), [("agx", 240), ("agx-punchy", 200), ("filmic", 240), ("khronos", 245)])
+def test_near_white_a_code_is_a_lower_bound(tmp_path, name, least):
+    """A code more is much more light there; in the middle, and of a colour that is not bright, it is what it says."""
+    stored = np.repeat(np.arange(100, 256, dtype=np.uint8)[:, None, None], 3, 2)
+    cv2.imwrite(str(tmp_path / "p.png"), stored)
+    read = images.read_linear(tmp_path / "p.png", colorspace=name)
+    first = 100 + int(read.clipped[:, 0, 0].argmax())
+    assert least < first < 254 and read.clipped[first - 100 :].all() and not read.clipped[: first - 100].any()
+    assert (read.usable == ~read.clipped.any(-1)).all()
+    red = np.full((1, 1, 3), [20, 60, 252], np.uint8)  # blue, green, red
+    cv2.imwrite(str(tmp_path / "red.png"), red)
+    read = images.read_linear(tmp_path / "red.png", colorspace="agx")
+    assert read.clipped[0, 0].tolist() == [True, False, False]

@@ -11,8 +11,9 @@ from btfsep_engine import sh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.commands.sequence import Frames
-from btfsep_engine.conventions import pixel_directions
+from btfsep_engine.conventions import fibonacci_sphere, pixel_directions
 from btfsep_engine.imaging.images import write_exr
+from btfsep_engine.job.model import Occluder
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline import like_pixels, mirrors
@@ -22,6 +23,7 @@ from btfsep_engine.pipeline.problem import make_problem
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.render.homogeneous import homogeneous
+from scripts.studies.ground import above
 from scripts.studies.measures import errors
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
 
@@ -185,6 +187,73 @@ def test_clipped_lamps_are_bounds_beside_an_object_that_tells_more():
     bounds = mirrors.picture([replace(ball, alone=False)], scene.job.photo)[0].clipped
     region = scene.regions[0]
     assert 0.02 < bounds[region].mean() and not bounds[~region].any()
+
+
+def on_a_table():
+    """A job of a mirror ball above a matte table, its brightest pixels clipped; all of the light is on the table."""
+    job, surface = mirrored(roughness=0.0).job, Surface((0.5,) * 3, roughness=1.0, specular=0.0)
+    plate = as_mesh(trimesh.creation.box([6, 6, 0.02]).apply_translation([0, 0, -0.71]), flat=True)
+    job = replace(job, occluders=(Occluder(plate, surface),))
+    scene, image = scene_of(job), job.photo.radiance.copy()
+    sky, suns = fibonacci_sphere(3000), lamps()
+    rows, columns = np.nonzero(scene.view.mesh == 1)
+    origins, rays = job.camera.rays(columns + 0.5, rows + 0.5)
+    at, up = origins + scene.view.distance[rows, columns, None] * rays, np.tile([0, 0, 1.0], (len(rows), 1))
+    to_lamps = np.array([lamp.direction for lamp in suns])
+    falls = scene.tracer.visible(at, up, sky) * np.maximum(up @ sky.T, 0)
+    straight = scene.tracer.visible(at, up, to_lamps) * np.maximum(up @ to_lamps.T, 0)
+    received = falls @ sh.series(positive_light(2), sky) * (4 * np.pi / len(sky))
+    received = received + straight @ np.array([lamp.irradiance for lamp in suns])
+    image[rows, columns] = 0.5 * received / np.pi
+    most = np.quantile(image[scene.view.mesh == 0], 0.985)
+    over = image >= np.where((scene.view.mesh == 0)[..., None], most, np.inf)
+    photo = replace(job.photo, radiance=np.where(over, most, image).astype(np.float32), clipped=over)
+    return replace(job, photo=replace(photo, usable=~over.any(-1)))
+
+
+def test_a_table_shows_how_bright_clipped_lamps_are():
+    """Three of a width that the mirror shows, each with a shadow of its own."""
+    library, off = open_library(None), {}
+    for evidence in ("auto", "never"):
+        found = estimate(scene_of(on_a_table()), library, choose("balanced", evidence=evidence))
+        off[evidence] = errors(above(found.fit.all_coefficients[:100]), above(truth()))
+        (told,) = (each.lamps for each in found.scene.mirror_lights)
+        assert told.by_table == (evidence == "auto")
+        assert told.by_table == ("the table beside it shows" in found.choice["mirrors"])
+        assert told.by_table != any("lamps are clipped" in said for said in found.scene.reporter.warnings)
+    assert off["auto"]["direction"] < 0.6 * off["never"]["direction"]
+    assert off["auto"]["order2"] < 0.9 * off["never"]["order2"]
+
+
+def test_each_lamp_is_as_bright_as_its_shadow_is_deep():
+    (ball,), job = softened(scene_of(on_a_table()))[0].mirrors, on_a_table()
+    fine = mirrors.picture([ball], job.photo)[1][0].radiance
+    directions, power = fibonacci_sphere(mirrors.FINE), []
+    for lamp in lamps():
+        near = directions @ lamp.direction > np.cos(np.radians(3 * WIDE))
+        power.append(fine[near].sum(0) * 4 * np.pi / mirrors.FINE)
+    np.testing.assert_allclose(power, 3.0, rtol=0.4)  # white, in the picture of a golden ball
+
+
+def test_a_table_is_read_in_each_photo():
+    """In another exposure it says the same of the same lamps."""
+    (ball,), photo = softened(scene_of(job := on_a_table()))[0].mirrors, job.photo
+    brighter = replace(photo, radiance=np.float32(3) * photo.radiance)
+    once, again = (mirrors.picture([ball], each)[1][0].lamps for each in (photo, brighter))
+    assert once.by_table and again.by_table
+    np.testing.assert_allclose(again.times, once.times, rtol=1e-3)
+    darker = replace(photo, radiance=np.where(photo.clipped, 1, np.float32(0.2)) * photo.radiance)
+    assert mirrors.picture([ball], darker)[1][0].lamps.times.sum() != pytest.approx(once.times.sum(), rel=0.1)
+
+
+def test_patches_of_what_is_clipped_are_in_doubt_one_by_one():
+    seen, _ = softened(cut(mirrored(roughness=0.0)))
+    (open_to,) = seen.mirror_lights
+    assert len(open_to.clipped) == len(open_to.lamps.patches) >= 3
+    still = replace(open_to, right=0 * open_to.right, down=0 * open_to.down)
+    samples = still.spread(400, np.random.default_rng(0))[:, :9].reshape(400, -1)
+    sizes = np.linalg.svd(samples - samples.mean(0), compute_uv=False)
+    assert sizes[2] > 0.05 * sizes[0]  # one factor for all would leave one direction
 
 
 def test_a_mesh_that_may_be_a_pixel_off_is_in_what_is_stated():

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How bright clipped lamps are, as a rule and as a table has it: the numbers alone."""
+
+import numpy as np
+import pytest
+
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.pipeline import clipped_lamps
+from btfsep_engine.pipeline.clipped_lamps import ALIKE, EACH, Asked, Lamps, as_a_rule, patch_of, whitened
+
+CELLS = 600
+COLOUR = np.array([0.6, 0.4, 0.2])
+
+
+def clipped(random, count=40):
+    """A light (CELLS, 3), and what of it is clipped: all of it, in the brightest cells."""
+    light = np.exp(random.normal(size=(CELLS, 3)))
+    lost = np.zeros_like(light)
+    brightest = np.argsort(light.sum(1))[-count:]
+    lost[brightest] = light[brightest]
+    return light, lost
+
+
+def test_as_a_rule_all_of_it_lacks_what_natural_light_does(rng):
+    light, lost = clipped(rng)
+    lamps = as_a_rule(light, lost, 0.03)
+    added = lamps.parts(lost)
+    assert added.sum() == pytest.approx(np.exp(2.1) * 0.03**0.7 * light.sum())
+    np.testing.assert_allclose(added.sum(0) / added.sum(), lost / lost.sum(), atol=1e-12)
+    of_patch = [np.unique(patch_of(fibonacci_sphere(CELLS)[part.any(1)])) for part in added]
+    assert [list(each) for each in of_patch] == [[k] for k in lamps.patches]
+
+
+def test_each_patch_is_in_doubt_and_all_of_them(rng):
+    lamps = as_a_rule(*clipped(rng), 0.03)
+    covariance = lamps.doubt @ lamps.doubt.T
+    k = len(lamps.patches)
+    np.testing.assert_allclose(covariance, ALIKE**2 + EACH**2 * np.eye(k))
+
+
+def test_nothing_clipped_nothing_added():
+    lamps = as_a_rule(np.ones((CELLS, 3)), np.zeros((CELLS, 3)), 0.0)
+    assert lamps.parts(np.zeros((CELLS, 3))).shape == (0, CELLS, 3) and lamps.doubt.shape[0] == 0
+    assert not lamps.added_to(fibonacci_sphere(50)).any()
+
+
+def test_clipped_light_is_white_whatever_the_mirror_is():
+    lost = np.array([[0.9, 1.5, 3.0], [2.0, 0, 0], [0, 0, 0]])
+    np.testing.assert_allclose(whitened(lost), [[1.8, 1.8, 1.8], [2.0, 0, 0], [0, 0, 0]])
+
+
+def test_pixels_get_what_their_patch_lacks():
+    lamps = Lamps(np.array([3, 70]), np.array([2.0, 5.0]), np.eye(2))
+    directions = fibonacci_sphere(400)
+    np.testing.assert_array_equal(
+        lamps.added_to(directions), 2.0 * (patch_of(directions) == 3) + 5.0 * (patch_of(directions) == 70)
+    )
+
+
+def asked(random, factors, *, places=300, noise=0.0, colour=COLOUR, spread=0.3) -> Asked:
+    """A table of `COLOUR` under lamps ``factors`` times as bright as a rule, each in a shadow of its own."""
+    k = len(factors)
+    straight = 1 + 0.2 * random.random((places, 1)) * np.ones(3)
+    parts = 0.5 * (random.random((places, k, 1)) > 0.4) * (1 + 0.3 * random.random((1, k, 3)))
+    shown = COLOUR * (straight + (parts * np.asarray(factors)[:, None]).sum(1))
+    shown = shown * (1 + noise * random.normal(size=shown.shape))
+    doubt = np.concatenate([np.full((k, 1), ALIKE), EACH * np.eye(k)], 1)
+    return Asked(shown, straight, parts, doubt, np.broadcast_to(colour, 3), spread)
+
+
+def test_shadows_tell_how_bright_each_lamp_is(rng):
+    factors = np.array([8.0, 0.3, 2.0])
+    table = asked(rng, factors, colour=COLOUR * [1.3, 0.8, 1.1])
+    log_factors, root = table.most_probable()
+    np.testing.assert_allclose(np.exp(log_factors), factors, rtol=0.05)
+    assert table.left(log_factors) < 0.01 < 0.2 < table.left(np.zeros(3))
+    assert (np.sqrt(np.diag(root @ root.T)) < 0.5 * np.hypot(ALIKE, EACH)).all()
+
+
+def test_what_is_known_of_them_is_laplaces(rng):
+    """At the maximum no unknown wants to move, and the covariance is that of the posterior's own curvature."""
+    table = asked(rng, np.array([4.0, 0.5]), noise=0.1)
+    per_value = np.full(3, 3.0)
+    z, curvature = table._settled(np.zeros(6), per_value)
+    at = table._chi2(z, per_value)[0]
+    step = 1e-3
+    for move in np.concatenate([step * np.eye(6), -step * np.eye(6)]):
+        assert table._chi2(z + move, per_value)[0] > at
+    numeric = np.empty((6, 6))
+    for i, a in enumerate(step * np.eye(6)):
+        for j, b in enumerate(step * np.eye(6)):
+            corners = [table._chi2(z + p * a + q * b, per_value)[0] * p * q for p in (1, -1) for q in (1, -1)]
+            numeric[i, j] = sum(corners) / (8 * step**2)
+    np.testing.assert_allclose(curvature, numeric, atol=0.1 * np.abs(numeric).max())
+
+
+def test_a_table_in_noise_tells_less(rng):
+    spreads = []
+    for noise in (0.03, 0.3):
+        root = asked(np.random.default_rng(1), np.array([3.0, 1.0]), noise=noise).most_probable()[1]
+        spreads.append(np.sqrt(np.diag(root @ root.T)))
+    assert (spreads[1] > 2 * spreads[0]).all()
+
+
+def test_a_colour_that_is_said_is_held_to(rng):
+    """Lamps that no shadow shows are told from the colour by how bright the table is, as far as that is known."""
+    straight, parts = np.ones((200, 3)), np.ones((200, 1, 3))
+    doubt = np.array([[ALIKE, EACH]])
+    found = []
+    for spread in (0.01, 3.0):
+        even = Asked(COLOUR * (straight + 4 * parts[:, 0]), straight, parts, doubt, COLOUR, spread)
+        found.append(np.exp(even.most_probable()[0][0]))
+    assert found[0] == pytest.approx(4, rel=0.1) and 1 < found[1] < 3
+
+
+def test_a_table_that_tells_nothing_changes_nothing(rng, monkeypatch):
+    """Where the lamps as a rule leave as little over, or too little is seen of it."""
+    light, lost = clipped(rng)
+    lamps = as_a_rule(light, lost, 0.03)
+    table = clipped_lamps.Table(None, [], None, 0)
+    monkeypatch.setattr(clipped_lamps, "blocks_of", lambda *_: None)
+    assert table.told(lamps, light, lost, None) is lamps
