@@ -57,6 +57,11 @@ class Model:
         return self.looks[self.appearance]
 
     @property
+    def mirrors(self) -> bool:
+        """Whether all objects mirror: their pictures were put together, and have neither paint nor others' shadows."""
+        return bool(self.materials) and all(m.mirror is not None for each in self.materials for m in each)
+
+    @property
     def reporter(self):
         """That of the first scene."""
         return self.problems[0].scene.reporter
