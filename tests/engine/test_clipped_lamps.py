@@ -6,7 +6,7 @@ import pytest
 
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.pipeline import clipped_lamps
-from btfsep_engine.pipeline.clipped_lamps import ALIKE, EACH, Asked, Lamps, as_a_rule, patch_of, whitened
+from btfsep_engine.pipeline.clipped_lamps import ALIKE, EACH, LACKS, Asked, Lamps, as_a_rule, patch_of, whitened
 
 CELLS = 600
 COLOUR = np.array([0.6, 0.4, 0.2])
@@ -25,7 +25,7 @@ def test_as_a_rule_all_of_it_lacks_what_natural_light_does(rng):
     light, lost = clipped(rng)
     lamps = as_a_rule(light, lost, 0.03)
     added = lamps.parts(lost)
-    assert added.sum() == pytest.approx(np.exp(2.1) * 0.03**0.7 * light.sum())
+    assert added.sum() == pytest.approx(np.exp(LACKS[0]) * 0.03 ** LACKS[1] * light.sum())
     np.testing.assert_allclose(added.sum(0) / added.sum(), lost / lost.sum(), atol=1e-12)
     of_patch = [np.unique(patch_of(fibonacci_sphere(CELLS)[part.any(1)])) for part in added]
     assert [list(each) for each in of_patch] == [[k] for k in lamps.patches]
