@@ -11,9 +11,8 @@ from btfsep_engine.btf.model import Lambertian, Tabulated
 from btfsep_engine.commands.record import determined_words
 from btfsep_engine.commands.sequence import frame_files
 from btfsep_engine.errors import InputError
-from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.pipeline.refine.order import cross_validated_order, determined_order
-from btfsep_engine.pipeline.refine.texture import appearance_choice, stated_error, texture_contrast, texture_may_help
+from btfsep_engine.pipeline.refine.texture import held_against_each_other, texture_contrast, texture_may_help
 
 
 def checkered(period=8):
@@ -40,30 +39,31 @@ def test_a_texture_is_worth_trying_where_it_lines_up_and_is_seen():
     assert not texture_may_help(own, Lambertian("x", np.ones(3)), 1.0)[0]
 
 
-def test_the_richer_model_has_to_earn_it(rng):
-    blocks = np.arange(2000) // 20
-    simple = rng.normal(size=(2000, 3))
-    assert appearance_choice(simple, 0.7 * simple, blocks)[0] == "textured"
-    assert appearance_choice(simple, simple, blocks)[0] == "mean"
-    assert appearance_choice(simple, 1.2 * simple, blocks)[0] == "mean"
-    # better in some blocks and worse in others, a little better on the whole: luck
-    factor = np.where(np.arange(100) % 2, 0.5, 1.32)[blocks]
-    one = factor[:, None] * simple
-    assert np.square(one).sum() < np.square(simple).sum()
-    assert appearance_choice(simple, one, blocks)[0] == "mean"
+def test_each_light_is_held_against_what_the_other_was_found_by(rng):
+    """The one that knows what the other does, and more, leaves less over there."""
+    true, count = rng.normal(size=(9, 3)), 400
 
+    def light(x):
+        return SimpleNamespace(left_over=lambda problems: problems[0].b - np.einsum("ptc,tc->pc", problems[0].a, x))
 
-def test_of_two_lights_the_highest_order_that_is_stated_counts_and_least_squares_states_none(rng):
-    x = rng.normal(size=(9, 3))
-    samples = x + 0.2 * rng.normal(size=(200, 9, 3))
-    whole, low, least = (
-        SimpleNamespace(coefficients=x[:n], samples=s)
-        for n, s in ((9, samples), (4, samples[:, :4]), (1, samples[:, :1]))
-    )
-    expected = expected_error(x, samples)
-    assert stated_error(whole) == expected["order_2"]["median"] > 0.1
-    assert stated_error(low) == expected["order_1"]["median"] != stated_error(whole)
-    assert stated_error(least) == 0 == stated_error(SimpleNamespace(coefficients=x, samples=None))
+    def told(few, weights=None):
+        """A problem whose basis images tell the first ``few`` coefficients, and its light."""
+        a = rng.normal(size=(count, 9, 3)) * (np.arange(9) < few)[:, None]
+        b = np.einsum("ptc,tc->pc", a, true) + 0.1 * rng.normal(size=(count, 3))
+        known = true * (np.arange(9) < few)[:, None]
+        return light(known), [SimpleNamespace(a=a, b=b, weights=weights, blocks=np.zeros(count))]
+
+    few, all_of_it = told(5), told(9)
+    of_few, of_all = held_against_each_other(few, all_of_it)
+    assert of_few == pytest.approx(0, abs=1e-9) and of_all > 10
+    assert held_against_each_other(all_of_it, few) == [of_all, of_few]
+    spared = np.ones((count, 3))
+    spared[: count // 2] = 0  # what does not count
+    found, problems = told(9, spared)
+    problems[0].b[: count // 2] += 5
+    left = [np.square(each.left_over(problems)[count // 2 :]).sum() for each in (found, few[0])]
+    of_spared, _ = held_against_each_other((found, problems), few)
+    assert of_spared == pytest.approx(left[1] / left[0] - 1)
 
 
 def test_cross_validation_finds_the_order_that_made_the_photo(rng):

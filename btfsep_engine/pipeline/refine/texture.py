@@ -4,21 +4,19 @@
 A texture tells of the light by its slopes: each faces another part of it. Where it is not taken, means of like pixels
 (`pipeline.like_pixels`) stand for it.
 
-The richer model is taken only where it predicts the photo better by more than one standard error, which is counted over
-blocks of neighbouring pixels (misfit is structured, pixels are no independent witnesses), and, by what is stated, tells
-as much of the light: a weave explains most of a photo, even of another piece, and little of what its yarns make of it.
+Which of the two tells more of the light, neither misfit nor evidence says: a weave explains most of a photo, even of
+another piece, and little of what its yarns make of it. So each light is asked what it explains of what the other one
+was found by. That which leaves less over there, beside the other's own, knows what the other does, and more. In grain,
+of which means have less, a texture tells no more.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.fit.stated import expected_error
 from btfsep_engine.pipeline.settings import TransportSettings
-from btfsep_engine.pipeline.together import fit_together, stacked
+from btfsep_engine.pipeline.together import all_weights, fit_together
 
-# With a texture errors are 0.62 of what is stated, with means of pixels 0.70 (84 photos of `scripts/study aligned`)
-WIDER = 1.15
 VISIBLE_CONTRAST = 0.05  # of the texture as the camera resolves it: less is not worth a second transport
 
 
@@ -28,21 +26,27 @@ def textures(model, light):
         return model, light, {}
     with_texture = replace(model, appearance="textured")
     other = fit_together(with_texture.problems, replace(model.settings, order=light.order), beside=light.fit)
-    # of the same values: a mean of pixels is explained better than they are
-    left = light.left_over([p.of_single_pixels() for p in model.problems]), other.left_over(with_texture.problems)
-    name, why = appearance_choice(*left, stacked(model.problems)[1])
-    if name == "textured":
-        without, expected = map(stated_error, (light.fit, other.fit))
-        if expected <= WIDER * without:
-            return with_texture, other, {"appearance": why}
-        why += f"; but it tells less of the light (errors of {expected:.2f}) than means of pixels do ({without:.2f})"
-    return model, light, {"appearance": why}
+    of_means, of_texture = held_against_each_other((light, model.problems), (other, with_texture.problems))
+    why = (
+        f"the light that the texture tells leaves over {100 * of_means:+.0f} % of what means of pixels leave over by "
+        f"theirs, and theirs {100 * of_texture:+.0f} % of what is left over of the textured photo"
+    )
+    if of_means < of_texture:
+        return with_texture, other, {"appearance": f"with the texture: {why}"}
+    return model, light, {"appearance": f"without the texture: {why}"}
 
 
-def stated_error(fit) -> float:
-    """The error that a light expects of itself, up to order 2 where it has that; 0 where it states none."""
-    stated = {} if fit.samples is None else expected_error(fit.coefficients, fit.samples)
-    return [0.0, *(error["median"] for error in stated.values())][-1]
+def held_against_each_other(*found) -> list[float]:
+    """Of two lights how much more, relative, what each was found by leaves over under the other: [of the first's, …].
+
+    ``found`` : (SolvedLight, the Problems that it was found by) of each; squares count, each value by its weight
+    """
+    out = []
+    for (own, problems), (other, _) in (found, found[::-1]):
+        weights = all_weights(problems)
+        left = [np.square(light.left_over(problems)) * (1.0 if weights is None else weights) for light in (own, other)]
+        out.append(float(left[1].sum() / max(left[0].sum(), 1e-300)) - 1)
+    return out
 
 
 def reason_against(scenes, materials, settings: TransportSettings) -> str | None:
@@ -86,33 +90,3 @@ def texture_may_help(obj, material, footprint_mm: float) -> tuple[bool, str]:
     if contrast < VISIBLE_CONTRAST:
         return False, f"the camera does not resolve it (contrast {100 * contrast:.0f} %)"
     return True, f"the camera resolves it (contrast {100 * contrast:.0f} %)"
-
-
-def better_by_blocks(by_mean, by_texture, blocks) -> tuple[float, float]:
-    """How much less squared misfit the richer model leaves: the mean over blocks, and its standard error.
-
-    Parameters
-    ----------
-    by_mean, by_texture : (p, 3), what each leaves over of the photo
-    blocks : (p,) int
-    """
-    _, labels, counts = np.unique(blocks, return_inverse=True, return_counts=True)
-    gain = (np.square(by_mean) - np.square(by_texture)).sum(1)
-    each = np.bincount(labels.reshape(-1), gain) / counts
-    if len(each) < 2:
-        return float(each.mean()), np.inf
-    mean = np.average(each, weights=counts)
-    spread = np.sqrt(np.average((each - mean) ** 2, weights=counts) / (len(each) - 1))
-    return float(mean), float(spread)
-
-
-def appearance_choice(by_mean, by_texture, blocks) -> tuple[str, str]:
-    """ "mean" or "textured", and the reason, from what both leave over (see `better_by_blocks`)."""
-    mean, error = better_by_blocks(by_mean, by_texture, blocks)
-    total = float(np.square(by_mean).sum() / max(len(by_mean), 1))
-    share = 100 * mean / max(total, 1e-300)
-    if mean > error:
-        return "textured", f"the texture explains {share:.0f} % of what the mean ABRDF leaves over"
-    return "mean", (
-        f"with its texture the fit is not better by more than one standard error ({share:+.0f} % of the misfit)"
-    )
