@@ -29,7 +29,7 @@ from scripts.studies.measures import order2
 PERCENTILES = (85, 90, 93, 95, 97, 98, 99, 99.5, 99.8)  # of a map's pixels: where it is cut off
 ROWS = 128  # of the maps, at most: as fine as a ball of 200 pixels shows them
 SAMPLES = 200
-RULE, ONE = "as a rule", "one factor for all"
+RULE, ONE, SCATTERS = "as a rule", "one factor for all", 1.7  # logarithm of what all of it scatters by
 
 
 def in_cells(values, at, area) -> np.ndarray:
@@ -56,7 +56,7 @@ def study(name: str, radiance, percentile: float, random) -> list[dict]:
     found, true = y.T @ cut["light"] + parts.sum(0), y.T @ cut["true"]
     lacking = cut["true"].sum() - cut["light"].sum()
     row = {"map": name, "share": cut["share"], "lacking": lacking / cut["light"].sum(), "error": order2(found, true)}
-    one = replace(lamps, doubt=np.full((len(parts), 1), np.hypot(ALIKE, 0.8)))  # as much as it scatters by
+    one = replace(lamps, doubt=np.full((len(parts), 1), SCATTERS))
     rows = []
     for way, known in ((RULE, lamps), (ONE, one)):
         factors = np.expm1(random.normal(size=(SAMPLES, known.doubt.shape[1])) @ known.doubt.T)

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How bright clipped lamps are, as a rule and as a table has it: the numbers alone."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
+from btfsep_engine.fit.ground import SKY
 from btfsep_engine.pipeline import clipped_lamps
 from btfsep_engine.pipeline.clipped_lamps import ALIKE, EACH, LACKS, Asked, Lamps, as_a_rule, patch_of, whitened
+from btfsep_engine.pipeline.ground_places import Places
+from scripts.studies import clipped as clipped_study
 
 CELLS = 600
 COLOUR = np.array([0.6, 0.4, 0.2])
@@ -113,10 +118,59 @@ def test_a_colour_that_is_said_is_held_to(rng):
     assert found[0] == pytest.approx(4, rel=0.1) and 1 < found[1] < 3
 
 
-def test_a_table_that_tells_nothing_changes_nothing(rng, monkeypatch):
-    """Where the lamps as a rule leave as little over, or too little is seen of it."""
-    light, lost = clipped(rng)
+def table_showing(random, brighter: float, *, known=True):
+    """A Table's stand-in whose lamps are ``brighter`` times as a rule, with what is clipped, and its photo."""
+    light, lost = clipped(random)
     lamps = as_a_rule(light, lost, 0.03)
-    table = clipped_lamps.Table(None, [], None, 0)
+    directions = pixel_directions(*SKY).reshape(-1, 3)
+    response = (random.random((200, 1)) + (random.random((200, len(directions))) > 0.5)) * np.maximum(
+        directions[:, 2], 0
+    )
+    response = np.repeat(response[..., None], 3, 2).astype(np.float32)
+    whole = light + brighter * lamps.parts(lost).sum(0)
+    shown = COLOUR * clipped_lamps._under(response, whole[None])[:, 0]
+    surface = object() if known else None
+    occluder, job = SimpleNamespace(surface=surface), SimpleNamespace(occluders=[None, None])
+    job.occluders[1] = occluder
+    table = clipped_lamps.Table(SimpleNamespace(job=job, colours={}, occluder_albedos=[None, COLOUR]), [], None, 1)
+    places = Places(np.arange(200), np.zeros(200, int), np.arange(200))
+    vars(table)["_seen"] = (places, response)
+    photo = SimpleNamespace(radiance=shown[:, None], usable=np.ones((200, 1), bool))
+    return table, lamps, light, lost, photo
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_table_is_believed_where_it_asks_for_other_lamps(rng, known):
+    table, lamps, *seen = table_showing(rng, 6.0, known=known)
+    told = table.told(lamps, *seen)
+    assert told.by_table and list(told.patches) == list(lamps.patches)
+    total, before = (each.parts(seen[1]).sum() for each in (told, lamps))
+    assert total == pytest.approx(6 * before, rel=0.35)
+    assert np.trace(told.doubt @ told.doubt.T) < np.trace(lamps.doubt @ lamps.doubt.T)
+
+
+def test_a_table_that_tells_nothing_changes_nothing(rng, monkeypatch):
+    """Where the lamps as a rule leave as little over, where too little is seen of it, or what is seen is clipped."""
+    table, lamps, *seen = table_showing(rng, 1.0)
+    assert table.told(lamps, *seen) is lamps
+    table, lamps, light, lost, photo = table_showing(rng, 6.0)
+    photo.usable[:] = False
+    assert table.told(lamps, light, lost, photo) is lamps
+    vars(table)["_seen"] = None
+    assert table.told(lamps, light, lost, photo) is lamps
     monkeypatch.setattr(clipped_lamps, "blocks_of", lambda *_: None)
-    assert table.told(lamps, light, lost, None) is lamps
+    assert clipped_lamps.Table(None, [], None, 0)._seen is None
+
+
+def test_the_study_cuts_a_map_off_and_holds_both_ways_against_the_same_truth(rng):
+    radiance = np.ones((64, 128, 3)) + 0.1 * rng.random((64, 128, 3))
+    radiance[10:14, 20:28] = 30.0  # half of a percent of the pixels
+    cut = clipped_study.exposed(radiance, 99.7)
+    area = np.repeat(pixel_solid_angles(64, 128), 128).reshape(64, 128)[10:14, 20:28].sum() / (4 * np.pi)
+    assert cut["share"] == pytest.approx(area) and cut["true"].sum() == cut["light"].sum()  # cut at 30: nothing is lost
+    cut = clipped_study.exposed(radiance, 99.0)
+    most = np.percentile(radiance.max(-1), 99.0)
+    lacking = (np.maximum(radiance - most, 0).mean(-1) * pixel_solid_angles(64, 128)[:, None]).sum() * 3
+    assert cut["true"].sum() - cut["light"].sum() == pytest.approx(lacking) and lacking > 0
+    rule, one = clipped_study.study("sun", radiance, 99.0, rng)
+    assert rule["error"] == one["error"] and rule["stated"] > 0 and rule["lacking"] > 0.05
