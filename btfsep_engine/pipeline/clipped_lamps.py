@@ -73,6 +73,23 @@ def whitened(lost) -> np.ndarray:
     return there * (lost.sum(1) / np.maximum(there.sum(1), 1))[:, None]
 
 
+def of_one_colour(seen, over, directions, weights) -> np.ndarray:
+    """(n, 3), what pixels show of clipped lamps, as bright as their clipped channels are, in the colour of their patch.
+
+    Of a lamp's rim and by a JPEG's noise one pixel has one channel clipped and the next another one. And it has not the
+    colour of the mirror, but what the channels say that are not clipped; the others are at least as bright.
+
+    Parameters
+    ----------
+    seen : (n, 3), what pixels show of the light; over : (n, 3) bool, where they are clipped
+    directions : (n, 3), from which they show it; weights : (n,), their solid angles
+    """
+    patch, colours = patch_of(directions), np.where(over, seen.max(1, keepdims=True), seen) * over.any(1, keepdims=True)
+    total = np.stack([np.bincount(patch, weights * c, PATCHES) for c in colours.T], -1)
+    shares = total / np.maximum(total.sum(1, keepdims=True), 1e-300)
+    return (seen * over).sum(1, keepdims=True) * shares[patch]
+
+
 def patch_of(directions) -> np.ndarray:
     """(n,) int, in which of `PATCHES` directions (n, 3) lie."""
     return _patches().query(directions)[1]

@@ -22,7 +22,7 @@ from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import JobObject, Photo
-from btfsep_engine.pipeline.clipped_lamps import Lamps, Table, as_a_rule, table_of, whitened
+from btfsep_engine.pipeline.clipped_lamps import Lamps, Table, as_a_rule, of_one_colour, table_of, whitened
 from btfsep_engine.pipeline.materials import ObjectMaterial
 from btfsep_engine.pipeline.settings import LARGEST_ORDER, TransportSettings
 from btfsep_engine.pipeline.tone import read_by_most_usual, sought
@@ -37,7 +37,7 @@ METAL = 0.9  # of its share: what is left shows little
 CELLS = 2048  # directions, 4 degrees apart
 FINE = 65536  # directions, by which pixels are sorted: 0.8 degrees apart
 WIDE, REACH = np.radians(4.0), np.radians(8.0)  # of the mean in a cell: of a few pixels, it would not keep their light
-AROUND = 19  # cells: one and the next two rings
+AROUND, BESIDE = 19, 7  # cells: one and the next two rings; one and the next ring
 SHOWN = 0.25  # of what is in a cell's reach: where less is, another cell stands for it
 LACKING = 0.2  # of what a place would show: where more of it is unknown, the place is left out
 PLACES = 3000  # of an object
@@ -115,6 +115,17 @@ class Mirror:
         nearest = seen[cKDTree(fibonacci_sphere(FINE)[seen]).query(fibonacci_sphere(FINE))[1]]
         return total[nearest] / there[nearest, None]
 
+    def fine_lamps(self, lamps: Lamps, seen, over) -> np.ndarray:
+        """(FINE, 3), what ``lamps`` add in each direction to what pixels show (p, 3), ``over`` (p, 3) of it clipped.
+
+        In a lamp of a JPEG some pixels are not clipped: without a mean it would be in specks.
+        """
+        if not over.any():
+            return np.zeros((FINE, 3))
+        towards = fibonacci_sphere(FINE)[self.fine]
+        added = lamps.added_to(towards)[:, None] * of_one_colour(seen, over, towards, self.weights)
+        return self.fine_light(added * self.reflectance)[around()].mean(1)
+
     @property
     def own(self) -> np.ndarray:
         """(CELLS,) bool, the cells that it shows."""
@@ -168,7 +179,9 @@ class MirrorLight:
 
         def detailed(directions):
             directions = np.asarray(directions)
-            share = np.clip(2 * self.shares[tree_of(CELLS).query(directions)[1]] - 1, 0, 1)
+            apart, near = tree_of(CELLS).query(directions, k=BESIDE)
+            weight = np.exp(-0.5 * np.square(apart / WIDE))  # else the cells show at the edge of what is shown
+            share = np.clip(2 * (weight * self.shares[near]).sum(-1) / weight.sum(-1) - 1, 0, 1)
             for sun in suns:
                 beside = np.radians(sun.size_degrees / 2) + REACH
                 share = np.where(directions @ sun.direction > np.cos(beside), 0.0, share)
@@ -270,7 +283,7 @@ def picture(mirrors, photo: Photo) -> tuple[Photo, tuple[MirrorLight, ...]]:
         clipped[to] = (not mirror.alone) & (at_least > CLIPPED * shown)[mirror.nearest]
         usable[to] = ~clipped[to].any(-1)
         moved = [OFF * _slope(photo.radiance, mirror.pixels, step) for step in ((0, 1), (1, 0))]
-        fine = mirror.fine_light(values + lamps.added_to(fibonacci_sphere(FINE)[mirror.fine])[:, None] * white)
+        fine = mirror.fine_light(values) + mirror.fine_lamps(lamps, values / mirror.reflectance, over)
         brighter = np.reshape([mirror.coefficients(each) for each in more], (-1, (LARGEST_ORDER + 1) ** 2, 3))
         open_to = map(mirror.coefficients, map(mirror.light, moved))
         mirror_lights.append(MirrorLight(fine, mirror.shares, brighter, lamps, *open_to))
@@ -331,6 +344,12 @@ def _mirror(scene, index: int, surface: Surface, alone: bool) -> Mirror | None:
 def tree_of(count: int) -> cKDTree:
     """Of ``count`` directions that share out the sphere."""
     return cKDTree(fibonacci_sphere(count))
+
+
+@lru_cache(maxsize=1)
+def around() -> np.ndarray:
+    """(FINE, AROUND) int, the nearest of each of `FINE` directions."""
+    return tree_of(FINE).query(fibonacci_sphere(FINE), k=AROUND)[1]
 
 
 @lru_cache(maxsize=1)

@@ -9,7 +9,17 @@ import pytest
 from btfsep_engine.conventions import fibonacci_sphere, pixel_directions, pixel_solid_angles
 from btfsep_engine.fit.ground import SKY
 from btfsep_engine.pipeline import clipped_lamps
-from btfsep_engine.pipeline.clipped_lamps import ALIKE, EACH, LACKS, Asked, Lamps, as_a_rule, patch_of, whitened
+from btfsep_engine.pipeline.clipped_lamps import (
+    ALIKE,
+    EACH,
+    LACKS,
+    Asked,
+    Lamps,
+    as_a_rule,
+    of_one_colour,
+    patch_of,
+    whitened,
+)
 from btfsep_engine.pipeline.ground_places import Places
 from scripts.studies import clipped as clipped_study
 
@@ -52,6 +62,25 @@ def test_nothing_clipped_nothing_added():
 def test_clipped_light_is_white_whatever_the_mirror_is():
     lost = np.array([[0.9, 1.5, 3.0], [2.0, 0, 0], [0, 0, 0]])
     np.testing.assert_allclose(whitened(lost), [[1.8, 1.8, 1.8], [2.0, 0, 0], [0, 0, 0]])
+
+
+def test_what_is_seen_of_clipped_lamps_is_of_one_colour_and_as_bright(rng):
+    directions, weights, over = fibonacci_sphere(300), rng.random(300), rng.random((300, 3)) > 0.5
+    seen = 1 + rng.random((300, 3))
+    even = of_one_colour(seen, over, directions, weights)
+    np.testing.assert_allclose(even.sum(1), (seen * over).sum(1))
+    for patch in (0, 40):
+        some = even[(patch_of(directions) == patch) & over.any(1)]
+        assert np.ptp(some / some.sum(1, keepdims=True), axis=0).max() < 1e-12
+
+
+def test_it_has_the_colour_of_what_is_not_clipped_and_not_the_mirrors():
+    up = np.tile([0.0, 0, 1], (2, 1))
+    of_gold = of_one_colour(np.array([[1.0, 1.3, 3.0]] * 2), np.ones((2, 3), bool), up, np.ones(2))
+    np.testing.assert_allclose(of_gold, 5.3 / 3)  # all clipped: white
+    orange = of_one_colour(np.array([[1.0, 0.6, 0.2]] * 2), np.array([[True, False, False]] * 2), up, np.ones(2))
+    np.testing.assert_allclose(orange, [[1 / 1.8, 0.6 / 1.8, 0.2 / 1.8]] * 2)
+    assert not of_one_colour(np.ones((2, 3)), np.zeros((2, 3), bool), up, np.ones(2)).any()
 
 
 def test_pixels_get_what_their_patch_lacks():
