@@ -151,7 +151,7 @@ class Table:
 
         ``light``, ``lost`` : as of `as_a_rule`, in the photo's exposure
         """
-        if self._seen is None or not len(lamps.patches):
+        if not len(lamps.patches) or self._seen is None:  # where nothing is clipped, no shadow is traced
             return lamps
         places, response = self._seen
         usable = places.means(photo.usable[..., None])[:, 0] == 1

@@ -191,6 +191,13 @@ def test_a_table_that_tells_nothing_changes_nothing(rng, monkeypatch):
     assert clipped_lamps.Table(None, [], None, 0)._seen is None
 
 
+def test_of_a_photo_without_clipped_lamps_no_table_is_looked_at():
+    """Not even at a scene: there is none."""
+    nothing = np.zeros((CELLS, 3))
+    lamps = as_a_rule(nothing + 1, nothing, 0.0)
+    assert clipped_lamps.Table(None, [], None, 0).told(lamps, nothing + 1, nothing, None) is lamps
+
+
 def test_the_study_cuts_a_map_off_and_holds_both_ways_against_the_same_truth(rng):
     radiance = np.ones((64, 128, 3)) + 0.1 * rng.random((64, 128, 3))
     radiance[10:14, 20:28] = 30.0  # half of a percent of the pixels

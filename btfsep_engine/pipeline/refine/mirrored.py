@@ -18,8 +18,6 @@ CLIPPED = (
     "lamps are clipped in what mirrors: how bright they are is guessed by what natural light is like; give a photo "
     "that is exposed for them"
 )
-
-
 BY_TABLE = "; lamps that are clipped in it are as bright as the table beside it shows"
 
 
