@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 log = logging.getLogger("btfsep")
 
 _SCENE = {"reading": 3, "geometry": 5}
-_ALIGNED = {**_SCENE, "alignment": 2}  # seldom
+_ALIGNED = {**_SCENE, "alignment": 2, "standing": 1}  # the first seldom
 _LEARNING = {"training rays": 4, "training images": 23, "dictionaries": 10, "classifier": 10, "recognition": 5}
 _SEEN = {**_SCENE, **_LEARNING, "transport": 20}
 RUNS = {
@@ -61,6 +61,7 @@ TITLES = {
     "writing": "Writing the results",
     "record": "Writing down how it was found",
     "alignment": "Bringing geometry and photo into line",
+    "standing": "Looking for what the objects stand on",
     "maps": "Reading the maps",
     "measure": "Measuring",
 }

@@ -32,6 +32,7 @@ from btfsep_engine.pipeline.mending import mended
 from btfsep_engine.pipeline.mirrors import softened, with_mirrors
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.standing import on_ground, with_ground
 from btfsep_engine.progress import Reporter
 from btfsep_engine.storage.atomic import write_json
 
@@ -82,12 +83,13 @@ class Frames:
     """
 
     def __init__(self, job: Job, library, settings: Settings, *, material, poses, reporter):
+        self._asked = settings
         if settings.evidence == "auto":  # of frames that stand still, a ground would take most of the time
             settings = replace(settings, evidence="job")
         self._still, self._library, self._settings, self._material = job, library, settings, material
         self._poses, self._reporter = poses, reporter
         self._pose, self._job = None, job  # of the last frame
-        self._scene, self._follower = None, None
+        self._scene, self._follower, self._stands = None, None, False
         self._said = []  # warnings of the last frame, without those of its file and of the camera
         self.first = None  # its Estimate
 
@@ -139,9 +141,13 @@ class Frames:
     def _look(self, photo: Photo, reporter: Reporter) -> None:
         """Looks at the scene, where it is not the last frame's; its camera goes where this photo has it."""
         if self._scene is None:
-            self._scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
-            if self.first is not None:
-                self._scene, _ = softened(self._scene, self.first.materials, self._settings)
+            scene = mended(PreparedScene(replace(self._job, photo=photo), reporter), self._settings)
+            if self.first is None:
+                self._scene = on_ground(scene, self._asked)
+                self._stands = self._scene is not scene
+            else:  # what the objects stand on in the first frame, they do in all
+                scene = with_ground(scene) if self._stands else scene
+                self._scene, _ = softened(scene, self.first.materials, self._settings)
 
     def _light(self, photo: Photo, reporter: Reporter) -> FollowedEstimate:
         """The Estimate of a photo, and what of it was found for it alone (`following.FollowedEstimate`)."""

@@ -58,12 +58,14 @@ class Occluder:
 
     ``surface`` : what it is made of, by numbers (one with an image has a mesh with ``corner_uv``), or None: not known.
     ``evidence`` : whether its own pixels tell of the light. ``name`` : for people; empty: it has none.
+    ``supposed`` : whether the job has it not, and only the photo shows it (`pipeline.standing`).
     """
 
     mesh: TriangleMesh
     surface: Surface | None = None
     evidence: bool = False
     name: str = ""
+    supposed: bool = False
 
 
 @dataclass(frozen=True)

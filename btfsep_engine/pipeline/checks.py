@@ -109,8 +109,8 @@ def veil_doubts(estimate) -> list[str]:
 
 def shift_doubt(scene) -> str | None:
     """That the photo's outline does not lie where the geometry says."""
-    frayed, photo, seen = bool(unseen_meshes(scene.job)), scene.job.photo.radiance, scene.view.mesh
-    shift = kept.recalled("shift", [photo, seen, frayed], lambda: silhouette_shift(photo, seen >= 0, frayed=frayed))
+    frayed, photo, seen = bool(unseen_meshes(scene.job)), scene.job.photo.radiance, scene.shows_job
+    shift = kept.recalled("shift", [photo, seen, frayed], lambda: silhouette_shift(photo, seen, frayed=frayed))
     return alignment_doubt(shift)
 
 

@@ -45,6 +45,7 @@ from btfsep_engine.pipeline.refine.veil import veiled
 from btfsep_engine.pipeline.refine.vivid import vivid_light
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.pipeline.standing import STANDING, on_ground
 from btfsep_engine.pipeline.together import SolvedLight
 from btfsep_engine.pipeline.tone import read_otherwise, refuse_unknown
 from btfsep_engine.threads import one_thread
@@ -54,8 +55,8 @@ UNSEEN = (
     "reflections by what the camera does not see, the stated uncertainty knows nothing"
 )
 HASTE = {
-    "quick": "quick: lamps sharper than the harmonics, lamps nearby, things in front, shadows of what no job knows and "
-    "haze were not looked for",
+    "quick": "quick: a ground under the objects, lamps sharper than the harmonics, lamps nearby, things in front, "
+    "shadows of what no job knows and haze were not looked for",
     "least": "least: nothing but light between surfaces was looked for",
 }
 
@@ -149,12 +150,14 @@ class Estimate:
 
 
 def left_as_it_is(model: Model, light: SolvedLight):
-    """Says what was not refined: textures that are not worth it, what takes long, geometry that nobody sees."""
+    """Says what was not refined: textures that are not worth it, what takes long, geometry that nobody sees or has."""
     words = {} if model.untried is None else {"appearance": model.untried}
     if model.settings.refine in HASTE:
         words["refine"] = HASTE[model.settings.refine]
     if any(unseen_meshes(problem.scene.job) for problem in model.problems):
         words["geometry"] = UNSEEN
+    if any(o.supposed for problem in model.problems for o in problem.scene.job.occluders):
+        words["standing"] = STANDING
     return model, light, words
 
 
@@ -240,7 +243,9 @@ def found_light(
     tones = strengths(scenes, settings)
     refuse_unknown(scenes, settings)
     usual, *more = tones
-    materials = materials_of_all([with_tones_undone(each, usual) for each in scenes], library, settings, name=material)
+    scenes = [on_ground(each, settings) for each in scenes]
+    read = [with_tones_undone(each.as_in_job(), usual) for each in scenes]
+    materials = materials_of_all(read, library, settings, name=material)
 
     def found(strength, refinements) -> Estimate:
         read = [with_tones_undone(each, strength) for each in scenes]
@@ -285,7 +290,7 @@ def _of_materials(scenes, materials, library, settings: Settings, material, refi
     # photos read by the curve that was chosen; those of mirrors as they were taken
     read = [s if p.scene.mirrors else p.scene for s, p in zip(scenes, model.problems, strict=True)]
     if any(not m.is_given for each in materials for m in each) and any(map(read_otherwise, read)):
-        anew = materials_of_all(read, library, settings, name=material)
+        anew = materials_of_all([each.as_in_job() for each in read], library, settings, name=material)
         changes = changed_materials(scenes, materials, anew)
         for change in changes:
             reporter.warn(change)

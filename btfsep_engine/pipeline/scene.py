@@ -26,7 +26,7 @@ from btfsep_engine.render.surface import (
     with_any_tangent,
     with_texture,
 )
-from btfsep_engine.render.tracer import tracer_of
+from btfsep_engine.render.tracer import Tracer, tracer_of
 from btfsep_engine.render.transport import Transport
 from btfsep_engine.storage import kept
 
@@ -39,6 +39,12 @@ MIRRORED = 9  # order of the series as which a mirror shows a sun: a ray never h
 def unseen_meshes(job: Job) -> list:
     """(number of the object, mesh) of what closes surfaces that were made from a depth."""
     return [(i, o.unseen) for i, o in enumerate(job.objects) if o.unseen is not None]
+
+
+def _tracer_of(job: Job) -> Tracer:
+    beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]
+    first = len(job.objects)
+    return tracer_of([*(o.mesh for o in job.objects), *beside], range(first, first + len(job.occluders)))
 
 
 class PreparedScene:
@@ -68,10 +74,7 @@ class PreparedScene:
         self.has_colours = True  # whether the photo has any, and all that is in it (`black_and_white`)
         self.grey = GREY  # what occluders reflect of which the job does not say it
         with reporter.stage("geometry"):
-            beside = [*(o.mesh for o in job.occluders), *(mesh for _, mesh in unseen_meshes(job))]
-            meshes = [*(o.mesh for o in job.objects), *beside]
-            first = len(job.objects)
-            self.tracer = tracer_of(meshes, range(first, first + len(job.occluders)))
+            self.tracer = _tracer_of(job)
             self.look()
 
     def look(self) -> None:
@@ -88,10 +91,42 @@ class PreparedScene:
 
         self.view, self.regions = kept.recalled("view", self.seen, looked)
 
+    def with_occluder(self, occluder, view: View, *, met: bool = True) -> "PreparedScene":
+        """The same scene with one occluder more, which hides nothing of the objects from the camera.
+
+        ``view`` : what the camera sees then; ``met`` : whether rays meet it, too, which those from the camera need not
+        """
+        out = copy.copy(self)
+        vars(out).pop("_known_albedos", None)
+        out.job, out.view = replace(self.job, occluders=(*self.job.occluders, occluder)), view
+        if met:
+            out.tracer = _tracer_of(out.job)
+        out.seen = kept.content([self.seen, out.tracer.key, view.mesh])
+        return out
+
+    def as_in_job(self) -> "PreparedScene":
+        """The same scene without what only the photo shows of its surroundings (`with_occluder`)."""
+        own = tuple(o for o in self.job.occluders if not o.supposed)
+        if len(own) == len(self.job.occluders):
+            return self
+        out = copy.copy(self)
+        vars(out).pop("_known_albedos", None)
+        out.job = replace(self.job, occluders=own)
+        out.tracer = _tracer_of(out.job)
+        out.look()
+        return out
+
     @property
     def outlines(self) -> Outlines:
         """Where surfaces end in the picture."""
         return kept.recalled("outlines", self.seen, lambda: outlines(self.view, self.job))
+
+    @property
+    def shows_job(self) -> np.ndarray:
+        """(h, w) bool, the pixels that show geometry of the job."""
+        beside, first = self.job.occluders, len(self.job.objects)
+        supposed = [first + k for k, o in enumerate(beside) if o.supposed]
+        return (self.view.mesh >= 0) & ~np.isin(self.view.mesh, supposed)
 
     @property
     def has_unknown(self) -> bool:
