@@ -64,6 +64,7 @@ def with_plane(view: View, job, ground: Occluder) -> View:
     """
     camera, corners = job.camera, ground.mesh.vertices
     changed = {name: image.copy() for name, image in vars(view).items()}
+    changed["mesh"][view.mesh >= len(job.objects)] += 1  # unseen sides are counted after what stands around
     band = max(1, RAYS_AT_ONCE // camera.width)
     for top in range(0, camera.height, band):
         rows = slice(top, min(top + band, camera.height))

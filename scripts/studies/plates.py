@@ -19,7 +19,8 @@ a paint in pieces, half of them in the dark under lamps; those of *softboxes* st
 1.2 metres away, and the light is that at their middle; of the sets *shadowed*, nothing of what keeps the sun from a
 part of the object; of the sets *covered*, nothing of what is before a part of it. Those of *glossy tables* stand on
 such, those of *patterned* on tables of two colours, of which jobs have the mean; what shows of a table may be left
-unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*).
+unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*); or the job has
+none (*not told*), and the photo may not be asked for it (*nor looked for*).
 With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
 of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
@@ -52,8 +53,10 @@ OF_AGX = {NOT_SAID: "auto", AS_SRGB: "srgb"}
 NO_MIRROR = "as no mirror"
 NOT_LOOKED = "roughness 0.5"
 NOT_READ, MATTE, SATIN = "table not read", "table told matte", "table told satin"
+NOT_TOLD, NOT_LOOKED_FOR = "table not told", "table not told, nor looked for"
 TOLD = {MATTE: {"roughness": 1.0, "specular": 0.0}, SATIN: {"roughness": 0.5, "specular": 0.5}}
-OF_TABLES = (NOT_READ, *TOLD)
+OF_TABLES = (NOT_READ, *TOLD, NOT_TOLD, NOT_LOOKED_FOR)
+EVIDENCE = {NOT_READ: "never", NOT_LOOKED_FOR: "job"}
 WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR, NOT_LOOKED, *OF_TABLES)
 
 
@@ -85,6 +88,11 @@ def with_blenders_roughness(job):
     """A job whose first object has the roughness that a new material in Blender has."""
     first, *others = job.objects
     return replace(job, objects=(replace(first, surface=replace(first.surface, roughness=0.5)), *others))
+
+
+def without_table(job):
+    """A job that says nothing of what stands around."""
+    return replace(job, occluders=())
 
 
 def as_no_mirror(job):
@@ -128,12 +136,14 @@ def study(plate, folder: Path, way: str) -> dict:
         AS_MEAN: as_mean,
         NO_MIRROR: as_no_mirror,
         NOT_LOOKED: with_blenders_roughness,
+        NOT_TOLD: without_table,
+        NOT_LOOKED_FOR: without_table,
         RECOGNISED: as_recognised,
         AS_PLASTIC: as_plastic,
     }
     if way in TOLD:
         job = with_table(job, way)
-    told = {"evidence": "never"} if way == NOT_READ else {}
+    told = {"evidence": EVIDENCE[way]} if way in EVIDENCE else {}
     return {"way": way} | judged(plate, made[way](job) if way in made else job, **told)
 
 
@@ -204,4 +214,6 @@ def main(arguments) -> int:
     if given.numbers:
         write_json(given.numbers, rows)
     print(tables.summary(("plates",), COLUMNS, groups(rows)))
+    stand = sum("standing" in row["choice"] for row in rows)
+    print(f"\nOf {len(rows)} estimates {stand} have a ground that no job says (`pipeline/standing.py`).")
     return 0
