@@ -60,6 +60,7 @@ KNOWN = (
         "Something that is not in the scene throws light on the object; add it",
         level="AMBER",
     ),
+    Advice("stand on a ground that", "The objects stand on a ground that is not in the scene", "GROUND"),
     Advice(
         "casts a shadow on the objects",
         "Something that is not in the scene casts a shadow on the object; add it",

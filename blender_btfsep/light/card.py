@@ -37,6 +37,8 @@ OF_JOBS = {  # what jobs call things, and what the panel does
     "surface/given": "The material as given",
     "or its 'surface'": "or its colour",
     "its 'surface'": "its material",
+    "a ground that the job does not have": "a ground that the scene does not have",
+    "put it into the job": "put a plane there",
 }
 SAVED_BY = re.compile(r"of what Blender saved by evidence (?:Blender's view transform )?(.+?) \(probability ([\d.]+)\)")
 SURE = 0.9  # of the view by which a render was saved: of what is more probable, nothing is asked

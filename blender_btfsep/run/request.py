@@ -201,6 +201,9 @@ def engine_arguments(command: str, folder, scene, *own, options=None) -> list:
     options : argparse.Namespace, what the command line says instead of the panel and the preferences
     """
     told = engine_settings.engine_options(engine_settings.COMMANDS[command], scene.btfsep, options)
+    alone = (getattr(options, "occluders", None) or scene.btfsep.occluders).upper() == "NONE"
+    if alone and command in ("estimate", "sequence") and engine_settings.EVIDENCE.flag not in told:
+        told += [engine_settings.EVIDENCE.flag, "job"]  # no ground is to be looked for either
     return [command, folder, *own, *told, *library_arguments(getattr(options, "library", None))]
 
 

@@ -8,7 +8,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..basics.errors import InputError
 from ..run import buttons, request
-from ..scene import own_surface
+from ..scene import ground_plane, own_surface
 
 MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
@@ -22,6 +22,11 @@ MENDS = (
     ),
     ("CAMERA", "Read as a Camera's", "Read the photo by the usual curve of cameras; estimate again afterwards"),
     ("SELECT", "Go to Its Material", "Select what is in doubt, and show its material in the properties"),
+    (
+        "GROUND",
+        "Add a Ground",
+        "Put a plane under the objects that catches their shadows; estimate again afterwards",
+    ),
     ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
 )
 WORDS = {how: words for how, words, _ in MENDS}
@@ -53,6 +58,10 @@ class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
             return ""
         if self.how == "SELECT":
             return select(context, self.object.splitlines())
+        if self.how == "GROUND":
+            ground_plane.add(context, [e.object for e in settings.objects if e.object])
+            settings.occluders = "OTHERS"
+            return ""
         if settings.depth is None and self.object:
             number = number_of(settings, self.object)
             if number is None:

@@ -30,8 +30,13 @@ WORLD_MODES = (
     ("NONE", "Do Not Apply", "Estimate only; the World stays as it is"),
 )
 OCCLUDERS = (
-    ("OTHERS", "All Others", "Everything else that the render shows casts shadows on the objects"),
-    ("NONE", "None", "The objects stand alone"),
+    (
+        "OTHERS",
+        "All Others",
+        "Everything else that the render shows casts shadows on the objects; where there is nothing, a ground under "
+        "them that the photo shows",
+    ),
+    ("NONE", "None", "The objects stand alone, on no ground either"),
 )
 CURVES = (
     (

@@ -26,6 +26,7 @@ from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
 from btfsep_engine.pipeline.refine.shaded import SHADOW
 from btfsep_engine.pipeline.refine.sharp import has_own_images
 from btfsep_engine.pipeline.scene import unseen_meshes
+from btfsep_engine.pipeline.standing import STANDS
 from btfsep_engine.pipeline.together import all_weights, stacked
 from btfsep_engine.storage import kept
 
@@ -69,9 +70,9 @@ def tones_doubts(estimate) -> list[str]:
 
 
 def shape_and_colour_doubts(estimate) -> list[str]:
-    """What was said on the way of shadows (`refine.shaded`), shapes (`refine.misshapen`), surroundings
-    (`refine.said_surface`), roughness and textures."""
-    keys = SHADOW, UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
+    """What was said on the way of a ground (`standing`), shadows (`refine.shaded`), shapes (`refine.misshapen`),
+    surroundings (`refine.said_surface`), roughness and textures."""
+    keys = STANDS, SHADOW, UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
     return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 

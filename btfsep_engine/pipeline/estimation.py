@@ -45,7 +45,7 @@ from btfsep_engine.pipeline.refine.veil import veiled
 from btfsep_engine.pipeline.refine.vivid import vivid_light
 from btfsep_engine.pipeline.scene import PreparedScene, unseen_meshes
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.pipeline.standing import STANDING, on_ground
+from btfsep_engine.pipeline.standing import STANDING, STANDS, on_ground
 from btfsep_engine.pipeline.together import SolvedLight
 from btfsep_engine.pipeline.tone import read_otherwise, refuse_unknown
 from btfsep_engine.threads import one_thread
@@ -157,7 +157,7 @@ def left_as_it_is(model: Model, light: SolvedLight):
     if any(unseen_meshes(problem.scene.job) for problem in model.problems):
         words["geometry"] = UNSEEN
     if any(o.supposed for problem in model.problems for o in problem.scene.job.occluders):
-        words["standing"] = STANDING
+        words[STANDS] = STANDING
     return model, light, words
 
 

@@ -41,7 +41,8 @@ SUN = (
 )
 EVIDENCE = (
     "Which occluders' own pixels tell of the light, too: those that the job names, and else plain ones where the light "
-    "explains all that they show (auto; not in a draft); those that it names alone (job); all; or none (never)"
+    "explains all that they show (auto; not in a draft); those that it names alone (job); all; or none (never). With "
+    "auto and all, a ground that the photo shows under objects beside which the job has nothing is taken to be there"
 )
 LAMPS = "Whether lamps of a fifth of the light or more are told apart from the sky"
 

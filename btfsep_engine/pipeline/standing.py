@@ -23,9 +23,11 @@ from btfsep_engine.render.surface import RAYS_AT_ONCE, View
 from btfsep_engine.threads import one_thread
 
 NAME = "ground"
+STANDS = "standing"  # its name among what is chosen
 STANDING = (
     "the objects stand on a ground that the job does not have: the photo shows their shadow on a level plane under "
-    "their lowest point, which was taken to be there; put it into the job, or --evidence job leaves it out"
+    "their lowest point, which was taken to be there; put it into the job, to be sure of it (--evidence job leaves it "
+    "out)"
 )
 REACH = 4.0  # half an edge of the plane, in the longest edge of the box around the objects
 NEAR = 2.0  # so far from the objects' middle, in the same, what the photo shows is believed to be of it

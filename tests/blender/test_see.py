@@ -382,6 +382,25 @@ def test_what_stands_around_is_selected_to_look_at_its_material(photographed):
         bpy.ops.btfsep.mend(how="SELECT", object="Gone")
 
 
+def test_a_ground_is_put_under_the_objects_as_a_render_shows_them(photographed):
+    bpy.ops.mesh.primitive_cube_add(size=2, location=(3, 1, 5), rotation=(0, np.pi / 4, 0))
+    photographed.btfsep.objects.clear()
+    photographed.btfsep.objects.add().object = bpy.context.object
+    photographed.btfsep.occluders = "NONE"
+    assert bpy.ops.btfsep.mend(how="GROUND") == {"FINISHED"}
+    ground = bpy.data.objects["Ground"]
+    corners = np.array([ground.matrix_world @ vertex.co for vertex in ground.data.vertices])
+    diagonal = 2 * np.sqrt(2)
+    np.testing.assert_allclose(corners[:, 2], 5 - diagonal / 2, atol=1e-5)
+    np.testing.assert_allclose(np.ptp(corners, axis=0)[:2], 8 * diagonal, rtol=1e-5)
+    np.testing.assert_allclose(corners.mean(0)[:2], [3, 1], atol=1e-5)
+    assert ground.is_shadow_catcher and photographed.btfsep.occluders == "OTHERS" and not ground.data.materials
+    assert ground.data.polygons[0].normal.z > 0
+    photographed.btfsep.objects.clear()
+    with pytest.raises(RuntimeError, match="none of them has faces"):
+        bpy.ops.btfsep.mend(how="GROUND")
+
+
 @pytest.mark.parametrize("how", ["COLOUR", "BLENDER", "MATERIAL", "CURVE", "AGX", "STANDARD", "CAMERA"])
 def test_doubts_are_mended_where_they_arise(photographed, how):
     bpy.ops.mesh.primitive_monkey_add()

@@ -3,6 +3,7 @@
 
 import ast
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -139,6 +140,19 @@ def test_every_row_is_a_property_and_an_option_and_reaches_the_engine(addon, com
     assert told[0] == row.flag and (
         row.kind is bool or row.kind(told[1]) == row.kind(value) if not row.items else told[1] == value
     )
+
+
+def test_of_things_that_stand_alone_no_ground_is_looked_for(photographed):
+    photographed.btfsep.occluders = "NONE"
+    for name in ("estimate", "sequence"):
+        assert request.engine_arguments(name, "job", photographed)[-2:] == ["--evidence", "job"]
+    assert "--evidence" not in request.engine_arguments("recognise", "job", photographed)
+    said = SimpleNamespace(evidence="all")
+    assert request.engine_arguments("estimate", "job", photographed, options=said).count("--evidence") == 1
+    photographed.btfsep.occluders = "OTHERS"
+    assert "--evidence" not in request.engine_arguments("estimate", "job", photographed)
+    told = request.engine_arguments("estimate", "job", photographed, options=SimpleNamespace(occluders="none"))
+    assert told[-2:] == ["--evidence", "job"]
 
 
 def test_what_the_panel_leaves_to_the_engine_is_not_said(photographed):

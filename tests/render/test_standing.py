@@ -207,6 +207,7 @@ def test_what_the_first_frame_stands_on_all_do_and_a_command_says_so(standing_ba
         images.write_exr(tmp_path / "frames" / name, path_traced(a_job(floor=[table]), x))
     shutil.copy(tmp_path / "frames" / "1.exr", tmp_path / "photo.exr")
     alone = answer(capsys, "estimate", tmp_path, "--no-report")
+    assert STANDING in alone["warnings"]
     assert alone["choice"]["standing"] == STANDING and alone["choice"]["ground"].startswith("used as evidence")
     assert "standing" not in answer(capsys, "estimate", tmp_path, "--no-report", "--evidence", "job")["choice"]
     draft = answer(capsys, "estimate", tmp_path, "--no-report", "--preset", "draft")
