@@ -39,7 +39,6 @@ STEPS = 300  # of the patches' strengths
 # picture does. Of 53 plates without a table, of four sets, those that leave so little leave 1.15 times a smooth
 # picture's and more; of 75 on a table of one colour 73 are within both, of 64 on patterned ones 49
 LEAVE, UNLIKE = 0.5, 0.75
-VARIES = 0.03  # of their root mean square: what varies by less shows no shadow
 LOWEST = 0.02  # sine of a direction's height: what comes from lower, a plane hardly receives
 
 
@@ -99,8 +98,6 @@ def shows_shadows(scene) -> bool:
     shown = weight * shown / max(float((weight * shown).max()), 1e-300)
     even = shown - weight * (weight @ shown) / (weight @ weight)
     varies = float(even @ even)
-    if not varies > VARIES**2 * float(shown @ shown):
-        return False
     shadows, smooth = weight[:, None] * _lit(scene, points), weight[:, None] * _smooth(points.pixels)
     folds = np.random.default_rng(0).integers(FOLDS, size=len(shown))
     by_shadows, by_smooth = (_left(*each, shown, folds) for each in ((shadows, _strengths), (smooth, _fitted)))

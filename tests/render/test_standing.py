@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A ground that the job does not have and the photo shows: found by the objects' shadow, and no other way."""
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -15,8 +16,9 @@ from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
 from btfsep_engine.job.model import Camera, JobObject, Occluder
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline import standing
-from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.pipeline import estimation, standing
+from btfsep_engine.pipeline.estimation import estimate, found_light
+from btfsep_engine.pipeline.materials import materials_of_all
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.standing import STANDING, ground_under, on_ground, shows_shadows, with_plane
 from btfsep_engine.render.reference import Reference
@@ -118,7 +120,8 @@ def test_what_lies_behind_a_thing_that_stands_on_nothing_is_no_ground(standing_b
     rows, columns = np.mgrid[:SIZE, :SIZE] / SIZE
     random = np.random.default_rng(3)
     blotches = np.kron(random.uniform(0.2, 1, (12, 12)), np.ones((8, 8)))
-    for behind in (rows, 1 - rows, columns, 0.3 + 0.1 * np.sin(4 * rows), blotches):
+    stripes = 0.3 + 0.1 * np.sin(12 * (rows + columns) + 3)  # shadows imitate a third of them, and nothing else does
+    for behind in (rows, 1 - rows, columns, 0.3 + 0.1 * np.sin(4 * rows), blotches, stripes):
         there = np.where(alone.any(-1, keepdims=True), alone, behind[..., None].astype(np.float32))
         scene = scene_of(with_photo(job, there))
         assert on_ground(scene, choose()) is scene
@@ -161,14 +164,28 @@ def test_a_job_that_says_what_stands_around_is_believed(standing_ball):
 
 def test_the_scene_goes_back_to_what_its_job_says(standing_ball):
     scene = scene_of(standing_ball[0])
+    assert scene.occluder_albedos == []
     stands = on_ground(scene, choose())
-    assert stands.seen != scene.seen and stands.tracer is not scene.tracer
+    assert len(stands.occluder_albedos) == 1 and stands.seen != scene.seen and stands.tracer is not scene.tracer
     assert (stands.shows_job == (scene.view.mesh >= 0)).all() and (stands.view.mesh == 1).any()
     assert (stands.regions[0] == scene.regions[0]).all()
     again = stands.as_in_job()
     assert again.job == replace(stands.job, occluders=()) and again.seen == scene.seen
     assert (again.view.mesh == scene.view.mesh).all() and again.tracer is scene.tracer
     assert scene.as_in_job() is scene and not scene.job.occluders
+
+
+def test_recognition_knows_nothing_of_it(standing_ball, monkeypatch):
+    """So that what was learned of an object serves, whatever it stands on."""
+    job, seen = standing_ball[0], []
+
+    def noted(scenes, *given, **told):
+        seen.extend(len(scene.job.occluders) for scene in scenes)
+        return materials_of_all(scenes, *given, **told)
+
+    monkeypatch.setattr(estimation, "materials_of_all", noted)
+    found = found_light(scene_of(job), open_library(None), choose("balanced", pixels=300), refinements=())
+    assert seen == [0] and len(found.scene.job.occluders) == 1
 
 
 def test_two_things_stand_on_the_ground_of_the_lower_one():
@@ -212,8 +229,14 @@ def test_what_the_first_frame_stands_on_all_do_and_a_command_says_so(standing_ba
     assert "standing" not in answer(capsys, "estimate", tmp_path, "--no-report", "--evidence", "job")["choice"]
     draft = answer(capsys, "estimate", tmp_path, "--no-report", "--preset", "draft")
     assert "standing" not in draft["choice"] and "under the objects" in draft["choice"]["refine"]
-    first, second = answer(capsys, "sequence", tmp_path, "--images", tmp_path / "frames" / "*")["frames"]
+    aside = from_above(5.0, -3.0, 2.5)  # in a third frame
+    images.write_exr(tmp_path / "frames" / "3.exr", path_traced(a_job(aside, floor=[table]), light))
+    poses = {"3": {"camera": {"to_world": aside.to_world.tolist()}}}
+    (tmp_path / "poses.json").write_text(json.dumps({"format": "btfsep-poses", "version": 1, "frames": poses}))
+    command = ["sequence", tmp_path, "--images", tmp_path / "frames" / "*", "--poses", tmp_path / "poses.json"]
+    first, *others = answer(capsys, *command)["frames"]
     assert first["choice"]["standing"] == STANDING
-    assert second["choice"] is None or second["choice"]["standing"] == STANDING
-    for frame, x in ((first, light), (second, turned)):
+    assert all(frame["choice"] is None or frame["choice"]["standing"] == STANDING for frame in others)
+    assert all(STANDING in frame["warnings"] for frame in (first, *others))
+    for frame, x in zip((first, *others), (light, turned, light), strict=True):
         assert off_above(read_lighting(tmp_path / "sequence" / frame["lighting"]).coefficients, x) < 0.2
