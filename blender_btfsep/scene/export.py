@@ -244,9 +244,12 @@ def _occluders(parts: dict, folder: Path, names, *, around, warn) -> list:
             warn(f"{what if part is None else f'part of {what}'} is left out, as {why}")
         if part is None:
             continue
-        surface = surroundings.surface_of(
-            part["areas"], lambda text, what=what: warn(f"{what}: {text}"), otherwise=FROM_THE_PHOTO
-        )
+        if thing.is_shadow_catcher and set(part["areas"]) == {None}:
+            surface = None  # it stands for what the photo shows
+        else:
+            surface = surroundings.surface_of(
+                part["areas"], lambda text, what=what: warn(f"{what}: {text}"), otherwise=FROM_THE_PHOTO
+            )
         given = {} if surface is None else {"surface": surface}
         if getattr(thing, "btfsep_evidence", False):  # an export alone knows no panel
             given["evidence"] = True

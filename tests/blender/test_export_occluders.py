@@ -146,6 +146,22 @@ def test_the_render_decides_what_casts_shadows_not_the_viewport(scene, tmp_path,
     assert visibility(view_layer) == before
 
 
+def test_of_a_shadow_catcher_without_a_material_the_photo_says_what_it_is(scene, tmp_path, add_camera):
+    camera = add_camera(scene, (0, -9, 0))
+    scene.render.resolution_x, scene.render.resolution_y = 96, 64
+    thing = add_cube("Thing")
+    for name, x, catches, material in (("Bare", -8, True, None), ("Own", 0, True, "white"), ("Plain", 8, False, None)):
+        floor = add_cube(name, location=(x, 0, -3))
+        floor.is_shadow_catcher = catches
+        if material:
+            floor.data.materials.append(materials.white((0.2, 0.3, 0.4)))
+    given = {"image_path": make_photo(tmp_path), "camera": camera, "objects": [thing]}
+    job = json.loads(export.export_job(scene, tmp_path / "job", **given).read_text())
+    surfaces = {o["name"]: o.get("surface") for o in job["occluders"]}
+    assert surfaces["Bare"] is None and surfaces["Plain"] is not None
+    np.testing.assert_allclose(surfaces["Own"]["base_color"], (0.2, 0.3, 0.4), atol=1e-6)
+
+
 def test_a_table_is_evidence_where_its_object_says_so(addon, scene, tmp_path, add_camera):
     from blender_btfsep.run import request
     from btfsep_engine.job.load import load_job
