@@ -128,8 +128,8 @@ def judged(plate, job, **told) -> dict:
     return row
 
 
-def study(plate, folder: Path, way: str) -> dict:
-    """One estimate."""
+def told(plate, folder: Path, way: str) -> tuple:
+    """A plate's job as it is told in a way, and the settings of its estimate."""
     where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
     job = load_job(where, colorspace=OF_AGX.get(way))
     made = {
@@ -143,19 +143,25 @@ def study(plate, folder: Path, way: str) -> dict:
     }
     if way in TOLD:
         job = with_table(job, way)
-    told = {"evidence": EVIDENCE[way]} if way in EVIDENCE else {}
-    return {"way": way} | judged(plate, made[way](job) if way in made else job, **told)
+    return made[way](job) if way in made else job, {"evidence": EVIDENCE[way]} if way in EVIDENCE else {}
 
 
-def shown(plate, folder: Path) -> list:
-    """A row of a picture: the photo, and the light that is found and the true one without its sun, as maps."""
-    job = load_job(folder / plate["name"] / "job")
-    found, true = estimated(scene_of(job)).map, read_map(light_path(plate["light"]))
+def study(plate, folder: Path, way: str) -> dict:
+    """One estimate."""
+    job, settings = told(plate, folder, way)
+    return {"way": way} | judged(plate, job, **settings)
+
+
+def shown(plate, folder: Path, ways) -> list:
+    """A row of a picture: the photo, and the lights that are found in each way and the true one without its sun."""
+    true = read_map(light_path(plate["light"]))
     true = np.roll(true, -round(plate["turn"] / 360 * true.shape[1]), 1)
-    photo, kinds = job.photo.radiance, plate["kinds"][-3:] if "told" in plate else plate["kinds"][:-2]
+    jobs = [told(plate, folder, way) for way in ways]
+    found = [estimated(scene_of(job), **settings).map for job, settings in jobs]
+    photo, kinds = jobs[0][0].photo.radiance, plate["kinds"][-3:] if "told" in plate else plate["kinds"][:-2]
     return [
         (display(photo, exposure(photo)), ", ".join(kinds)),
-        *((display(each, exposure(true)), Path(plate["light"]).stem) for each in (found, true)),
+        *((display(each, exposure(true)), Path(plate["light"]).stem) for each in (*found, true)),
     ]
 
 
@@ -199,8 +205,10 @@ def main(arguments) -> int:
             photos.in_blender("scripts.cycles.plates", {"plates": plates, "folder": str(folder)})
         return 0
     if given.show:
-        rows = [shown(p, folder) for folder, plates in places for p in plates if p["name"] in given.show]
-        write_rows(given.to, rows, titles=("photo", "the light that was found", "the true light"))
+        ways = (AS_IS,) if given.ways == WAYS else given.ways
+        rows = [shown(p, folder, ways) for folder, plates in places for p in plates if p["name"] in given.show]
+        lights = ["the light that was found"] if len(ways) == 1 else [f"the light, {way}" for way in ways]
+        write_rows(given.to, rows, titles=("photo", *lights, "the true light"))
         return 0
     todo = [(plate, folder, way) for folder, plates in places for plate in plates for way in given.ways]
     todo = [t for t in todo if t[2] not in (RECOGNISED, AS_PLASTIC) or not t[1].name.startswith(("several", "chrome"))]
