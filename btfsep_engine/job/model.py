@@ -58,14 +58,15 @@ class Occluder:
 
     ``surface`` : what it is made of, by numbers (one with an image has a mesh with ``corner_uv``), or None: not known.
     ``evidence`` : whether its own pixels tell of the light. ``name`` : for people; empty: it has none.
-    ``supposed`` : whether the job has it not, and only the photo shows it (`pipeline.standing`).
+    ``supposed`` : of one that the job has not, and only the photo shows (`pipeline.standing`), how far from its middle
+    the photo is believed to show it, world units; 0: the job has it.
     """
 
     mesh: TriangleMesh
     surface: Surface | None = None
     evidence: bool = False
     name: str = ""
-    supposed: bool = False
+    supposed: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from scipy.linalg import lstsq
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.job.model import Occluder, TriangleMesh
 from btfsep_engine.linear_algebra import product
-from btfsep_engine.pipeline.ground_places import places_of
+from btfsep_engine.pipeline.ground_places import FEWEST, places_of
 from btfsep_engine.pipeline.refine.seen_colour import sent
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.render.surface import RAYS_AT_ONCE, View
@@ -30,7 +30,7 @@ STANDING = (
     "out)"
 )
 REACH = 4.0  # half an edge of the plane, in the longest edge of the box around the objects
-NEAR = 2.0  # so far from the objects' middle, in the same, what the photo shows is believed to be of it
+NEAR = 2.0, 1.3  # so far from the objects' middle, in the same, the photo is asked; a small table has ended sooner
 RAYS, PATCHES = 1024, 48  # directions of all, and patches that they are put together to
 SIDE = 512  # pixels of a picture in which this is looked for
 FOLDS = 4
@@ -39,18 +39,23 @@ STEPS = 300  # of the patches' strengths
 # picture does. Of 53 plates without a table, of four sets, those that leave so little leave 1.15 times a smooth
 # picture's and more; of 75 on a table of one colour 73 are within both, of 64 on patterned ones 49
 LEAVE, UNLIKE = 0.5, 0.75
+FARTHER = 1.7  # times the least that is left over so: the photo is believed farther off, too
 LOWEST = 0.02  # sine of a direction's height: what comes from lower, a plane hardly receives
 
 
-def ground_under(objects) -> Occluder:
-    """A level plane under the lowest point of some `job.model.JobObject`, two triangles, of an unknown surface."""
+def ground_under(objects, near: float = NEAR[0]) -> Occluder:
+    """A level plane under the lowest point of some `job.model.JobObject`, two triangles, of an unknown surface.
+
+    ``near`` : how far the photo is believed to show it, in the longest edge of the box around the objects
+    """
     low, high = _box(objects)
-    corners = REACH * (high - low).max() * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    size = float((high - low).max())
+    corners = REACH * size * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     vertices = np.concatenate([corners + (low + high)[:2] / 2, np.full((4, 1), low[2])], 1)
     up = np.zeros((2, 3, 3), np.float32)
     up[..., 2] = 1
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    return Occluder(TriangleMesh(vertices, faces, up), name=NAME, supposed=True)
+    return Occluder(TriangleMesh(vertices, faces, up), name=NAME, supposed=near * size)
 
 
 def _box(objects) -> tuple[np.ndarray, np.ndarray]:
@@ -59,11 +64,12 @@ def _box(objects) -> tuple[np.ndarray, np.ndarray]:
 
 
 def with_plane(view: View, job, ground: Occluder) -> View:
-    """What the camera of a job sees with a `ground_under` its objects, where it lies near them.
+    """What the camera of a job sees with a `ground_under` its objects, as far as the photo is believed to show it.
 
     A plane is met where it is: nothing is traced.
     """
     camera, corners = job.camera, ground.mesh.vertices
+    edge = corners[2, 0] - corners[0, 0]
     changed = {name: image.copy() for name, image in vars(view).items()}
     changed["mesh"][view.mesh >= len(job.objects)] += 1  # unseen sides are counted after what stands around
     band = max(1, RAYS_AT_ONCE // camera.width)
@@ -75,7 +81,7 @@ def with_plane(view: View, job, ground: Occluder) -> View:
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = height / directions[:, 2]
             u, v = ((origins + distance[:, None] * directions - corners[0]) / (corners[2] - corners[0]))[:, :2].T
-            near = np.hypot(u - 0.5, v - 0.5) < NEAR / (2 * REACH)
+            near = np.hypot(u - 0.5, v - 0.5) * edge < ground.supposed
         met = (height < 0) & (distance > 0) & near & (distance < view.distance[rows].ravel())
         u, v, second, where = u[met], v[met], (v > u)[met], met.reshape(x.shape)
         changed["mesh"][rows][where], changed["face"][rows][where] = len(job.objects), second
@@ -84,24 +90,37 @@ def with_plane(view: View, job, ground: Occluder) -> View:
     return View(**changed)
 
 
-def shows_shadows(scene) -> bool:
-    """Whether what a scene shows of its last occluder, a plane, is lit as beside the objects.
+def shown_up_to(scene, ground: Occluder) -> float:
+    """How far a scene shows the `ground_under` its objects, its last occluder, lit as beside them: of `NEAR`, or 0.
 
-    Both ways to explain its places are judged by those that they were not found by, and places count as much as they
-    light the objects.
+    Places count as much as they light the objects.
     """
     seen = places_of(scene, len(scene.job.occluders) - 1)
     if seen is None:
-        return False
+        return 0.0
     points, photo = seen
     weight, shown = np.sqrt(sent(points, scene.tracer)), photo.sum(1).astype(np.float64)
-    shown = weight * shown / max(float((weight * shown).max()), 1e-300)
+    weighted = weight / weight.max(), weight * shown / max(float((weight * shown).max()), 1e-300)
+    lit, smooth = weight[:, None] * _lit(scene, points), weight[:, None] * _smooth(points.pixels)
+    away = np.linalg.norm((points.position - ground.mesh.vertices.mean(0))[:, :2], axis=1) / ground.supposed
+    left = []
+    for near in NEAR:
+        some = away < near / NEAR[0]
+        few = some.sum() < FEWEST
+        left.append(np.inf if few else _left_of_smooth(lit[some], smooth[some], *(each[some] for each in weighted)))
+    clear = [near for near, one in zip(NEAR, left, strict=True) if one < UNLIKE and one <= FARTHER * min(left)]
+    return max(clear, default=0.0)
+
+
+def _left_of_smooth(lit, smooth, weight, shown) -> float:
+    """What shadows leave over of what is shown, over what a smooth picture does; infinite where that is too much.
+
+    By places that neither was found by.
+    """
     even = shown - weight * (weight @ shown) / (weight @ weight)
-    varies = float(even @ even)
-    shadows, smooth = weight[:, None] * _lit(scene, points), weight[:, None] * _smooth(points.pixels)
     folds = np.random.default_rng(0).integers(FOLDS, size=len(shown))
-    by_shadows, by_smooth = (_left(*each, shown, folds) for each in ((shadows, _strengths), (smooth, _fitted)))
-    return by_shadows < min(LEAVE * varies, UNLIKE * by_smooth)
+    by_shadows, by_smooth = (_left(*each, shown, folds) for each in ((lit, _strengths), (smooth, _fitted)))
+    return by_shadows / by_smooth if by_shadows < LEAVE * float(even @ even) else np.inf
 
 
 def _lit(scene, points) -> np.ndarray:
@@ -139,9 +158,9 @@ def _strengths(lit, shown) -> np.ndarray:
     return x
 
 
-def with_ground(scene):
-    """The scene with a ground under its objects, whatever the photo shows."""
-    ground = ground_under(scene.job.objects)
+def with_ground(scene, near: float = NEAR[-1]):
+    """The scene with a ground under its objects, whatever the photo shows; ``near`` as of `ground_under`."""
+    ground = ground_under(scene.job.objects, near)
     return scene.with_occluder(ground, with_plane(scene.view, scene.job, ground))
 
 
@@ -155,4 +174,5 @@ def on_ground(scene, settings: Settings):
         small = scene.at_most(SIDE)
         ground = ground_under(small.job.objects)
         looked = small.with_occluder(ground, with_plane(small.view, small.job, ground), met=False)
-        return with_ground(scene) if shows_shadows(looked) else scene
+        near = shown_up_to(looked, ground)
+        return with_ground(scene, near) if near else scene
