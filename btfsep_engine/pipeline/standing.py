@@ -120,7 +120,7 @@ def _left_of_smooth(lit, smooth, weight, shown) -> float:
     even = shown - weight * (weight @ shown) / (weight @ weight)
     folds = np.random.default_rng(0).integers(FOLDS, size=len(shown))
     by_shadows, by_smooth = (_left(*each, shown, folds) for each in ((lit, _strengths), (smooth, _fitted)))
-    return by_shadows / by_smooth if by_shadows < LEAVE * float(even @ even) else np.inf
+    return by_shadows / max(by_smooth, 1e-300) if by_shadows < LEAVE * float(even @ even) else np.inf
 
 
 def _lit(scene, points) -> np.ndarray:

@@ -15,6 +15,7 @@ from blender_btfsep.engine import engine_process, engine_settings
 from blender_btfsep.light import advice, lighting_file, sh_nodes
 from blender_btfsep.photo import frames, photo, photo_file
 from blender_btfsep.run import request
+from blender_btfsep.scene import ground_plane
 from blender_btfsep.window import known_suns, mending, properties
 from btfsep_engine.btf import linear
 from btfsep_engine.cli import command as engine_command
@@ -27,7 +28,7 @@ from btfsep_engine.imaging.images import read_linear
 from btfsep_engine.job.schema import MAX_KNOWN_LAMPS, JobSchema
 from btfsep_engine.light import files
 from btfsep_engine.light.sun import Sun
-from btfsep_engine.pipeline import settings
+from btfsep_engine.pipeline import settings, standing
 from tests.engine.profiles import tiff
 from tests.engine.test_camera_curve import exif, with_exif
 from tests.engine.test_image_kinds import turned
@@ -140,6 +141,10 @@ def test_every_row_is_a_property_and_an_option_and_reaches_the_engine(addon, com
     assert told[0] == row.flag and (
         row.kind is bool or row.kind(told[1]) == row.kind(value) if not row.items else told[1] == value
     )
+
+
+def test_a_ground_is_as_large_in_the_scene_as_in_the_engine():
+    assert ground_plane.REACH == standing.REACH
 
 
 def test_of_things_that_stand_alone_no_ground_is_looked_for(photographed):
