@@ -59,7 +59,7 @@ class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
         if self.how == "SELECT":
             return select(context, self.object.splitlines())
         if self.how == "GROUND":
-            ground_plane.add(context, [e.object for e in settings.objects if e.object])
+            ground_plane.add(context, [e.object for e in settings.objects if e.object and not settings.depth])
             settings.occluders = "OTHERS"
             return ""
         if settings.depth is None and self.object:

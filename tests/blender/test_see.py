@@ -396,6 +396,9 @@ def test_a_ground_is_put_under_the_objects_as_a_render_shows_them(photographed):
     np.testing.assert_allclose(corners.mean(0)[:2], [3, 1], atol=1e-5)
     assert ground.is_shadow_catcher and photographed.btfsep.occluders == "OTHERS" and not ground.data.materials
     assert ground.data.polygons[0].normal.z > 0
+    with pytest.raises(RuntimeError, match="'Ground' is in the scene already"):
+        bpy.ops.btfsep.mend(how="GROUND")
+    bpy.data.objects.remove(ground)
     photographed.btfsep.objects.clear()
     with pytest.raises(RuntimeError, match="none of them has faces"):
         bpy.ops.btfsep.mend(how="GROUND")
