@@ -20,6 +20,7 @@ from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
 from btfsep_engine.pipeline.refine.each_object import each_object_by_itself
 from btfsep_engine.pipeline.refine.finish import finished
+from btfsep_engine.pipeline.refine.flash import flash, flash_settled
 from btfsep_engine.pipeline.refine.ground import ground
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
@@ -168,12 +169,14 @@ REFINEMENTS = (
     in_parts,
     each_object_by_itself,
     left_as_it_is,
+    flash,
     finished,
     as_rough_as_seen,
     vivid_light,
     nearer_materials,
     shifted,
     limb_brightness,
+    flash_settled,
     near_lamps,
     light_between_near_surfaces,
     sharp_lamps,
@@ -193,7 +196,7 @@ REFINEMENTS = (
 )
 # On 32 plates these took half of the time; left out of a draft, whose camera stays, they cost its light nothing in the
 # mean (0.97 times the error). What they are worth to an estimate: `scripts/study refinements`.
-SLOW = (in_parts, without_things_in_front, near_lamps, sharp_lamps, veiled)
+SLOW = (in_parts, without_things_in_front, flash, near_lamps, sharp_lamps, veiled)
 # And what a draft need not wait for whose preset follows in a moment: without these its light errs 1.02 times as much
 MORE = (
     finished,

@@ -137,7 +137,7 @@ class Follower:
         """
         (problem,), solver = model.problems, light_solver(model.problems, model.settings)
         last = self._last.model.problems[0]
-        if last.correction is not None or last.paint is not None or self._last.light.alone:
+        if any(one is not None for one in (last.correction, last.flash, last.paint)) or self._last.light.alone:
             return None
         with model.reporter.stage("fit"):
             before, b = self._last.light.fit, problem.radiance()

@@ -9,10 +9,30 @@ from btfsep_engine.fit.least_squares import block_labels
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.linear_algebra import product
 from btfsep_engine.pipeline.basis import basis_images
+from btfsep_engine.pipeline.own_image import image_from_nearby
 from btfsep_engine.pipeline.settings import Settings
 
 CLIPS = 0.02  # of the values: so many may be clipped in one photograph and not in another that differs by noise
 STARTED = 1 << 20  # blocks' numbers of one object
+
+
+@dataclass(frozen=True)
+class Flash:
+    """A lamp at a ``place`` (3,), world, that was not looked for; ``irradiance`` (3,) : at ``centre`` (3,)."""
+
+    place: np.ndarray
+    centre: np.ndarray
+    irradiance: np.ndarray
+
+    @property
+    def distance(self) -> float:
+        """From the centre."""
+        return float(np.linalg.norm(self.place - self.centre))
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,), unit, from the centre."""
+        return (self.place - self.centre) / self.distance
 
 
 @dataclass(frozen=True)
@@ -33,6 +53,9 @@ class Problem:
     scales : (objects, 3), the objects' reflectance over their materials', by which ``measured`` was divided; or None
     correction : (p, 3), what lamps make of the values beside what the basis images have of them, which is taken off
         (`pipeline.refine.near`, `pipeline.refine.sharp`); or None
+    flash : Flash that lights the objects, too (`pipeline.refine.flash`), or None
+    of_flash : (p, 3), what it makes of the values beside what the basis images have of a lamp far away, for an
+        irradiance of 1, which is taken off, too
     paint : (p, 3), how much more of the light each pixel reflects than its object does in the mean, by which the values
         are divided (`pipeline.refine.pieces`); or None
     slopes : (p, k, 3), what it may differ by in the first photograph's exposure, since camera or sun may be a little
@@ -58,6 +81,8 @@ class Problem:
     counts: tuple = ()
     scales: np.ndarray | None = None
     correction: np.ndarray | None = None
+    flash: Flash | None = None
+    of_flash: np.ndarray | None = None
     paint: np.ndarray | None = None
     slopes: np.ndarray | None = None
     veil: np.ndarray | None = None
@@ -147,6 +172,8 @@ class Problem:
             values = values - self.as_measured(self.veil_of_all)
         if self.paint is not None:
             values = values / self.paint
+        if self.flash is not None:
+            values = values - self.flash.irradiance * self.of_flash
         return values if self.correction is None else values - self.correction
 
     @property
@@ -188,6 +215,7 @@ class Problem:
             measured=None if self.measured is None else self.measured[used],
             weights=None if self.weights is None else self.weights[used],
             correction=None if self.correction is None else self.correction[used],
+            of_flash=None if self.of_flash is None else self.of_flash[used],
             paint=None if self.paint is None else self.paint[used],
             slopes=None if self.slopes is None else self.slopes[used],
             around=None if self.around is None else self.around[used],
@@ -195,9 +223,16 @@ class Problem:
 
     def of_materials(self, materials, settings: Settings) -> "Problem":
         """The same points, objects made of other ``materials``."""
-        return replace(
-            self, materials=materials, basis=make_problem(self.scene, materials, self.points, settings).basis
-        )
+        return self.made_of(materials, make_problem(self.scene, materials, self.points, settings).basis)
+
+    def made_of(self, materials, basis) -> "Problem":
+        """The same of other ``materials``, whose basis images are known."""
+        made = replace(self, materials=materials, basis=basis)
+        return made if self.flash is None else made.under(self.flash)
+
+    def under(self, flash: Flash) -> "Problem":
+        """The same under a flash."""
+        return replace(self, flash=flash, of_flash=image_from_nearby([self], flash.place, flash.centre).excess)
 
     def beside(self, more) -> "Problem":
         """The same whose photograph may differ by ``more`` (p, k, 3) beside what it may differ by (`slopes`)."""

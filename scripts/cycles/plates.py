@@ -136,14 +136,20 @@ def take(plate, folder: Path) -> None:
         middle = (positions.min(0) + positions.max(0)) / 2
         studio.add_box(middle + np.array(box["corners"]), box["radiance"])
     table, roughness = [], plate.get("table_roughness")
-    if plate["table"]:
+    if "sweep" in plate:
+        table.append(studio.add_sweep(positions[:, 2].min(), TABLE, plate["table"], **plate["sweep"]))
+    elif plate["table"]:
         table.append(studio.add_table(positions[:, 2].min(), TABLE, plate["table"], roughness=roughness))
         if "pattern" in plate:
             pattern = plate["pattern"]
             table[0].data.materials[0] = materials.patterned(
                 pattern["kind"], (plate["table"], pattern["other"]), pattern["size"], turn=pattern["turn"]
             )
-    lens = studio.add_camera(scene, positions, resolution=RESOLUTION, fill=FILL).data
+    cut = plate.get("cut")
+    lens = studio.add_camera(scene, positions, resolution=RESOLUTION, fill=cut["fill"] if cut else FILL).data
+    shift = studio.cut_off(lens, **cut) if cut else np.zeros(2)
+    if "flash" in plate:
+        studio.add_flash(np.array(plate["flash"]["place"]), plate["flash"]["irradiance"])
     studio.denoise(scene)
     linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)
     if "told" in plate:
@@ -156,7 +162,7 @@ def take(plate, folder: Path) -> None:
     told = {"image_path": photo, "objects": [thing], "occluders": table}
     told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}
     for name, (right, down) in (("in line", (0, 0)), ("job", plate["off"])):
-        lens.shift_x, lens.shift_y = -right / RESOLUTION, down / RESOLUTION
+        lens.shift_x, lens.shift_y = -right / RESOLUTION - shift[0], down / RESOLUTION + shift[1]
         export_job(scene, folder / name, **told)
 
 

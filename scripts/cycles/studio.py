@@ -77,6 +77,17 @@ def make_world(light, *, rotation_euler=(0.0, 0.0, 0.0)) -> bpy.types.World:
     return world
 
 
+def cut_off(camera: bpy.types.Camera, *, fill: float, way: str, beyond: float) -> np.ndarray:
+    """Lets an edge of the picture cut what fills ``fill`` of it; ``beyond`` : the share of its extent that is cut off.
+
+    Returns the shift (2,), right and down, of the picture's content, in its edges.
+    """
+    off = (1 - fill) / 2 + beyond * fill
+    right, down = {"left": (-off, 0), "right": (off, 0), "up": (0, -off), "down": (0, off)}[way]
+    camera.shift_x, camera.shift_y = -right, down
+    return np.array([right, down])
+
+
 def aim(camera: bpy.types.Object, positions, *, fill: float = FRAME_FILL) -> None:
     """Puts ``camera`` so that ``positions : (n, 3)``, world, fill this part of a square frame."""
     back = np.array(Vector(VIEW_FROM).normalized())
@@ -302,6 +313,34 @@ def add_table(height: float, edge: float, colour, *, checks: int = 0, roughness=
         material.node_tree.links.new(paint.outputs["Color"], bsdf.inputs["Color"])
     table.data.materials.append(material)
     return table
+
+
+def add_sweep(height: float, edge: float, colour, *, behind: float, bend: float) -> bpy.types.Object:
+    """A matte floor at ``height`` that rises ``behind`` the origin, as the camera sees it, in a bend of this radius."""
+    angle = np.linspace(0, np.pi / 2, 17)
+    away = np.concatenate(([-edge / 2], behind + bend * np.sin(angle), [behind + bend]))
+    up = height + np.concatenate(([0], bend * (1 - np.cos(angle)), [edge / 2]))
+    mesh, side, n = bpy.data.meshes.new("sweep"), edge / 2, len(away)
+    points = [(x, y, z) for x in (-side, side) for y, z in zip(away, up, strict=True)]
+    mesh.from_pydata(points, [], [(i, n + i, n + i + 1, i + 1) for i in range(n - 1)])
+    mesh.shade_smooth()
+    sweep = bpy.data.objects.new("table", mesh)
+    sweep.rotation_euler = (0, 0, math.atan2(VIEW_FROM[0], -VIEW_FROM[1]))
+    bpy.context.collection.objects.link(sweep)
+    bpy.context.view_layer.update()
+    mesh.materials.append(materials.white(colour))
+    return sweep
+
+
+def add_flash(place, irradiance) -> bpy.types.Object:
+    """A small lamp at ``place``; ``irradiance`` (3,) on what faces it at the origin."""
+    lamp = bpy.data.objects.new("flash", bpy.data.lights.new("flash", "POINT"))
+    strongest = max(irradiance)
+    lamp.data.color, lamp.data.shadow_soft_size = np.array(irradiance) / strongest, 0.005
+    lamp.data.energy = strongest * 4 * math.pi * float(np.dot(place, place))
+    lamp.location = place.tolist()
+    bpy.context.collection.objects.link(lamp)
+    return lamp
 
 
 def _unseen(obj, material):

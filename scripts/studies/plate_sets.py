@@ -40,6 +40,12 @@ SETS = {
     "softboxes again": 212,
     "chrome again": 213,
     "chrome anew": 214,
+    "cut": 215,
+    "cut again": 216,
+    "flash": 217,
+    "flash again": 218,
+    "sweep": 219,
+    "sweep again": 220,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -74,6 +80,13 @@ BOXES, AWAY, EDGE, WARM, FILL = 3, (0.3, 1.2), (0.2, 0.7), 0.15, (0.2, 0.8)
 CORNERS = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])  # of a softbox, in its edges from its middle
 PATCHES = 24  # of a softbox, a side: of its integral
 ROOM = (0.03, 0.3)  # their plates' other light, times what it is
+BEYOND, LARGE = (0.1, 0.45), (0.8, 1.1)  # of what the picture's edge cuts: share of its extent beyond it; of the frame
+CAMERA, CAMERA_AWAY = np.array([0.45, -1.0, 0.42]) / np.linalg.norm([0.45, -1.0, 0.42]), 0.5  # about; metres
+# Of a flash on the camera: metres above the lens; its irradiance over that of the other light; that, times what it is
+ABOVE_LENS, FLASHED, INDOORS = (0.03, 0.15), (0.5, 8.0), (0.05, 0.5)
+# Of a paper sweep: metres behind the object's middle where it rises, radius of its bend; its colours
+BEHIND, BEND = (0.15, 0.5), (0.05, 0.2)
+PAPERS = ((0.8, 0.8, 0.79), (0.8, 0.8, 0.79), (0.4, 0.4, 0.4), (0.08, 0.08, 0.08), (0.65, 0.2, 0.2), (0.25, 0.4, 0.6))
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
@@ -233,6 +246,41 @@ def under_boxes(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def cut(plates: list[dict], seed: int) -> list[dict]:
+    """The plates so near that an edge of the picture cuts the object."""
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        way = str(random.choice(("left", "right", "up", "down")))
+        beyond, fill = float(random.uniform(*BEYOND)), float(random.uniform(*LARGE))
+        out.append(plate | {"cut": {"way": way, "beyond": beyond, "fill": fill}, "kinds": [*plate["kinds"], way]})
+    return out
+
+
+def flashed(plates: list[dict], seed: int) -> list[dict]:
+    """The plates indoors, with a flash on the camera in place of the sun."""
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        dimmed, strength = random.uniform(*INDOORS), float(np.exp(random.uniform(*np.log(FLASHED))))
+        usual = np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean() * 2 * dimmed
+        above = random.uniform(*ABOVE_LENS) * np.cross(CAMERA, np.cross((0, 0, 1), CAMERA)) / np.linalg.norm(CAMERA[:2])
+        flash = {"place": (CAMERA_AWAY * CAMERA + above).tolist(), "irradiance": [float(strength * usual)] * 3}
+        kinds = [*plate["kinds"], f"flash {'above' if strength > 2 else 'below'} twice the room"]
+        out.append(plate | {"flash": flash, "dimmed": dimmed, "sun": None, "kinds": kinds})
+    return out
+
+
+def on_paper(plates: list[dict], seed: int) -> list[dict]:
+    """`under_boxes` on a sweep of paper: a floor that rises behind the object."""
+    random, out = np.random.default_rng(seed), []
+    for plate in under_boxes(plates, seed):
+        colour = PAPERS[random.integers(len(PAPERS))]
+        sweep = {"behind": float(random.uniform(*BEHIND)), "bend": float(random.uniform(*BEND))}
+        kinds = [kind for kind in plate["kinds"] if kind not in ("alone", "on a table")]
+        kinds.append("white paper" if min(colour) > 0.7 else "other paper")
+        out.append(plate | {"table": colour, "sweep": sweep, "kinds": kinds})
+    return out
+
+
 def of_box(box: dict, across_it) -> np.ndarray:
     """Points (n, 3) of a softbox, metres from the object's middle; ``across_it`` : (n, 2), in edges from its own."""
     towards = np.array(box["direction"])
@@ -305,6 +353,9 @@ def of_set(name: str, lights=None) -> list[dict]:
         "patterned": patterned,
         "softboxes": under_boxes,
         "chrome": mirroring,
+        "cut": cut,
+        "flash": flashed,
+        "sweep": on_paper,
     }
     for kind, made_of in made.items():
         if name.startswith(kind):
@@ -320,6 +371,9 @@ def truth(plate) -> np.ndarray:
     for lamp in lamps_of(plate):
         beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
         x = x + beam[:, None] * lamp["irradiance"]
+    if "flash" in plate:
+        place = np.array(plate["flash"]["place"])
+        x = x + sh.evaluate(9, place[None] / np.linalg.norm(place))[0][:, None] * plate["flash"]["irradiance"]
     return x + sum(box_light(box, 9) for box in plate.get("boxes", ()))
 
 

@@ -293,7 +293,7 @@ def test_a_shadow_in_several_exposures_is_taken_off_in_each(things):
 def test_in_a_shadow_a_lamp_has_a_part_of_its_image_and_the_basis_images_still_all(plain):
     """What they have of it lights all pixels, and goes with the light."""
     problems = plain[0].problems
-    lamp = sharp.OwnImage(problems, TOWARDS)
+    lamp = sharp.image_from_afar(problems, TOWARDS)
     seen = np.random.default_rng(0).random(len(lamp.image))
     dim = in_shadow(lamp, seen, np.full(len(seen), 0.2))
     np.testing.assert_allclose(dim.image, seen[:, None] * lamp.image)

@@ -97,7 +97,7 @@ def test_of_several_lamps_those_that_gain_nothing_are_not_kept(prepared):
     scene, _ = photographed(prepared, 3.0, towards=(TOWARDS, SECOND))
     problem = view_problem(scene, [prepared[2]], SETTINGS)
     pursuit = sharp.Pursuit(Model(SETTINGS, {"mean": [problem]}), fit_together([problem], replace(SETTINGS, order=2)))
-    lamps = tuple(sharp.OwnImage([problem], d) for d in (TOWARDS, -SECOND, SECOND))
+    lamps = tuple(sharp.image_from_afar([problem], d) for d in (TOWARDS, -SECOND, SECOND))
     found = sharp.OwnImages(lamps).at(np.array([[3.0], [0.1], [3.0]]) * np.ones(3), pursuit.rms, pursuit.known)
     assert pursuit.kept(found).lamps == (lamps[0], lamps[2])
 
@@ -106,7 +106,7 @@ def test_a_search_goes_on_from_the_light_of_lamps_nearby_in_any_order(prepared):
     scene, _ = photographed(prepared, 3.0, towards=(TOWARDS, SECOND))
     problem = view_problem(scene, [prepared[2]], SETTINGS)
     light = fit_together([problem], replace(SETTINGS, order=2))
-    own = [sharp.OwnImage([problem], d) for d in (TOWARDS, SECOND)]
+    own = [sharp.image_from_afar([problem], d) for d in (TOWARDS, SECOND)]
     excess, weights = np.stack([lamp.excess for lamp in own], 1), np.ones(own[0].excess.shape)
     solve = partial(light.solver.sharp_lamps, problem.radiance(), light.fit, weights=weights)
     directions = np.array([TOWARDS, SECOND])
@@ -136,7 +136,7 @@ def test_lamps_are_sought_all_around_where_gloss_leaves_much_over(prepared, monk
 def test_a_lamp_is_sought_where_what_is_left_over_has_its_image(prepared):
     scene, _, material, _ = prepared
     problem = view_problem(scene, [material], SETTINGS)
-    lamp = sharp.OwnImage([problem], SECOND)
+    lamp = sharp.image_from_afar([problem], SECOND)
     search = LampSearch([problem], known=np.ones(lamp.excess.shape))
     likely = search.likeliest(2 * lamp.excess, beside=np.zeros((0, 3)))
     assert np.degrees(np.arccos(likely.direction @ SECOND)) < 3 and likely.part > 0.5
@@ -155,7 +155,7 @@ def test_light_without_a_sun_has_no_sharp_lamp(prepared):
 def test_an_image_of_its_own_is_the_beam_and_its_excess_what_order_9_lacks(prepared):
     scene, _, material, _ = prepared
     problem = view_problem(scene, [material], SETTINGS)
-    lamp = sharp.OwnImage([problem], TOWARDS)
+    lamp = sharp.image_from_afar([problem], TOWARDS)
     sun = Sun(TOWARDS, np.ones(3), np.zeros(3))
     own = np.concatenate([scene.sun_radiance(p, problem.materials[0], sun) for p in problem.points])
     calm = (lamp.spread < 0.05 * own).all(1)  # away from the highlight and from shadows
@@ -164,7 +164,7 @@ def test_an_image_of_its_own_is_the_beam_and_its_excess_what_order_9_lacks(prepa
     smooth = np.einsum("ptc,t->pc", problem.all_basis, sh.evaluate(9, TOWARDS))
     np.testing.assert_allclose(lamp.image - lamp.excess, smooth, atol=1e-4 * smooth.max())
     # the slopes say what it changes by as it turns
-    turned = sharp.OwnImage([problem], TOWARDS + 0.01 * sharp.across(TOWARDS)[0])
+    turned = sharp.image_from_afar([problem], TOWARDS + 0.01 * sharp.across(TOWARDS)[0])
     change = turned.image - lamp.image
     assert np.corrcoef(change[calm].ravel(), lamp.slopes[0][calm].ravel())[0, 1] > 0.95
     assert (change[calm] * lamp.slopes[0][calm]).sum() / np.square(lamp.slopes[0][calm]).sum() == pytest.approx(
@@ -175,7 +175,7 @@ def test_an_image_of_its_own_is_the_beam_and_its_excess_what_order_9_lacks(prepa
 def test_a_sharp_lamp_is_sought_where_the_misfit_looks_like_its_image(prepared):
     scene, _ = photographed(prepared, 4.0)
     problem = view_problem(scene, [prepared[2]], SETTINGS)
-    lamp = sharp.OwnImage([problem], TOWARDS)
+    lamp = sharp.image_from_afar([problem], TOWARDS)
     x = np.pad(prepared[3], ((0, 91), (0, 0))) + 4 * sh.evaluate(9, TOWARDS)[:, None]
     noise = np.random.default_rng(2).normal(1, 0.02, lamp.image.shape)
     by_harmonics = replace(problem, measured=problem.predicted(x) * noise)
@@ -214,7 +214,7 @@ def test_each_photograph_is_less_what_its_own_exposure_shows_of_the_lamp(prepare
     problems = [problem, problem.subset(np.arange(len(problem.pixels)) % 2 == 0)]
     model = Model(SETTINGS, {"mean": problems})
     light = SolvedLight(None, None, [1.0, 3.0])
-    lamps = [sharp.OwnImage(problems, d) for d in (TOWARDS, SECOND)]
+    lamps = [sharp.image_from_afar(problems, d) for d in (TOWARDS, SECOND)]
     irradiances = np.array([[1.0, 2.0, 3.0], [0.5, 0.2, 0.1]])
     weights = np.random.default_rng(0).random(lamps[0].excess.shape)
     free = sharp.model_beside(model, light, sharp.OwnImages(tuple(lamps), irradiances, weights)).problems
@@ -234,7 +234,7 @@ def test_each_photograph_is_less_what_its_own_exposure_shows_of_the_lamp(prepare
 def test_a_lamp_is_moved_to_where_its_misfit_has_it(prepared):
     scene, _, material, _ = prepared
     problem = view_problem(scene, [material], SETTINGS)
-    lamp = sharp.OwnImage([problem], TOWARDS)
+    lamp = sharp.image_from_afar([problem], TOWARDS)
     weights = np.ones(lamp.image.shape)
     for step in (np.array([0.01, -0.02]), np.array([0.2, 0.1])):
         left = np.einsum("a,apc->pc", step, lamp.slopes)

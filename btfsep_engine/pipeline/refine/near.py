@@ -52,7 +52,7 @@ BLUR = 0.08  # of a distance: lamps are as wide as the basis lights are, which n
 
 def near_lamps(model, light):
     """The refinement: how near the lamps of a light are, the brightest first."""
-    if model.settings.estimator != "map":
+    if model.settings.estimator != "map" or light.near:
         return model, light, {}
     if any(problem.scene.mirrors for problem in model.problems):
         return model, light, {"near": "light is taken to come from far away: what mirrors show was put together so"}

@@ -83,6 +83,8 @@ def _rougher_or_smoother(model, light, i: int, rough: float):
     if answer.fit.evidence + prior < light.fit.evidence + needed:
         return None
     is_as_good = answer.share_left(trial.problems) < GROWN * light.share_left(model.problems)
+    if model.problems[0].flash is not None:  # its highlight is most of that, and known as well as normals are
+        is_as_good &= answer.fit.residual < GROWN * light.fit.residual
     return (trial, answer, better) if is_as_good else None
 
 
@@ -140,7 +142,7 @@ def _relit(problem, i: int, material, settings):
     how = {"directions": problem.transport["directions"]}
     straight, before = (problem.scene.radiance(points, m, lights, **how) for m in (material, was))
     basis = [b + (straight - before) if j == i else b for j, b in enumerate(problem.basis)]
-    return replace(problem, materials=[material if j == i else m for j, m in enumerate(problem.materials)], basis=basis)
+    return problem.made_of([material if j == i else m for j, m in enumerate(problem.materials)], basis)
 
 
 def _on_all(model, light, i: int, surface):

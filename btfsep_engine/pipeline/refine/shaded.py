@@ -16,7 +16,8 @@ from btfsep_engine.conventions import across, fibonacci_sphere
 from btfsep_engine.fit.sharp_lamp import SharpLight
 from btfsep_engine.fit.two_kinds import HOPEFUL, edges_of, in_between, share_of
 from btfsep_engine.light.sun import cap_around
-from btfsep_engine.pipeline.refine.sharp import OwnImage, OwnImages, asked_move, model_beside, with_its_lamp
+from btfsep_engine.pipeline.own_image import OwnImage, image_from_afar
+from btfsep_engine.pipeline.refine.sharp import OwnImages, asked_move, model_beside, with_its_lamp
 from btfsep_engine.pipeline.together import fit_together
 from btfsep_engine.render.beams import beam_radiance
 
@@ -59,11 +60,10 @@ class Shaded:
 
 def in_shadow(lamp: OwnImage, seen, unsure) -> OwnImage:
     """A lamp's image where ``seen`` (p,), 0 to 1, of it is seen, which is known to ``unsure`` (p,)."""
-    out, part = object.__new__(OwnImage), seen[:, None]
-    out.direction, out.image, out.slopes = lamp.direction, part * lamp.image, part * lamp.slopes
-    out.spread = np.hypot(part * lamp.spread, unsure[:, None] * lamp.image)
-    out.excess = lamp.excess - (1 - part) * lamp.image
-    return out
+    part = seen[:, None]
+    spread = np.hypot(part * lamp.spread, unsure[:, None] * lamp.image)
+    excess = lamp.excess - (1 - part) * lamp.image
+    return OwnImage(lamp.direction, part * lamp.image, part * lamp.slopes, spread, excess)
 
 
 def _close(one: Shaded, other: Shaded) -> bool:
@@ -123,7 +123,7 @@ class Shadows:
 
     def _settled(self, one) -> Shaded | None:
         direction, seen = one
-        own = OwnImage(self.pixels.problems, direction)
+        own = image_from_afar(self.pixels.problems, direction)
         image = seen[:, None] * own.image
         power = (self.pixels.known * image**2).sum(0)
         half = 0.5 * (self.pixels.known * image * self.pixels.b).sum(0) / np.maximum(power, 1e-300)
@@ -155,7 +155,7 @@ class Shadows:
             rest = self.pixels.b - self.solver.basis.predicted(at.light.x)
             left, of_lamp = rest - irradiance * lamp.excess, rest + irradiance * (at.own.image - at.own.excess)
             move = asked_move(left, irradiance * lamp.slopes, at.found.weights * scale)
-            own = OwnImage(self.pixels.problems, lamp.direction + move @ across(lamp.direction))
+            own = image_from_afar(self.pixels.problems, lamp.direction + move @ across(lamp.direction))
             image = irradiance * (at.own.image + np.einsum("a,apc->pc", move, at.own.slopes))
             seen = share_of(of_lamp, image, self.pixels.known * scale, self.pixels.around)
             now = self._solved(own, seen, irradiance, at.light)

@@ -16,15 +16,12 @@ from functools import cached_property
 
 import numpy as np
 
-from btfsep_engine import sh
 from btfsep_engine.conventions import across
 from btfsep_engine.fit.diagnose import effect
-from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.pipeline.basis import USUAL
+from btfsep_engine.pipeline.own_image import OwnImage, image_from_afar
 from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.refine.lamp_search import LampSearch
 from btfsep_engine.pipeline.together import all_weights, fit_together, stacked
-from btfsep_engine.render.beams import beam_radiance
 
 CAP, LEAST = np.radians(25), 0.2  # about the brightest direction, and how much of the light has to come from there
 # Sought there alone, a lamp is found on none of 30 real photographs under lamps, on 8 of 128 by Cycles: the light of 5
@@ -40,7 +37,6 @@ SPEAKS, CLEARLY, SOUGHT = 5.0, 25.0, 32.0  # of the logarithm of the evidence: o
 SETTLED = 1.0  # of it: a place that gains less than that over the last one is the last
 SAME, CHEAP = np.radians(15), 10.0  # between a lamp and another fit's; of the logarithm of the evidence
 FAINTEST = 0.02  # of the light: a fainter lamp gains by chance
-RING, AROUND = np.radians(1.5), 6  # directions about the lamp's, between which its image is the mean
 UNSURE = 3.0  # times what the image changes by from one to the next: as if normals were known to some 4 degrees
 NOISE = 0.1  # of the photo's root mean square: what that is laid against
 BRIGHTER, ASIDE = 0.2, np.radians(1)  # standard deviations of how bright it is and where it stands, once it is found
@@ -48,30 +44,6 @@ FARTHEST = np.radians(6)  # of one move of the lamp
 TRIALS = 3  # of places, and of how bright the lamp is and what counts for less then
 FOUND = "the brightest lamp is sharper than the harmonics are: it has an image of its own (by evidence)"
 SEVERAL = "{} lamps are sharper than the harmonics are: each has an image of its own (by evidence)"
-
-
-class OwnImage:
-    """A lamp's image by itself, of all photographs' pixels, for an irradiance of 1.
-
-    Attributes
-    ----------
-    direction : (3,), to the lamp
-    image : (p, 3), the mean over a ring about it; slopes : (2, p, 3), by the angles `across` it, radians
-    spread : (p, 3), standard deviation over the ring
-    excess : (p, 3), the image less what the basis images have of it
-    """
-
-    def __init__(self, problems, direction):
-        self.direction = direction / np.linalg.norm(direction)
-        turns = 2 * np.pi / AROUND * np.arange(AROUND)
-        aside = np.tan(RING) * np.stack([np.cos(turns), np.sin(turns)], 1)  # (AROUND, 2)
-        beams = self.direction + np.concatenate([np.zeros((1, 3)), aside @ across(self.direction)])
-        beams /= np.linalg.norm(beams, axis=1, keepdims=True)
-        parts = [beam_images(problem, beams) for problem in problems]
-        each = np.concatenate([images for images, _ in parts])  # (p, beams, 3)
-        self.image, self.spread = each.mean(1), each.std(1)
-        self.slopes = np.einsum("ka,pkc->apc", aside * 2 / (AROUND * np.tan(RING) ** 2), each[:, 1:])
-        self.excess = self.image - np.concatenate([smooth for _, smooth in parts])
 
 
 @dataclass(frozen=True)
@@ -105,27 +77,6 @@ class OwnImages:
             for lamp, e in zip(self.lamps, self.irradiances, strict=True)
         ]
         return np.concatenate(each, 1)
-
-
-def beam_images(problem, beams) -> tuple[np.ndarray, np.ndarray]:
-    """Of beams (n, 3) of irradiance 1 what comes straight from them, (p, n, 3); of the first by order 9, (p, 3)."""
-    scene, exact, smooth = problem.scene, [], []
-    directions = problem.transport.get("directions", USUAL)  # the basis images' own, so that errors are theirs, too
-    order = sh.order_of(problem.basis[0].shape[1])
-    towards = sh.evaluate(order, beams[0]).astype(np.float32)
-    straight = problem.transport["bounces"] == 1 and problem.transport["by"] == "kernel"
-    for points, material, basis in zip(problem.points, problem.materials, problem.basis, strict=True):
-        unit = scene.millimetres_per_unit
-        own = beam_radiance(scene.tracer, points, material, beams, millimetres_per_unit=unit)
-        if material.mirror_reflectance is not None:  # it shows nothing of light without extent
-            by_order = own[:, 0]
-        else:
-            if not straight:
-                basis = scene.radiance(points, material, SHBasis(order), directions=directions)
-            by_order = np.einsum("ptc,t->pc", basis, towards)
-        exact.append(own.astype(np.float64))
-        smooth.append(by_order.astype(np.float64))
-    return np.concatenate(exact), np.concatenate(smooth)
 
 
 def sharp_lamps(model, light):
@@ -241,7 +192,7 @@ class Pursuit:
         """Of a lamp towards a direction (3,), made once."""
         key = direction.tobytes()
         if key not in self._images:
-            self._images[key] = OwnImage(self.problems, direction)
+            self._images[key] = image_from_afar(self.problems, direction)
         return self._images[key]
 
     def solved(self, found, sharp=None, *, start=None):
@@ -305,10 +256,15 @@ class Pursuit:
 
 def looks_sharp(light, problems, excess, weights) -> bool:
     """Whether what a light leaves over looks like what a lamp's own image has beside the basis images, (p, 3)."""
+    found = likeness(light, problems, excess, weights)
+    return found.chi2 > LOOKS and found.size[0] > PART
+
+
+def likeness(light, problems, excess, weights):
+    """How much what a light leaves over looks like that: `fit.diagnose.Effect`."""
     unit = np.sqrt(weights) / light.solver.basis.response
     column = light.solver.smoother(light.fit)(excess) * unit
-    found = effect(light.left_over(problems) * unit, column[None], stacked(problems)[1])
-    return found.chi2 > LOOKS and found.size[0] > PART
+    return effect(light.left_over(problems) * unit, column[None], stacked(problems)[1])
 
 
 def asked_move(left, slopes, weights) -> np.ndarray:

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A flash on the camera: a bare lamp of which is known where it may be, beside the lens or a little above it.
+
+Photos taken indoors often have one. It lights the near side of things more than the far one, leaves highlights on gloss
+where the camera looks straight at it, and hardly a shadow that the camera sees: as light from far away, all of that
+bends the light that is found. Since its place is known, its image is, too (`pipeline.own_image`): of a few places at
+the lens and around it, the one stands that explains the photo best, if it does so clearly better than light from far
+away, a lamp that is as sharp and as far away in the same direction included. It is looked for before the materials are
+doubted, since a highlight that nobody expects makes a gloss rougher; materials that are tried then have its image by
+themselves, and how bright it is, is asked once more when they are settled.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from btfsep_engine.fit.sharp_lamp import SharpLight
+from btfsep_engine.light.sun import Near
+from btfsep_engine.pipeline.own_image import OwnImage, image_from_afar, image_from_nearby
+from btfsep_engine.pipeline.problem import Flash
+from btfsep_engine.pipeline.refine.near import bright_lamps
+from btfsep_engine.pipeline.refine.near_places import Photographed
+from btfsep_engine.pipeline.refine.sharp import (
+    SAME,
+    OwnImages,
+    Pursuit,
+    has_own_images,
+    irradiance_around,
+    likeness,
+    model_beside,
+    with_its_lamp,
+)
+from btfsep_engine.pipeline.together import fit_together
+
+# From the lens, to the right and up, in the distance to the objects' middle: a telephone's is beside the lens, one that
+# folds out of a camera is a hand's breadth above it, one that is put on it two; held upright, beside it
+FIRST = 0.0, 0.1
+OTHERS = (0.0, 0.0), (0.0, 0.2), (0.0, 0.3), (0.12, 0.0), (-0.12, 0.0)
+UNSURE = 0.1  # of its distance: a standard deviation
+FARTHEST = 15.0  # radii of the objects: what is farther away lights all of them alike
+GLANCE = 12.0  # chi^2 of one degree of freedom
+CLEARLY, NEARER = 10.0, 8.0
+LEAST = 0.05
+TURNS = 2
+RADII = 4.0, 2.0
+
+
+@dataclass(frozen=True)
+class Lit:
+    """A flash that was tried.
+
+    ``place`` : (3,), world; ``found`` : OwnImages with its own, as bright as the photo has it; ``light`` : the
+    SharpLight of it and of a free sky; ``gain`` : by how much the logarithm of its evidence is larger than without
+    """
+
+    place: np.ndarray
+    found: OwnImages
+    light: SharpLight
+    gain: float
+
+    @property
+    def share(self) -> float:
+        """Of the light, what the flash has."""
+        return float(self.light.irradiances[0].mean() / max(np.sqrt(4 * np.pi) * self.light.x[0].mean(), 1e-300))
+
+
+def flash(model, light):
+    """The refinement: a flash on the camera, where the photo shows one."""
+    if not asked(model, light):
+        return model, light, {}
+    with model.reporter.stage("fit"):
+        centre, radius = middle_of(model.problems[0])
+        best = likeliest(Pursuit(model, light), bright_lamps(Photographed(model, light)), centre, radius)
+        if best is None:
+            return model, light, {}
+        own = Flash(best.place, centre, best.light.irradiances[0])
+        free = model_beside(model, light, best.found)
+        free = free.changed(lambda problem: replace(problem.under(own), correction=None))
+        return free, refitted(free, light), {}
+
+
+def flash_settled(model, light):
+    """The refinement: how bright the flash is beside the materials that were settled, and what is said of it."""
+    (problem, *_) = model.problems
+    if problem.flash is None:
+        return model, light, {}
+    own, how = problem.flash, {"weights": problem.weights}
+    with model.reporter.stage("fit"):
+        b = problem.radiance() + own.irradiance * problem.of_flash
+        solved = light.solver.sharp_lamps(b, light.fit, own.direction[None], problem.of_flash[:, None], **how)
+        own = replace(own, irradiance=solved.irradiances[0])
+        model = model.changed(lambda problem: replace(problem, flash=own))
+        light = refitted(model, light)
+    distance, metres = own.distance, problem.scene.job.metres_per_unit
+    low, high = distance * np.exp(1.96 * UNSURE * np.array([-1, 1]))
+    why = f"a flash on the camera lights the objects from {metres * distance:.2g} m (by evidence)"
+    near = ((own.direction, Near(own.centre, distance, float(low), float(high))),)
+    return model, replace(light, near=near), {"flash": why}
+
+
+def refitted(model, light):
+    """The light of a model with a flash, which is a lamp in it."""
+    answer = fit_together(model.problems, replace(model.settings, order=light.order), beside=light.fit)
+    return with_its_lamp(answer, model.problems[0].flash.direction)
+
+
+def asked(model, light) -> bool:
+    """Whether a flash is looked for: of one photograph, by a camera that is somewhere near, whose lamps nobody gave."""
+    (problem, *others), scene = model.problems, model.problems[0].scene
+    if light.solver is None or light.solver.given or others or scene.mirrors or has_own_images(model):
+        return False
+    if scene.job.camera.orthographic or model.settings.transport != "kernel":
+        return False
+    centre, radius = middle_of(problem)
+    return bool(np.linalg.norm(scene.job.camera.to_world[:3, 3] - centre) < FARTHEST * radius)
+
+
+def middle_of(problem) -> tuple[np.ndarray, float]:
+    """The middle (3,) of the box around the objects, and half its diagonal."""
+    corners = np.concatenate([o.mesh.vertices for o in problem.scene.job.objects])
+    low, high = corners.min(0), corners.max(0)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+
+
+def likeliest(pursuit: Pursuit, lamps, centre, radius: float) -> Lit | None:
+    """The flash at the best of all places; None where none is clear, or where one of ``lamps`` explains as much."""
+    (problem,) = pursuit.problems
+    pose = problem.scene.job.camera.to_world
+    away = float(np.linalg.norm(pose[:3, 3] - centre))
+
+    def place(offset):
+        return pose[:3, 3] + away * pose[:3, :2] @ offset
+
+    def image(offset):
+        return image_from_nearby(pursuit.problems, place(offset), centre)
+
+    first = image(FIRST)
+    if not promises(pursuit, first):
+        return None
+    tried = [(place(FIRST), lit(pursuit, [first])), *((place(o), lit(pursuit, [image(o)])) for o in OTHERS)]
+    best = max((Lit(at, *one) for at, one in tried if one is not None), key=lambda one: one.gain, default=None)
+    if best is None or best.gain < CLEARLY or best.share < LEAST:
+        return None
+    if best.light.evidence - as_from_afar(pursuit, best).evidence < NEARER:
+        return None
+    (own,) = best.found.lamps
+    others = [lamp.direction for lamp in lamps if lamp.direction @ own.direction < np.cos(SAME)]
+    return None if any(gain >= best.gain for gain in gains_elsewhere(pursuit, others, centre, radius)) else best
+
+
+def gains_elsewhere(pursuit: Pursuit, directions, centre, radius: float):
+    """What lamps nearby gain, in directions where the light as from afar may have some, one by one and all together."""
+    for radii in RADII:
+        places = [centre + radius * radii * direction for direction in directions]
+        images = [image_from_nearby(pursuit.problems, place, centre) for place in places]
+        sets = [(image,) for image in images] + [tuple(images)] * (len(images) > 1)
+        yield from (one[2] for one in (lit(pursuit, images) for images in sets) if one is not None)
+
+
+def promises(pursuit: Pursuit, image: OwnImage) -> bool:
+    """Whether what the light leaves over looks at all like a flash of an image, as bright as the light is there."""
+    irradiance = irradiance_around(pursuit.light.fit, image.direction)
+    one = OwnImages((image,)).at(irradiance[None], pursuit.rms, pursuit.known)
+    found = likeness(pursuit.light, pursuit.problems, one.excess, one.weights)
+    return found.chi2 > GLANCE and found.size[0] > 0
+
+
+def lit(pursuit: Pursuit, images) -> tuple[OwnImages, SharpLight, float] | None:
+    """Lamps of some images, as bright as the photo has them, all light, and what they gain; None where nothing counts.
+
+    The gain is by how much the logarithm of the evidence is larger than by the basis images alone.
+    """
+    irradiances = np.array([irradiance_around(pursuit.light.fit, image.direction) for image in images])
+    light = None
+    for _ in range(TURNS):
+        found = OwnImages(tuple(images)).at(irradiances, pursuit.rms, pursuit.known)
+        if not found.weights.sum(0).all():
+            return None
+        light = pursuit.solved(found, start=light)
+        irradiances = light.irradiances
+    return replace(found, irradiances=irradiances), light, pursuit.gain(found)
+
+
+def as_from_afar(pursuit: Pursuit, flash: Lit) -> SharpLight:
+    """The light of a lamp in the same direction that is as sharp, and far away, by pixels that count as much."""
+    (image,), weights = flash.found.lamps, flash.found.weights
+    afar = image_from_afar(pursuit.problems, image.direction)
+    solver, fit = pursuit.solver, pursuit.light.fit
+    return solver.sharp_lamps(pursuit.b, fit, image.direction[None], afar.excess[:, None], weights=weights)
