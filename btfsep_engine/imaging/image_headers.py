@@ -15,7 +15,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _WIDTH, _HEIGHT, _MAKER, _MODEL = 256, 257, 271, 272  # tags of TIFF, and of EXIF in it
 _SUBFILE, _PHOTOMETRIC, _ORIENTATION, _SUBSAMPLING, _ICC, _DNG = 254, 262, 274, 530, 34675, 50706
-_EXIF, _INTEROPERABILITY, _INDEX = 0x8769, 0xA005, 1
+_EXIF, _INTEROPERABILITY, _INDEX, _FLASH = 0x8769, 0xA005, 1, 0x9209
 _INTEGERS = {3: "H", 4: "I"}  # types of TIFF
 _TEXT = 2
 _COMMENT = 0xFE  # a segment of JPEG
@@ -108,6 +108,16 @@ def camera(data: bytes) -> str:
             maker, model = (tags[tag] if isinstance(tags.get(tag), str) else "" for tag in (_MAKER, _MODEL))
             return (model if model.casefold().startswith(maker.casefold()) else f"{maker} {model}").strip()
     return ""
+
+
+def flash_fired(data: bytes) -> bool | None:
+    """Whether a camera says that its flash fired (EXIF); None where it says nothing."""
+    with contextlib.suppress(struct.error, IndexError):
+        exif = _exif(data)
+        at = None if exif is None else _tags(exif).get(_EXIF)
+        said = _tags(exif, at).get(_FLASH) if isinstance(at, int) and 0 < at < len(exif) else None
+        return bool(said & 1) if isinstance(said, int) else None
+    return None
 
 
 def is_render(data: bytes) -> bool:

@@ -49,6 +49,7 @@ class Image:
     orientation : how the file says that its pixels, which are as stored, are to be turned (EXIF, 1 to 8; 1: not)
     is_render : whether a file of integers says that Blender rendered it
     is_jpeg : whether the file is a JPEG
+    flash : whether a file of integers says that a flash fired; None: it says nothing
     """
 
     pixels: np.ndarray
@@ -62,6 +63,7 @@ class Image:
     orientation: int = 1
     is_render: bool = False
     is_jpeg: bool = False
+    flash: bool | None = None
 
 
 def read_linear(
@@ -125,6 +127,7 @@ def read_linear(
     bits = None if peak is None else peak.bit_length()
     said = image_headers.has_coarse_chroma(header), camera, profile, image_headers.orientation(header)
     said += peak is not None and image_headers.is_render(header), image_headers.is_jpeg(header)
+    said += (None if peak is None else image_headers.flash_fired(header),)
     return Image(np.ascontiguousarray(pixels), saturated, opaque & ~saturated, clipped, bits, *said)
 
 

@@ -93,6 +93,7 @@ class Photo:
     profile : what its colours were taken to mean; None: what files of its kind mean, of Rec.709's primaries
     is_render : whether the file says that Blender rendered it
     is_jpeg : whether it is a JPEG
+    flash : whether the file says that a flash fired; None: it says nothing
     """
 
     radiance: np.ndarray
@@ -105,6 +106,7 @@ class Photo:
     profile: Profile | None = None
     is_render: bool = False
     is_jpeg: bool = False
+    flash: bool | None = None
 
 
 @dataclass(frozen=True)

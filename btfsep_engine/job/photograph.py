@@ -63,7 +63,7 @@ def read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
     if hidden:
         notes.append(f"{name}: {hidden} of {width * height} pixels are transparent and left out")
     clipped = image.clipped if saturated else None
-    said = image.bits, image.coarse_chroma, image.camera, image.profile, image.is_render, image.is_jpeg
+    said = image.bits, image.coarse_chroma, image.camera, image.profile, image.is_render, image.is_jpeg, image.flash
     return Photo(image.pixels, image.usable, saturated, clipped, *said)
 
 

@@ -56,8 +56,8 @@ UNSEEN = (
     "reflections by what the camera does not see, the stated uncertainty knows nothing"
 )
 HASTE = {
-    "quick": "quick: a ground under the objects, lamps sharper than the harmonics, lamps nearby, things in front, "
-    "shadows of what no job knows and haze were not looked for",
+    "quick": "quick: a ground under the objects, a flash, lamps sharper than the harmonics, lamps nearby, things in "
+    "front, shadows of what no job knows and haze were not looked for",
     "least": "least: nothing but light between surfaces was looked for",
 }
 

@@ -11,9 +11,8 @@ from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import USUAL
 from btfsep_engine.render.beams import beam_radiance, lamp_radiance
 
-RING, AROUND = np.radians(1.5), 6  # directions about the lamp's, between which its image is the mean
-_TURNS = 2 * np.pi / AROUND * np.arange(AROUND)
-_ASIDE = np.tan(RING) * np.stack([np.cos(_TURNS), np.sin(_TURNS)], 1)  # (AROUND, 2)
+RING = np.radians(1.5)  # about a lamp: its image is the mean of those around it
+AFAR, NEARBY = 6, 3  # how many that are; of one nearby each is made by itself
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class OwnImage:
 def image_from_afar(problems, direction) -> OwnImage:
     """Of a lamp far away towards a direction (3,)."""
     direction = direction / np.linalg.norm(direction)
-    beams = direction + np.concatenate([np.zeros((1, 3)), _ASIDE @ across(direction)])
+    beams = direction + _ring(AFAR) @ across(direction)
     beams /= np.linalg.norm(beams, axis=1, keepdims=True)
     each = [_shown(p, lambda *of, unit: beam_radiance(*of, beams, millimetres_per_unit=unit)) for p in problems]
     return _own_image(problems, direction, np.concatenate(each))
@@ -48,7 +47,7 @@ def image_from_nearby(problems, place, centre) -> OwnImage:
     """Of a lamp at a ``place`` (3,); its irradiance is that at ``centre`` (3,), on what faces it."""
     away = place - centre
     distance = np.linalg.norm(away)
-    places = place + distance * np.concatenate([np.zeros((1, 2)), _ASIDE]) @ across(away / distance)
+    places = place + distance * _ring(NEARBY) @ across(away / distance)
 
     def under_each(tracer, points, material, *, unit):
         falloff = [np.square(distance) / np.square(points.position - each).sum(1)[:, None] for each in places]
@@ -58,8 +57,14 @@ def image_from_nearby(problems, place, centre) -> OwnImage:
     return _own_image(problems, away / distance, np.concatenate([_shown(p, under_each) for p in problems]))
 
 
+def _ring(count: int) -> np.ndarray:
+    """(1 + count, 2): the middle, and places around it, radians."""
+    turns = 2 * np.pi / count * np.arange(count)
+    return np.concatenate([np.zeros((1, 2)), np.tan(RING) * np.stack([np.cos(turns), np.sin(turns)], 1)])
+
+
 def _shown(problem, image_of) -> np.ndarray:
-    """(p, 1 + AROUND, 3) float64 of ``image_of`` (tracer, points, material, unit=) of every object."""
+    """(p, lamps, 3) float64 of ``image_of`` (tracer, points, material, unit=) of every object."""
     scene = problem.scene
     things = zip(problem.points, problem.materials, strict=True)
     each = [image_of(scene.tracer, *of, unit=scene.millimetres_per_unit) for of in things]
@@ -67,8 +72,9 @@ def _shown(problem, image_of) -> np.ndarray:
 
 
 def _own_image(problems, direction, each) -> OwnImage:
-    """``each`` : (p, 1 + AROUND, 3), of the lamp itself and of those in a ring about it."""
-    slopes = np.einsum("ka,pkc->apc", _ASIDE * 2 / (AROUND * np.tan(RING) ** 2), each[:, 1:])
+    """``each`` : (p, 1 + k, 3), of the lamp itself and of those in a ring about it."""
+    aside = _ring(each.shape[1] - 1)
+    slopes = np.einsum("ka,pkc->apc", aside / np.square(aside).sum(0), each)
     image = each.mean(1)
     excess = image - np.concatenate([straight_by_order(p, direction) for p in problems])
     return OwnImage(direction, image, slopes, each.std(1), excess)

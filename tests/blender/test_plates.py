@@ -220,3 +220,54 @@ def test_softboxes_stand_where_the_truth_has_them(tmp_path):
         [3, 2, 1]
     )
     assert not there.visible_camera
+
+
+def test_a_flash_gives_what_the_truth_has_of_it(tmp_path, monkeypatch):
+    """A white thing under a flash alone: what faces it at the middle is as bright as its irradiance makes it."""
+    monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
+    monkeypatch.setattr(studio_plates, "SAMPLES", 16)
+    plates_of_set = plate_sets.of_set("flash")
+    assert plates_of_set == plate_sets.of_set("flash") != plate_sets.of_set("flash again")
+    assert not any(plate["sun"] for plate in plates_of_set)
+    white = {"colour": (0.8, 0.8, 0.8), "roughness": 1, "metallic": 0}
+    plate = plates_of_set[1] | {"object": "sphere", "surface": white, "table": None, "curve": "floats", "off": [0, 0]}
+    place, dark = np.array(plate["flash"]["place"]), plate | {"dimmed": 0.0}
+    assert 0.5 < np.linalg.norm(place) < 0.6
+    studio_plates.take(dark, tmp_path)
+    shown = images.read_linear(tmp_path / "linear.exr").pixels.mean(-1)
+    # the ball's nearest point is closer by its radius; plastic's skin takes and gives a few hundredths
+    nearest = (np.linalg.norm(place) / (np.linalg.norm(place) - 0.075)) ** 2
+    expected = 0.8 / np.pi * nearest * np.mean(plate["flash"]["irradiance"])
+    assert shown.max() == pytest.approx(expected, rel=0.15)
+    light, towards = plate_sets.truth(dark), place / np.linalg.norm(place)
+    around = light[1:4].mean(1)[[2, 0, 1]] / light[0].mean() / np.sqrt(3) * [-1, -1, 1]
+    assert np.abs(np.abs(around) - np.abs(towards)).max() < 1e-6
+    assert np.sqrt(4 * np.pi) * light[0].mean() == pytest.approx(np.mean(plate["flash"]["irradiance"]))
+
+
+@pytest.mark.parametrize("way", ["left", "right", "up", "down"])
+def test_the_picture_cuts_off_what_it_is_to(way, tmp_path, monkeypatch):
+    monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
+    monkeypatch.setattr(studio_plates, "SAMPLES", 1)
+    plate = plate_sets.of_set("cut")[0] | {"object": "sphere", "table": None, "curve": "floats", "off": [0, 0]}
+    studio_plates.take(plate | {"cut": {"way": way, "beyond": 0.3, "fill": 0.9}}, tmp_path)
+    seen = scene_of(tmp_path / "job").view.mesh == 0
+    sides = {"left": seen[:, 0], "right": seen[:, -1], "up": seen[0], "down": seen[-1]}
+    assert sides.pop(way).sum() > 40 and not any(side.any() for side in sides.values())
+    cut = seen.any(0) if way in ("left", "right") else seen.any(1)
+    assert cut.sum() == pytest.approx(0.7 * 0.9 * 64, abs=2)
+
+
+def test_a_paper_sweep_rises_behind_the_object():
+    plates_of_set = plate_sets.of_set("sweep")
+    assert all(plate["table"] in plate_sets.PAPERS and plate["boxes"] for plate in plates_of_set)
+    studio.clear()
+    sweep = studio.add_sweep(-0.1, 1.2, (0.8, 0.8, 0.8), behind=0.3, bend=0.1)
+    points = np.array([tuple(v.co) for v in sweep.data.vertices])
+    away, up = points[:, 1], points[:, 2]
+    assert up[away <= 0.3] == pytest.approx(-0.1) and up.max() == pytest.approx(0.5)
+    bent = (away > 0.31) & (up < -0.01)
+    np.testing.assert_allclose(np.hypot(away[bent] - 0.3, up[bent] - 0.0), 0.1, atol=1e-6)
+    from_camera = -np.array(studio.VIEW_FROM[:2])
+    turned = np.array(sweep.matrix_world)[:2, 1]
+    np.testing.assert_allclose(turned, from_camera / np.linalg.norm(from_camera), atol=1e-6)

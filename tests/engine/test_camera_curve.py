@@ -89,6 +89,23 @@ def test_a_file_of_no_camera_is_sRGB(suffix, tmp_path):
     np.testing.assert_array_equal(read.pixels, images.read_linear(tmp_path / f"a{suffix}", colorspace="srgb").pixels)
 
 
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(("code", "fired"), [(0x00, False), (0x01, True), (0x10, False), (0x1F, True), (0x20, False)])
+def test_whether_a_flash_fired_is_what_the_file_says(suffix, order, code, fired, tmp_path):
+    mark = {"<": b"II*\0", ">": b"MM\0*"}[order]
+    at = struct.pack(order + "IHHHIII", 8, 1, 0x8769, 4, 1, 26, 0)  # a directory that names another
+    block = mark + at + struct.pack(order + "HHHIHHI", 1, 0x9209, 3, 1, code, 0, 0)
+    assert image_headers.flash_fired(with_exif(suffix, block)) is fired
+    (tmp_path / f"a{suffix}").write_bytes(with_exif(suffix, block))
+    assert images.read_linear(tmp_path / f"a{suffix}").flash is fired
+    assert image_headers.flash_fired(with_exif(suffix, exif("Canon", "Canon EOS 6D", order))) is None
+    for end in range(2, len(block)):  # cut anywhere
+        image_headers.flash_fired(with_exif(suffix, block[:end]))
+    nowhere = mark + struct.pack(order + "IHHHIII", 8, 1, 0x8769, 4, 1, 1 << 30, 0)
+    assert image_headers.flash_fired(with_exif(suffix, nowhere)) is None
+
+
 def test_a_header_that_lies_names_no_camera():
     block = exif("Canon", "Canon EOS 6D")
     whole = with_exif(".jpg", block)
