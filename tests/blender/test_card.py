@@ -102,6 +102,11 @@ def test_a_sunny_light_in_an_artists_words():
     near["suns"]["lamps"][0]["near"] = {"centre": [0.0, 0.0, 0.0], "distance": 80.0}
     told = dict(card.card_of({}, near, FRONT, metres_per_unit=0.01)["lines"])
     assert told["Key light"] == "front left (45° round), 45° up, 0.8 m away"
+    flash = {"choice": {"flash": "a flash on the camera lights the objects from 0.8 m (by evidence)"}}
+    told = dict(card.card_of(flash, near, FRONT, metres_per_unit=0.01)["lines"])
+    assert told["Key light"] == "the camera's flash, 0.8 m away"
+    # where it stays in the World, the sun is no flash
+    assert dict(card.card_of(flash, sunny(), FRONT)["lines"])["Key light"] == "front left (45° round), 45° up"
     # 3 of 4 pi + 3
     assert lines[2][1].startswith("hard, warm (3500 K), 19% of the light")
     # the sky's irradiance is pi

@@ -17,12 +17,13 @@ from btfsep_engine.pipeline.settings import MODELLED_BOUNCES
 def light_between_near_surfaces(model, light):
     """The refinement: lamps nearby sought anew beside light between surfaces, where both explain the photo better.
 
-    Not where there are occluders: their light is modelled wherever there is any (`interreflection`).
+    Not where there are occluders: their light is modelled wherever there is any (`interreflection`); nor under a flash,
+    which is found beside it.
     """
     settings = model.settings
     if not light.near or settings.bounces != "auto" or settings.transport != "kernel" or model.bounces > 1:
         return model, light, {}
-    if any(problem.scene.job.occluders for problem in model.problems):
+    if any(problem.scene.job.occluders or problem.flash is not None for problem in model.problems):
         return model, light, {}
     with model.reporter.stage("transport"):
         own = own_light(model, light, bounces=MODELLED_BOUNCES)
