@@ -19,7 +19,7 @@ from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import view_problem
 from btfsep_engine.pipeline.own_image import image_from_afar, image_from_nearby
 from btfsep_engine.pipeline.problem import Flash
-from btfsep_engine.pipeline.refine import flash
+from btfsep_engine.pipeline.refine import flash, near, near_between, roughness
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.homogeneous import homogeneous
 from scripts.studies.measures import order2
@@ -221,3 +221,66 @@ def test_a_gloss_under_a_flash_is_as_rough_as_it_is(satin):
     found = found_in(scene_of(job))
     assert "flash" in found.choice and "roughness" not in found.choice and "said_roughness" not in found.choice
     assert order2(found.fit.coefficients, truth[:9]) < 0.1
+
+
+def tried(gain=50.0, share=0.3, evidence=100.0):
+    """What `likeliest` sees of a flash."""
+    return SimpleNamespace(gain=gain, share=share, light=SimpleNamespace(evidence=evidence))
+
+
+@pytest.mark.parametrize(
+    ("gains", "more", "afar", "found"),
+    [
+        ([50, 20], {}, 0, 50),
+        ([4, 20, 30], {}, 0, 30),  # another place than the first
+        ([2, 50], {}, 0, None),  # the first promises nothing
+        ([9, 9.5], {}, 0, None),
+        ([50], {"share": 0.04}, 0, None),
+        ([50], {}, 95, None),  # as good from far away
+        ([50], {}, 85, 50),
+    ],
+)
+def test_a_flash_has_to_be_clear(satin, gains, more, afar, found, monkeypatch):
+    left = [tried(float(gain), **more) for gain in gains]
+    monkeypatch.setattr(flash, "image_from_nearby", lambda *of: None)
+    monkeypatch.setattr(flash, "promises", lambda *of: True)
+    monkeypatch.setattr(flash, "lit", lambda *of: left.pop(0) if left else None)
+    monkeypatch.setattr(flash, "as_from_afar", lambda *of: SimpleNamespace(evidence=float(afar)))
+    pursuit = SimpleNamespace(problems=[SimpleNamespace(scene=satin.scene)])
+    best = flash.likeliest(pursuit, satin.centre)
+    assert (best and best.gain) == found
+
+
+@pytest.mark.parametrize(("chi2", "size", "looks"), [(20, 0.3, True), (20, -0.3, False), (5, 0.3, False)])
+def test_what_does_not_look_like_one_is_not_tried(satin, flashed, problem, chi2, size, looks, monkeypatch):
+    light, ones = flashed[-1].light, np.ones((len(problem.pixels), 3))
+    monkeypatch.setattr(flash, "likeness", lambda *of: SimpleNamespace(chi2=chi2, size=np.array([size])))
+    image = image_from_nearby([problem], satin.place, satin.centre)
+    pursuit = SimpleNamespace(light=light, rms=np.ones(3), known=ones, problems=[problem])
+    assert flash.promises(pursuit, image) == looks
+
+
+def test_one_beside_the_lens_is_found_where_it_is(satin):
+    pose, away = satin.scene.job.camera.to_world, satin.place - satin.centre
+    place = pose[:3, 3] + 0.15 * np.linalg.norm(away) * pose[:3, 0]  # a camera that is held upright
+    (sun,) = found_in(lit(satin, at(satin, place))[0]).lighting.suns
+    assert np.degrees(np.arccos(sun.direction @ at(satin, place).direction)) < 4
+
+
+def test_beside_a_flash_no_other_lamp_is_taken_to_stand_near(flashed, monkeypatch):
+    found = flashed[-1]
+    assert near.near_lamps(found.model, found.light) == (found.model, found.light, {})
+    monkeypatch.setattr(near_between, "own_light", lambda *of, **how: pytest.fail("it was asked"))
+    model = replace(found.model, settings=replace(found.settings, bounces="auto"))
+    assert near_between.light_between_near_surfaces(model, found.light) == (model, found.light, {})
+
+
+@pytest.mark.parametrize(("residual", "taken"), [(0.9, True), (1.1, False)])
+def test_a_roughness_beside_a_flash_has_to_explain_what_counts(residual, taken, flashed, monkeypatch):
+    """What is left over of its highlight counts for little, as its edge does."""
+    found = flashed[-1]
+    fit = SimpleNamespace(evidence=found.fit.evidence + 100, residual=residual * found.fit.residual)
+    answer = SimpleNamespace(fit=fit, share_left=lambda problems: 0.0)
+    monkeypatch.setattr(roughness, "_hopeful", lambda *of: 0.5)
+    monkeypatch.setattr(roughness, "_on_all", lambda *of: (found.model, answer))
+    assert (roughness._rougher_or_smoother(found.model, found.light, 0, 0.4) is not None) == taken
