@@ -20,7 +20,9 @@ a paint in pieces, half of them in the dark under lamps; those of *softboxes* st
 part of the object; of the sets *covered*, nothing of what is before a part of it. Those of *glossy tables* stand on
 such, those of *patterned* on tables of two colours, of which jobs have the mean; what shows of a table may be left
 unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*); or the job has
-none (*not told*), and the photo may not be asked for it (*nor looked for*).
+none (*not told*), and the photo may not be asked for it (*nor looked for*). Of the sets *cut* an edge of the picture
+cuts the object; those of *flash* have a flash on the camera, indoors; those of *sweep* stand on paper that rises behind
+them, under softboxes.
 With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
 of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
