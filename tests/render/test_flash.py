@@ -122,8 +122,8 @@ def test_two_lamps_nearby_are_no_flash_between_them():
     assert "flash" not in found.choice and found.lighting.suns[0].near is not None
 
 
-@pytest.mark.parametrize("changed", ["unfired", "far", "parallel", "twice", "given"])
-def test_where_none_can_be_none_is_looked_for(flashed, changed):
+@pytest.mark.parametrize("changed", ["unfired", "far", "inside", "parallel", "twice", "given"])
+def test_where_none_can_be_none_is_looked_for(satin, flashed, changed):
     scene, *_, found = flashed
     model = found.model
     light = replace(found.light, near=())
@@ -131,9 +131,12 @@ def test_where_none_can_be_none_is_looked_for(flashed, changed):
     assert flash.asked(plain, light)
     (problem,), job, pose = plain.problems, scene.job, scene.job.camera.to_world.copy()
     pose[:3, 3] *= 10
+    inside = pose.copy()
+    inside[:3, 3] = satin.centre
     others = {
         "unfired": replace(job, photo=replace(job.photo, flash=False)),
         "far": replace(job, camera=replace(job.camera, to_world=pose)),
+        "inside": replace(job, camera=replace(job.camera, to_world=inside)),
         "parallel": replace(job, camera=replace(job.camera, orthographic=True)),
     }
     if changed in others:

@@ -19,7 +19,7 @@ from btfsep_engine.light.sun import Near
 from btfsep_engine.pipeline.own_image import OwnImage, image_from_afar, image_from_nearby
 from btfsep_engine.pipeline.problem import Flash
 from btfsep_engine.pipeline.refine.near import LOOKS_NEAR, bright_lamps, looks_near, rest
-from btfsep_engine.pipeline.refine.near_places import Photographed
+from btfsep_engine.pipeline.refine.near_places import NEAREST, Photographed
 from btfsep_engine.pipeline.refine.sharp import (
     SAME,
     OwnImages,
@@ -113,7 +113,8 @@ def refitted(model, light):
 
 
 def asked(model, light) -> bool:
-    """Whether a flash is looked for: of one photograph, by a camera that is somewhere near, whose lamps nobody gave.
+    """Whether a flash is looked for: of one photograph, by a camera near the objects and not among them, with no lamps
+    given.
 
     Not where its file says that none fired. One that did may have been turned to the ceiling.
     """
@@ -123,7 +124,8 @@ def asked(model, light) -> bool:
     if scene.job.camera.orthographic or model.settings.transport != "kernel" or scene.job.photo.flash is False:
         return False
     centre, radius = middle_of(problem)
-    return bool(np.linalg.norm(scene.job.camera.to_world[:3, 3] - centre) < FARTHEST * radius)
+    away = np.linalg.norm(scene.job.camera.to_world[:3, 3] - centre)
+    return bool(NEAREST * radius < away < FARTHEST * radius)
 
 
 def middle_of(problem) -> tuple[np.ndarray, float]:

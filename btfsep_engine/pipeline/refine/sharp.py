@@ -62,7 +62,8 @@ class OwnImages:
     def at(self, irradiances, rms, known) -> "OwnImages":
         """With irradiances (k, 3), of pixels that were ``known`` (p, 3) and have the root mean squares ``rms`` (3,)."""
         unsure = sum(np.square(e * each.spread) for each, e in zip(self.lamps, irradiances, strict=True))
-        return OwnImages(self.lamps, irradiances, known / (1 + unsure * np.square(UNSURE / (NOISE * rms))))
+        laid_against = np.divide(UNSURE, NOISE * rms, out=np.zeros(3), where=rms > 0)  # a channel may be all black
+        return OwnImages(self.lamps, irradiances, known / (1 + unsure * np.square(laid_against)))
 
     @property
     def excess(self) -> np.ndarray:
