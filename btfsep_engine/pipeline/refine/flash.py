@@ -47,9 +47,9 @@ GLANCE = 12.0
 HOPEFUL, CLEARLY, NEARER = 3.0, 10.0, 8.0
 LEAST = 0.05  # of the light
 TURNS = 2  # of how bright it is, and of what counts beside it
-# Of the misfit's square beside a flash, left by the nearness of lamps elsewhere: where softboxes or two lamps stand
-# near, of which a flash in between imitates some, 0.34 to 0.65; under a flash 0.82 and more
-ELSEWHERE = 0.8
+# Of the misfit's square, what the nearness of lamps elsewhere would explain beside a flash, over what the flash does:
+# where softboxes or two lamps stand near, of which one between them imitates some, 0.27 to 2.7; under a flash up to 0.21
+ELSEWHERE = 0.25
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,15 @@ class Lit:
     """A flash that was tried.
 
     ``place`` : (3,), world; ``found`` : OwnImages with its own, as bright as the photo has it; ``light`` : the
-    SharpLight of it and of a free sky; ``gain`` : by how much the logarithm of its evidence is larger than without
+    SharpLight of it and of a free sky; ``gain`` : by how much the logarithm of its evidence is larger than without;
+    ``explained`` : how much less of the misfit's square is left over than without
     """
 
     place: np.ndarray
     found: OwnImages
     light: SharpLight
     gain: float
+    explained: float
 
     @property
     def share(self) -> float:
@@ -84,7 +86,7 @@ def flash(model, light):
         free = model_beside(model, light, best.found)
         free = free.changed(lambda problem: replace(problem.under(own), correction=None))
         beside = refitted(free, light)
-    return (model, light, {}) if others_stand_near(free, beside) else (free, beside, {})
+    return (model, light, {}) if others_stand_near(free, beside, best.explained) else (free, beside, {})
 
 
 def flash_settled(model, light):
@@ -153,15 +155,19 @@ def likeliest(pursuit: Pursuit, centre) -> Lit | None:
     return best if best.light.evidence - as_from_afar(pursuit, best).evidence > NEARER else None
 
 
-def others_stand_near(model, light) -> bool:
-    """Whether what is left over beside a flash looks like the nearness of lamps elsewhere: it stood for them."""
+def others_stand_near(model, light, explained: float) -> bool:
+    """Whether what is left over beside a flash looks like the nearness of lamps elsewhere: it stood for them.
+
+    ``explained`` : as of `Lit`
+    """
     scene = Photographed(model, light)
     (own,) = [problem.flash.direction for problem in model.problems]
     lamps = [lamp for lamp in bright_lamps(scene) if lamp.direction @ own < np.cos(SAME)]
     if not lamps:
         return False
     nearness = sum(scene.nearness_of(lamps, scene.mounds(light.fit, lamps)))
-    return rest(scene, nearness) < ELSEWHERE and looks_near(scene, nearness) > LOOKS_NEAR
+    more = (1 - rest(scene, nearness)) * (1 - explained)
+    return more > ELSEWHERE * explained and looks_near(scene, nearness) > LOOKS_NEAR
 
 
 def promises(pursuit: Pursuit, image: OwnImage) -> bool:
@@ -181,7 +187,16 @@ def lit(pursuit: Pursuit, place, image: OwnImage) -> Lit | None:
             return None
         light = pursuit.solved(found, start=light)
         irradiance = light.irradiances[0]
-    return Lit(place, replace(found, irradiances=light.irradiances), light, pursuit.gain(found))
+    found = replace(found, irradiances=light.irradiances)
+    left = misfit(pursuit, found.weights, found.excess, light)
+    before = misfit(pursuit, found.weights, 0.0, pursuit.solved(found, ()))
+    return Lit(place, found, light, pursuit.gain(found), 1 - left / max(before, 1e-300))
+
+
+def misfit(pursuit: Pursuit, weights, excess, light: SharpLight) -> float:
+    """The square of what a light, and ``excess`` (p, 3) of its lamps, leave over, of pixels with ``weights`` (p, 3)."""
+    left = (pursuit.b - excess - pursuit.solver.basis.predicted(light.x)) / pursuit.solver.basis.response
+    return float((weights * np.square(left)).sum())
 
 
 def as_from_afar(pursuit: Pursuit, flash: Lit) -> SharpLight:
