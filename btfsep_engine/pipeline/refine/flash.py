@@ -48,7 +48,7 @@ HOPEFUL, CLEARLY, NEARER = 3.0, 10.0, 8.0
 LEAST = 0.05  # of the light
 TURNS = 2  # of how bright it is, and of what counts beside it
 # Of the misfit's square, what the nearness of lamps elsewhere would explain beside a flash, over what the flash does:
-# where softboxes or two lamps stand near, of which one between them imitates some, 0.27 to 2.7; under a flash up to 0.21
+# where softboxes or two lamps stand near, of which one between them imitates some, 0.27 to 2.7; under a flash to 0.21
 ELSEWHERE = 0.25
 
 
