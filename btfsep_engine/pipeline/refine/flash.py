@@ -42,8 +42,8 @@ FARTHEST = 15.0  # radii of the objects: what is farther away lights all of them
 # flash four have less, and of 64 in other light 51
 GLANCE = 12.0
 # Of the logarithm of the evidence: what the first place gains, the best, and that over one as sharp and far away. Of 58
-# of those 64 plates the best gains 12 and more, and 9 over one far away; of the others in other light 4 at most, but for
-# two of metal, which gain 11 and 18 and do not pass the glance
+# of those 64 plates the best gains 12 and more, and 9 over one far away; in other light it gains 4 at most, but of two
+# of metal, where it gains 11 and 18 and does not pass the glance
 HOPEFUL, CLEARLY, NEARER = 3.0, 10.0, 8.0
 LEAST = 0.05  # of the light
 TURNS = 2  # of how bright it is, and of what counts beside it
