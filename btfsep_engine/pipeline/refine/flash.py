@@ -19,7 +19,7 @@ from btfsep_engine.light.sun import Near
 from btfsep_engine.pipeline.own_image import OwnImage, image_from_afar, image_from_nearby
 from btfsep_engine.pipeline.problem import Flash
 from btfsep_engine.pipeline.refine.near import LOOKS_NEAR, bright_lamps, looks_near, rest
-from btfsep_engine.pipeline.refine.near_places import NEAREST, Photographed
+from btfsep_engine.pipeline.refine.near_places import NEAREST, Photographed, middle_of
 from btfsep_engine.pipeline.refine.sharp import (
     SAME,
     OwnImages,
@@ -128,13 +128,6 @@ def asked(model, light) -> bool:
     centre, radius = middle_of(problem)
     away = np.linalg.norm(scene.job.camera.to_world[:3, 3] - centre)
     return bool(NEAREST * radius < away < FARTHEST * radius)
-
-
-def middle_of(problem) -> tuple[np.ndarray, float]:
-    """The middle (3,) of the box around the objects, and half its diagonal."""
-    corners = np.concatenate([o.mesh.vertices for o in problem.scene.job.objects])
-    low, high = corners.min(0), corners.max(0)
-    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
 
 
 def likeliest(pursuit: Pursuit, centre) -> Lit | None:

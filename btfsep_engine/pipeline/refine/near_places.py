@@ -98,9 +98,7 @@ class Photographed:
         self.position = np.concatenate([p.position for p in points])
         self.basis, self.blocks = stacked(self.problems)
         self.photo, self.weights = light.radiance(self.problems), all_weights(self.problems)
-        corners = np.concatenate([o.mesh.vertices for o in self.problems[0].scene.job.objects])
-        low, high = corners.min(0), corners.max(0)
-        self.centre, self.radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+        self.centre, self.radius = middle_of(self.problems[0])
 
     def nearness(self, away, profile=None) -> np.ndarray:
         """`fit.near_lamp.nearness` (p, 3) of a lamp so far away, in radii, (3,)."""
@@ -156,6 +154,13 @@ class Photographed:
         wanted += (at.unlikely / spreads).ravel()
         covariance = np.linalg.inv(precision)
         return covariance @ wanted, covariance
+
+
+def middle_of(problem) -> tuple[np.ndarray, float]:
+    """The middle (3,) of the box around the objects, and half its diagonal."""
+    corners = np.concatenate([o.mesh.vertices for o in problem.scene.job.objects])
+    low, high = corners.min(0), corners.max(0)
+    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
 
 
 def moved(away, step) -> np.ndarray:
