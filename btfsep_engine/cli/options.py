@@ -31,7 +31,8 @@ PRESET = click.option(
 )
 RECOGNITION = ("classifier", "verify", "seed")
 ESTIMATE = ("order", "estimator", "colorspace", "robust", "sun", "key_light", "appearance", "pixels", "directions")
-ESTIMATE += ("bounces", "transport", "samples", "align", "evidence", "departures", "refine", *RECOGNITION)
+ESTIMATE += ("bounces", "transport", "samples", "align", "evidence", "departures", "refine", "delight")
+ESTIMATE += RECOGNITION
 ONE_SOLVER = ("order", "appearance", "pixels", "directions", "bounces", "seed")  # of `plan`
 SEQUENCE = tuple(name for name in ESTIMATE if name not in ("estimator", "transport", "samples"))
 

@@ -9,6 +9,7 @@ from btfsep_engine.fit.diagnose import diagnose
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.fit.search import BESIDE, LAMP_COST
 from btfsep_engine.fit.stated import expected_error, of_reaching, stated_by
+from btfsep_engine.pipeline.delighting import DE_LIT
 from btfsep_engine.pipeline.doubts import (
     THRESHOLDS,
     alignment_doubt,
@@ -70,9 +71,9 @@ def tones_doubts(estimate) -> list[str]:
 
 
 def shape_and_colour_doubts(estimate) -> list[str]:
-    """What was said on the way of a ground (`standing`), shadows (`refine.shaded`), shapes (`refine.misshapen`),
-    surroundings (`refine.said_surface`), roughness and textures."""
-    keys = STANDS, SHADOW, UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
+    """What was said on the way of a ground (`standing`), light in textures (`delighting`), shadows (`refine.shaded`),
+    shapes (`refine.misshapen`), surroundings (`refine.said_surface`), roughness and textures."""
+    keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
     return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 

@@ -33,6 +33,7 @@ from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.near_between import light_between_near_surfaces
+from btfsep_engine.pipeline.refine.own_colours import its_own_colours
 from btfsep_engine.pipeline.refine.painted import painted_surfaces
 from btfsep_engine.pipeline.refine.parted import in_parts
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
@@ -165,6 +166,7 @@ def left_as_it_is(model: Model, light: SolvedLight):
 REFINEMENTS = (
     as_the_photo_shows,
     light_between_surfaces,
+    its_own_colours,
     without_things_in_front,
     in_parts,
     each_object_by_itself,

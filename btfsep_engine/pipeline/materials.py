@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from btfsep_engine.btf.model import Material
 from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.job.model import Job, JobObject
+from btfsep_engine.pipeline.delighting import de_lit
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings, TransportSettings
 from btfsep_engine.render.homogeneous import homogeneous, pictured
@@ -71,10 +72,13 @@ def given_materials(job: Job, library, settings: TransportSettings, *, names) ->
 
 
 def of_surface(obj: JobObject, job: Job, settings: TransportSettings) -> Material:
-    """What the numbers of an object's surface make; of an image its mean where ``settings`` ask for mean ABRDFs."""
+    """What the numbers of an object's surface make; of an image its mean where ``settings`` ask for mean ABRDFs.
+
+    The light that is found in an image is taken off (`delighting`).
+    """
     if not obj.pictured:
         return homogeneous(obj.surface, GIVEN)
-    material = pictured(obj.surface, GIVEN, obj.mesh, millimetres_per_unit=1000 * job.metres_per_unit)
+    material = pictured(de_lit(obj, settings), GIVEN, obj.mesh, millimetres_per_unit=1000 * job.metres_per_unit)
     return material.mean_material() if settings.appearance == "mean" else material
 
 

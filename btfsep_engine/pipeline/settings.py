@@ -44,6 +44,7 @@ EVIDENCE = (
     "explains all that they show (auto; not in a draft); those that it names alone (job); all; or none (never). With "
     "auto and all, a ground that the photo shows under objects beside which the job has nothing is taken to be there"
 )
+DELIGHT = "Whether light that is found in an object's texture, as scans have it, is taken off it"
 LAMPS = "Whether lamps of a fifth of the light or more are told apart from the sky"
 
 
@@ -174,6 +175,7 @@ class TransportSettings(Seeded):
     bounces: int | str = setting("auto", BOUNCES, kind=int, low=1, high=64, auto=MORE_BOUNCES, unit="bounces")
     surface_samples: int = setting(6000, "Points on surfaces between which reflected light is followed", low=1)
     transport: str = setting("kernel", BASIS_IMAGES, choices=("kernel", "reference"))
+    delight: str = setting("auto", DELIGHT, choices=("auto", "never"))
     samples: int = setting(256, "Paths per pixel and basis light of the reference", low=2, high=1 << 16, unit="paths")
 
     @property

@@ -85,7 +85,7 @@ class Network:
             pieces, face, within, wanted = _seen_from(self.tracer.centre, self.tracer.radius, corners[beside])
             drawn.append(_drawn(random, count, pieces, np.flatnonzero(beside)[face], within, wanted))
         position, normal, face, weights = (np.concatenate(each) for each in zip(*drawn, strict=True))
-        outwards = np.array([_is_wound_outwards(m) for m in meshes])[owner[face]]
+        outwards = np.array([is_wound_outwards(m) for m in meshes])[owner[face]]
         twice = [np.concatenate([each] * 2) for each in (position, owner[face], face, weights)]
         outer = np.concatenate([outwards, ~outwards])
         return twice[0], np.concatenate([normal, -normal]), *twice[1:], outer
@@ -126,7 +126,7 @@ class Network:
         return arrived, taps, weights / weights.sum(1, keepdims=True)
 
 
-def _is_wound_outwards(mesh) -> bool:
+def is_wound_outwards(mesh) -> bool:
     """Whether a closed mesh's faces turn counter-clockwise, seen from outside; of an open one either."""
     a, b, c = np.moveaxis((mesh.vertices - mesh.vertices.mean(0))[mesh.faces], 1, 0)
     return bool((a * np.cross(b, c)).sum() >= 0)

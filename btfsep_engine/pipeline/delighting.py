@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Textures of scans, which have the light of the day in them that they were taken in: what is found of it is taken off.
+
+A scan brings mesh and texture, and its base colours are darker below and in hollows, where less light came. Taken for
+paint, that leaves nothing of the photo's own shading to tell of its light. What goes by the shape in the texture, and
+not only by chance (`fit.texture_light`), is divided out of it: what is left is as bright in the mean.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from btfsep_engine import sh
+from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.conventions import fibonacci_sphere, luminance
+from btfsep_engine.fit.texture_light import ASIDE, TextureLight, neighbours, texture_light
+from btfsep_engine.imaging.images import resized
+from btfsep_engine.job.model import JobObject, TriangleMesh
+from btfsep_engine.pipeline.settings import TransportSettings
+from btfsep_engine.render.radiosity import is_wound_outwards
+from btfsep_engine.render.texels import Texels, texels_on
+from btfsep_engine.render.tracer import tracer_of
+from btfsep_engine.storage import kept
+from btfsep_engine.threads import one_thread
+
+DE_LIT = "de_lit"  # its name among what is chosen
+SIDE = 256  # of the image in which it is looked for
+PLACES, ORDER, RAYS = 3000, 4, 256
+AROUND = 4  # places that the light at a texel is the mean of
+FEWEST = 500  # texels
+METAL = 0.5  # share of a surface that is metal: it mirrors, and what is mirrored moves with the camera
+
+
+def de_lit(obj: JobObject, settings: TransportSettings) -> Surface:
+    """The surface of an object, the light that was found in its texture taken off."""
+    found = light_in_texture(obj, settings)
+    return obj.surface if found is None else replace(obj.surface, image=_without(obj.surface.image, *found[1:]))
+
+
+def light_in_texture(obj: JobObject, settings: TransportSettings):
+    """The `TextureLight` of an object, the texels where it is known, and its logarithm there (m, 3); or None."""
+    if settings.delight == "never" or not obj.pictured or obj.surface.metallic > METAL:
+        return None
+    image = obj.surface.image
+    return kept.recalled("light in texture", [obj.mesh, image], lambda: _found(obj.mesh, image))
+
+
+def words_of(objects, settings: TransportSettings) -> str:
+    """What is to be said of objects in whose textures light was found; empty where none was."""
+    found = {o.name: light_in_texture(o, settings) for o in objects}
+    named = [f"'{name}' ({100 * one[0].contrast:.0f} %)" for name, one in found.items() if one is not None]
+    if not named:
+        return ""
+    return (
+        f"the texture of object {' and '.join(named)} has light in it, as scans have that were not de-lit: it goes by "
+        "the shape; it was taken off, as well as that is known; give base colours without it, or say that these are "
+        "its colours (--delight never)"
+    )
+
+
+@one_thread()
+def _found(mesh: TriangleMesh, image) -> tuple[TextureLight, Texels, np.ndarray] | None:
+    side = min(SIDE, len(image))
+    texels = texels_on(mesh, side)
+    if texels is None or len(texels.number) < FEWEST:
+        return None
+    random = np.random.default_rng(0)
+    places = np.sort(random.choice(len(texels.number), min(PLACES, len(texels.number)), replace=False))
+    feature = _feature(texels)
+    tree = cKDTree(feature[places])
+    nearest = tree.query(feature)[1]
+    colours = resized(image, side).reshape(-1, 3)[texels.number].astype(np.float64)
+    count = np.bincount(nearest, minlength=len(places))[:, None]
+    mean = np.stack([np.bincount(nearest, colours[:, c], len(places)) for c in range(3)], 1) / np.maximum(count, 1)
+    position, normal = texels.position[places], texels.normal[places]
+    images, closed = _irradiance(mesh, position, normal, texels.flat_normal[places])
+    found = texture_light(mean, images, closed, neighbours(position, normal, mean))
+    if found is None:
+        return None
+    distance, around = tree.query(feature, k=AROUND)
+    share = 1 / np.square(distance + 1e-4)
+    share /= share.sum(1, keepdims=True)
+    return found, texels, np.einsum("mk,mkc->mc", share, found.logarithm[around]).astype(np.float32)
+
+
+def _feature(texels: Texels) -> np.ndarray:
+    size = max(float(np.linalg.norm(np.ptp(texels.position, axis=0))), 1e-300)
+    return np.concatenate([texels.position / size, ASIDE * texels.normal], 1)
+
+
+def _irradiance(mesh: TriangleMesh, position, normal, flat_normal) -> tuple[np.ndarray, np.ndarray]:
+    """(n, terms), of each spherical harmonic, the object's own shadows in it, and (n,), how closed each place is."""
+    outwards = 1 if is_wound_outwards(mesh) else -1
+    flat = outwards * flat_normal
+    normal = normal * np.sign((normal * flat).sum(1, keepdims=True))
+    directions = fibonacci_sphere(RAYS)
+    cosine = np.maximum(normal @ directions.T, 0) * (4 * np.pi / RAYS)
+    seen = cosine * tracer_of([mesh]).visible(position, flat, directions)
+    closed = 1 - seen.sum(1) / np.maximum(cosine.sum(1), 1e-300)
+    return seen @ sh.evaluate(ORDER, directions), closed
+
+
+def _without(image, texels: Texels, logarithm) -> np.ndarray:
+    """A texture (n, n, 3) less light of this ``logarithm`` (m, 3), as bright in the mean where it is laid."""
+    side, side_of_all = texels.side, len(image)
+    covered = np.zeros(side * side, bool)
+    covered[texels.number] = True
+    every = np.zeros((side * side, 3), np.float32)
+    every[texels.number] = logarithm
+    away = np.where(covered, 0, 255).astype(np.uint8).reshape(side, side)
+    label = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)[1].ravel()
+    of_label = np.zeros(label.max() + 1, np.int64)
+    of_label[label[texels.number]] = texels.number
+    light = np.exp(cv2.resize(every[of_label[label]].reshape(side, side, 3), (side_of_all, side_of_all)))
+    out = image / light
+    laid = cv2.resize(covered.astype(np.uint8).reshape(side, side), (side_of_all, side_of_all)) > 0
+    out *= float(luminance(image[laid]).mean()) / max(float(luminance(out[laid]).mean()), 1e-300)
+    return np.clip(out, 0, 1).astype(np.float32)
