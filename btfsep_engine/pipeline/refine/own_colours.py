@@ -20,8 +20,8 @@ from btfsep_engine.pipeline.refine.reflectance import FEW, fewer, field_alone, w
 from btfsep_engine.pipeline.together import fit_together
 
 # Of the logarithm of the evidence, of a few pixels. Of 12 photographs of textures that are dirty in hollows, dusty on
-# top or go from light to dark, three of which pass for light, told colours gain 22 to 41; of 29 of scans that have light
-# in them 24 gain nothing, two 3 and 7, and three 7 to 87 by making the photo's light more even
+# top or go from light to dark, three of which pass for light, told colours gain 22 to 41; of 29 of scans with light
+# in them, 24 gain nothing, two 3 and 7, and three 7 to 87 by making the photo's light more even
 CLEARLY = 10.0
 AS_UNEVEN = 0.75  # times what order 1 has over order 0: 0.8 to 1.1 of the three, 0.35 to 0.6 of the other three
 ITS_OWN = "what goes by the shape in the texture is the objects' own colour: the photo is explained better by it"
