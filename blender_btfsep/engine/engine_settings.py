@@ -88,10 +88,16 @@ EVIDENCES = (
     ("never", "Never", "None of them"),
 )
 EVIDENCE = Row("evidence", "Evidence", "Which occluders' own pixels tell of the light, too", items=EVIDENCES)
-PANEL = (PRESET, ORDER, replace(TEXTURE, panel="advanced"))
+DELIGHTS = (
+    ("auto", "Automatic", "Light that is found in a texture is taken off, unless the photo speaks for the texture"),
+    ("never", "As They Are", "Textures are the objects' own colours: nothing is taken off"),
+)
+TAKEN_OFF = "What is done with light in textures, as scans have it that were not de-lit"
+DELIGHT = Row("delight", "De-light Textures", TAKEN_OFF, "auto", DELIGHTS, unsaid="auto")
+PANEL = (PRESET, ORDER, replace(TEXTURE, panel="advanced"), replace(DELIGHT, panel="advanced"))
 COMMANDS = {
     "estimate": (*PANEL, EVIDENCE),
-    "sequence": (PRESET, replace(ORDER, auto=""), TEXTURE),
+    "sequence": (PRESET, replace(ORDER, auto=""), TEXTURE, DELIGHT),
     "recognise": (PRESET,),
 }
 """Command of the engine -> the settings that it is told."""

@@ -27,6 +27,11 @@ MENDS = (
         "Add a Ground",
         "Put a plane under the objects that catches their shadows; estimate again afterwards",
     ),
+    (
+        "KEEP",
+        "Keep Its Colours",
+        "Take all textures for the objects' own colours, as they are; estimate again afterwards",
+    ),
     ("CURVE", "Find the Curve", "Have the photo's tone curve found; estimate again afterwards"),
 )
 WORDS = {how: words for how, words, _ in MENDS}
@@ -61,6 +66,9 @@ class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
         if self.how == "GROUND":
             ground_plane.add(context, [e.object for e in settings.objects if e.object and not settings.depth])
             settings.occluders = "OTHERS"
+            return ""
+        if self.how == "KEEP":
+            settings.delight = "never"
             return ""
         if settings.depth is None and self.object:
             number = number_of(settings, self.object)

@@ -18,6 +18,8 @@ from blender_btfsep.run import answer
 from blender_btfsep.window import mending
 from btfsep_engine import sh
 from btfsep_engine.fit import tone_curve
+from btfsep_engine.pipeline import delighting
+from btfsep_engine.pipeline.refine import own_colours
 from btfsep_engine.pipeline.refine.curves import curve_words
 from btfsep_engine.pipeline.tone import Curves
 from tests.blender.found import SAID, lighting, planck, sunny
@@ -220,6 +222,34 @@ def test_a_roughness_that_the_photo_does_not_show_is_said_with_the_one_that_it_s
         "mend": "SELECT",
         "object": "Jug\nLid",
     }
+
+
+def light_found_in(monkeypatch, *names):
+    """What the engine says where it has found light in the textures of these objects."""
+    monkeypatch.setattr(delighting, "light_in_texture", lambda obj, settings: (SimpleNamespace(contrast=0.34),))
+    return delighting.words_of([SimpleNamespace(name=name) for name in names], None)
+
+
+def test_light_in_a_texture_is_said_with_the_way_to_keep_it(monkeypatch):
+    told = light_found_in(monkeypatch, "Jug, old")
+    result = {"choice": {"de_lit": told}, "expected_error": {"order_2": {"median": 0.1, "low": 0.05, "high": 0.2}}}
+    found = card.card_of(result, sunny(), FRONT, warnings=[told])
+    assert found["warnings"] == [
+        {
+            "short": "The texture of Jug, old has light in it, which was taken off",
+            "mend": "KEEP",
+            "object": "Jug, old",
+        }
+    ]
+    assert found["trust"] == "GREEN" and len(found["lines"]) <= 6
+    (detail,) = found["details"][1:]  # beside where the sun stands
+    assert detail.startswith("The texture of object 'Jug, old' (34 %) has light in it") and "--" not in detail
+
+
+def test_of_a_texture_that_is_the_objects_own_colour_nothing_is_said_but_under_details():
+    told = own_colours.ITS_OWN
+    found = card.card_of({"choice": {"de_lit": told}}, lighting(), FRONT, warnings=[told])
+    assert not found["warnings"] and found["details"] == [told[:1].upper() + told[1:]]
 
 
 def test_paint_that_the_job_does_not_know_is_said_with_the_way_to_its_material():

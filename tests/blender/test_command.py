@@ -165,6 +165,8 @@ def test_depth_exposure_and_options_of_the_estimate(blend, fake_engine, tmp_path
         "mean",
         "--order",
         "auto",
+        "--delight",
+        "never",
         "--job",
         tmp_path / "job",
     )
@@ -176,6 +178,7 @@ def test_depth_exposure_and_options_of_the_estimate(blend, fake_engine, tmp_path
     arguments = json.loads((tmp_path / "log").read_text())
     assert arguments[arguments.index("--order") + 1] == "auto"
     assert arguments[arguments.index("--appearance") + 1] == "mean"
+    assert arguments[arguments.index("--delight") + 1] == "never"
     done = blender(blend, "export", "--depth", tmp_path / "z.exr", "--object", "Cube")
     assert done.returncode == 2 and "objects are named, too" in done.stderr
 

@@ -404,6 +404,20 @@ def test_a_ground_is_put_under_the_objects_as_a_render_shows_them(photographed):
         bpy.ops.btfsep.mend(how="GROUND")
 
 
+def test_textures_are_kept_as_they_are_and_one_undo_takes_it_back(photographed):
+    assert photographed.btfsep.delight == "auto"
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.mend("EXEC_DEFAULT", True, how="KEEP", object="Cube") == {"FINISHED"}
+    scene = bpy.context.scene
+    assert scene.btfsep.delight == "never"
+    assert request.engine_arguments("estimate", "job", scene)[-2:] == ["--delight", "never"]
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert scene.btfsep.delight == "auto" and "--delight" not in request.engine_arguments("estimate", "job", scene)
+    bpy.ops.ed.redo()
+    assert bpy.context.scene.btfsep.delight == "never"
+
+
 @pytest.mark.parametrize("how", ["COLOUR", "BLENDER", "MATERIAL", "CURVE", "AGX", "STANDARD", "CAMERA"])
 def test_doubts_are_mended_where_they_arise(photographed, how):
     bpy.ops.mesh.primitive_monkey_add()

@@ -118,6 +118,16 @@ def test_where_blender_knows_a_colour_one_click_takes_it(photographed, colour, s
     assert bpy.ops.btfsep.mend(how="BLENDER", object=entry.object.name) == {"FINISHED"} and entry.source == "BLENDER"
 
 
+def test_a_texture_with_light_in_it_has_a_button_and_a_field(photographed):
+    panel, layout = SimpleNamespace(_suns=None), Everything()
+    doubt = {"short": "The texture has light in it", "mend": "KEEP", "object": "Cube"}
+    light_panel.BTFSEP_PT_light._doubt(panel, seen(260, scene=photographed), layout, doubt)
+    assert [words for kind, words in layout.shown if kind == "operator"] == ["Keep Its Colours"]
+    panel = SimpleNamespace(layout=Everything())
+    light_panel.BTFSEP_PT_advanced.draw(panel, seen(260, scene=photographed))
+    assert ("prop", "delight") in panel.layout.shown
+
+
 def test_the_preferences_say_all_of_what_the_engine_lacks(addon, monkeypatch):
     message = "the engine; it was not found; " + "install the extension that contains it, or give the .venv " * 3
     monkeypatch.setattr(checkup, "_found", {"ok": False, "facts": {}, "message": message})

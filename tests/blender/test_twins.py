@@ -164,14 +164,16 @@ def test_what_the_panel_leaves_to_the_engine_is_not_said(photographed):
     panel = photographed.btfsep
     told = request.engine_arguments("estimate", "job", photographed)
     assert told == ["estimate", "job", "--preset", "balanced", "--order", 4]
-    panel.preset, panel.auto_order, panel.appearance = "draft", True, "mean"
-    rest = ["--preset", "draft", "--order", "auto", "--appearance", "mean"]
+    panel.preset, panel.auto_order, panel.appearance, panel.delight = "draft", True, "mean", "never"
+    rest = ["--preset", "draft", "--order", "auto", "--appearance", "mean", "--delight", "never"]
     assert request.engine_arguments("estimate", "job", photographed) == ["estimate", "job", *rest]
+    assert request.engine_arguments("sequence", "job", photographed)[-2:] == ["--delight", "never"]
     assert "auto" not in request.engine_arguments("sequence", "job", photographed)  # one order for all of its frames
     assert request.engine_arguments("recognise", "job", photographed)[2:] == ["--preset", "draft"]
-    options = command._parser().parse_args(["estimate", "--appearance", "auto", "--order", "0"])
+    options = command._parser().parse_args(["estimate", "--appearance", "auto", "--order", "0", "--delight", "auto"])
     told = request.engine_arguments("estimate", "job", photographed, options=options)
-    assert told[2:] == ["--preset", "draft", "--order", 0, "--appearance", "auto"]  # said where it was typed
+    rest = ["--preset", "draft", "--order", 0, "--appearance", "auto", "--delight", "auto"]
+    assert told[2:] == rest  # said where it was typed
 
 
 def test_the_files_of_photos(scene, tmp_path):
