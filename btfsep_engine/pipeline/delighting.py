@@ -50,11 +50,11 @@ def light_in_texture(obj: JobObject, settings: TransportSettings):
 def words_of(objects, settings: TransportSettings) -> str:
     """What is to be said of objects in whose textures light was found; empty where none was."""
     found = {o.name: light_in_texture(o, settings) for o in objects}
-    named = [f"'{name}' ({100 * one[0].contrast:.0f} %)" for name, one in found.items() if one is not None]
+    named = [f"object '{name}' ({100 * one[0].contrast:.0f} %)" for name, one in found.items() if one is not None]
     if not named:
         return ""
     return (
-        f"the texture of object {' and '.join(named)} has light in it, as scans have that were not de-lit: it goes by "
+        f"the texture of {' and '.join(named)} has light in it, as scans have that were not de-lit: it goes by "
         "the shape; it was taken off, as well as that is known; give base colours without it, or say that these are "
         "its colours (--delight never)"
     )

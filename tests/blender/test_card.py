@@ -246,6 +246,12 @@ def test_light_in_a_texture_is_said_with_the_way_to_keep_it(monkeypatch):
     assert detail.startswith("The texture of object 'Jug, old' (34 %) has light in it") and "--" not in detail
 
 
+def test_of_several_textures_with_light_in_them_all_are_named(monkeypatch):
+    told = light_found_in(monkeypatch, "Jug", "Lid and can")
+    (shown,) = card.card_of({}, lighting(), FRONT, warnings=[told])["warnings"]
+    assert shown["short"] == "The texture of Jug, Lid and can has light in it, which was taken off"
+
+
 def test_of_a_texture_that_is_the_objects_own_colour_nothing_is_said_but_under_details():
     told = own_colours.ITS_OWN
     found = card.card_of({"choice": {"de_lit": told}}, lighting(), FRONT, warnings=[told])
