@@ -19,7 +19,7 @@ from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
 from btfsep_engine.imaging import images
 from btfsep_engine.imaging.srgb import linear_to_srgb
-from scripts.cycles import materials, objects, studio
+from scripts.cycles import materials, objects, scans, studio
 
 RESOLUTION, SAMPLES, FILL, TABLE = 256, 64, 0.7, 1.2  # pixels; a pixel; of the frame; metres
 BRIGHT, AT = 98, 0.9  # percentile of the pixels that is exposed so bright
@@ -123,8 +123,13 @@ def take(plate, folder: Path) -> None:
         thing.data.materials.append(materials.principled(surface))
     if "more" in plate:
         dress(thing.data)
-    if "told" in plate:
+    if "told" in plate or "scan" in plate:
         unlike(thing, plate["thing"], plate["much"], paint=plate.get("paint"))
+    if "scan" in plate:
+        world = scene.world
+        scans.unwrapped(thing)
+        clean, lit = scans.textures(scene, thing, plate)
+        scene.world, thing.data.materials[0] = world, scans.textured(plate["surface"], clean, "clean")
     for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
         studio.add_sun(lamp["direction"], lamp["irradiance"], degrees=0.53)
     if "shade" in plate:
@@ -161,9 +166,14 @@ def take(plate, folder: Path) -> None:
     photo = coded(scene, linear, folder, plate["curve"])
     told = {"image_path": photo, "objects": [thing], "occluders": table}
     told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}
-    for name, (right, down) in (("in line", (0, 0)), ("job", plate["off"])):
+    folders = [("in line", (0, 0)), ("job", plate["off"])]
+    if "scan" in plate:
+        folders.insert(0, ("clean", plate["off"]))
+    for name, (right, down) in folders:
         lens.shift_x, lens.shift_y = -right / RESOLUTION - shift[0], down / RESOLUTION + shift[1]
         export_job(scene, folder / name, **told)
+        if name == "clean":
+            thing.data.materials[0] = scans.textured(plate["surface"], lit, "with light")
 
 
 if __name__ == "__main__":

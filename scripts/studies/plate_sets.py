@@ -46,6 +46,8 @@ SETS = {
     "flash again": 218,
     "sweep": 219,
     "sweep again": 220,
+    "scanned": 221,
+    "scanned again": 222,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -87,6 +89,9 @@ ABOVE_LENS, FLASHED, INDOORS = (0.03, 0.15), (0.5, 8.0), (0.05, 0.5)
 # Of a paper sweep: metres behind the object's middle where it rises, radius of its bend; its colours
 BEHIND, BEND = (0.15, 0.5), (0.05, 0.2)
 PAPERS = ((0.8, 0.8, 0.79), (0.8, 0.8, 0.79), (0.4, 0.4, 0.4), (0.08, 0.08, 0.08), (0.65, 0.2, 0.2), (0.25, 0.4, 0.6))
+# Of scans: how rough at least; radiances below and at the horizon over that above, of the sky they were taken under;
+# how many, in place of that, under the photo's own light
+MATTE, BELOW, HORIZON, OWN_LIGHT = 0.5, (0.1, 0.5), (0.4, 1.0), 1 / 3
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
@@ -281,6 +286,24 @@ def on_paper(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def scanned(plates: list[dict], seed: int) -> list[dict]:
+    """The plates with scans: painted or mottled things, their textures with light in them; none of metal."""
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        own = plate["surface"] if not plate["surface"]["metallic"] else plain.of("satin", "clay")
+        own = own | {"roughness": max(own["roughness"], MATTE)}
+        others = [colour for colour in plain.COLOURS.values() if colour != own["colour"]]
+        depth, other = random.uniform(*PAINT), others[random.integers(len(others))]
+        paint = (1 - depth) * np.array(own["colour"]) + depth * np.array(other)
+        thing, sky = str(random.choice(("painted", "mottled"))), [random.uniform(*BELOW), random.uniform(*HORIZON)]
+        own_light = random.random() < OWN_LIGHT
+        more = {"surface": own, "paint": paint.tolist(), "thing": thing, "much": random.uniform()}
+        more["scan"] = {"sky": None if own_light else sky}
+        kinds = [*plate["kinds"][:-1], thing, "scanned in the photo's light" if own_light else "under an overcast sky"]
+        out.append(plate | more | {"kinds": kinds})
+    return out
+
+
 def of_box(box: dict, across_it) -> np.ndarray:
     """Points (n, 3) of a softbox, metres from the object's middle; ``across_it`` : (n, 2), in edges from its own."""
     towards = np.array(box["direction"])
@@ -356,6 +379,7 @@ def of_set(name: str, lights=None) -> list[dict]:
         "cut": cut,
         "flash": flashed,
         "sweep": on_paper,
+        "scanned": scanned,
     }
     for kind, made_of in made.items():
         if name.startswith(kind):

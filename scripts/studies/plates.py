@@ -22,7 +22,8 @@ such, those of *patterned* on tables of two colours, of which jobs have the mean
 unread (*table not read*), and it may be said to be matte, or as a new material (*told matte*, *satin*); or the job has
 none (*not told*), and the photo may not be asked for it (*nor looked for*). Of the sets *cut* an edge of the picture
 cuts the object; those of *flash* have a flash on the camera, indoors; those of *sweep* stand on paper that rises behind
-them, under softboxes.
+them, under softboxes. Those of *scanned* have a texture with the light in it that it was taken under, which may be left
+there (*not de-lit*), or not have been there (*without light in the texture*).
 With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
 of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
@@ -58,19 +59,25 @@ NOT_READ, MATTE, SATIN = "table not read", "table told matte", "table told satin
 NOT_TOLD, NOT_LOOKED_FOR = "table not told", "table not told, nor looked for"
 TOLD = {MATTE: {"roughness": 1.0, "specular": 0.0}, SATIN: {"roughness": 0.5, "specular": 0.5}}
 OF_TABLES = (NOT_READ, *TOLD, NOT_TOLD, NOT_LOOKED_FOR)
+NOT_DE_LIT, CLEAN = "not de-lit", "without light in the texture"
 EVIDENCE = {NOT_READ: "never", NOT_LOOKED_FOR: "job"}
 WAYS = (AS_IS, IN_LINE, RECOGNISED, AS_PLASTIC, NOT_SAID, AS_SRGB, AS_MEAN, NO_MIRROR, NOT_LOOKED, *OF_TABLES)
+OF_SCANS = (NOT_DE_LIT, CLEAN)
+WAYS += OF_SCANS
 
 
 def as_mean(job):
     """A job whose first object's surface is the mean of its images over the mesh; as it is where it has none."""
     (first, *others), surface = job.objects, job.objects[0].surface
-    if surface.finish is None:
+    if surface.image is None:
         return job
     corners, n = first.mesh.vertices[first.mesh.faces], len(surface.image)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     column, up = (first.mesh.corner_uv.mean(1) * n).astype(int).T
-    colour, numbers = (np.average(each[n - 1 - up, column], 0, area) for each in (surface.image, surface.finish))
+    there = n - 1 - up.clip(0, n - 1), column.clip(0, n - 1)
+    colour, numbers = np.average(surface.image[there], 0, area), (surface.roughness, surface.metallic, surface.specular)
+    if surface.finish is not None:
+        numbers = np.average(surface.finish[there], 0, area)
     return replace(job, objects=(replace(first, surface=Surface(tuple(colour), *map(float, numbers))), *others))
 
 
@@ -132,7 +139,7 @@ def judged(plate, job, **told) -> dict:
 
 def told(plate, folder: Path, way: str) -> tuple:
     """A plate's job as it is told in a way, and the settings of its estimate."""
-    where = folder / plate["name"] / ("in line" if way == IN_LINE else "job")
+    where = folder / plate["name"] / {IN_LINE: "in line", CLEAN: "clean"}.get(way, "job")
     job = load_job(where, colorspace=OF_AGX.get(way))
     made = {
         AS_MEAN: as_mean,
@@ -145,7 +152,9 @@ def told(plate, folder: Path, way: str) -> tuple:
     }
     if way in TOLD:
         job = with_table(job, way)
-    return made[way](job) if way in made else job, {"evidence": EVIDENCE[way]} if way in EVIDENCE else {}
+    settings = {"evidence": EVIDENCE[way]} if way in EVIDENCE else {}
+    settings |= {"delight": "never"} if way == NOT_DE_LIT else {}
+    return made[way](job) if way in made else job, settings
 
 
 def study(plate, folder: Path, way: str) -> dict:
@@ -215,7 +224,8 @@ def main(arguments) -> int:
     todo = [(plate, folder, way) for folder, plates in places for plate in plates for way in given.ways]
     todo = [t for t in todo if t[2] not in (RECOGNISED, AS_PLASTIC) or not t[1].name.startswith(("several", "chrome"))]
     todo = [t for t in todo if t[2] not in OF_AGX or t[0]["curve"] == "agx"]
-    todo = [t for t in todo if t[2] != AS_MEAN or "more" in t[0]]
+    todo = [t for t in todo if t[2] != AS_MEAN or {"more", "scan"} & set(t[0])]
+    todo = [t for t in todo if t[2] not in OF_SCANS or "scan" in t[0]]
     todo = [t for t in todo if t[2] != NO_MIRROR or t[1].name.startswith("chrome")]
     todo = [t for t in todo if t[2] != NOT_LOOKED or not {"more", "told"} & set(t[0])]
     todo = [t for t in todo if t[2] != IN_LINE or any(t[0]["off"])]
