@@ -6,7 +6,7 @@ paint, that leaves nothing of the photo's own shading to tell of its light. What
 not only by chance (`fit.texture_light`), is divided out of it: what is left is as bright in the mean.
 
 Tried without gain: how much of it is known left free in the fit, in strength and side by side (`Problem.beside`). Of
-seven scans in the photo's own light the light then errs 1.3 times as much, and what is stated holds as before.
+seven scans in the photo's own light the light then errs 1.3 times as much, 1.0 times what is stated in place of 1.3.
 """
 
 from dataclasses import dataclass, replace
