@@ -49,7 +49,7 @@ SAID_ALREADY = (
     (OUT_OF_LINE, MADE_UP_FOR),
 )
 BEHIND = "what the mirror hides"
-FLASH = "the camera's flash"
+FLASH, AT_CAMERA = "the camera's flash", "at the camera, as its flash"
 AROUND = "what the table, or whatever stands around, keeps away"
 
 
@@ -147,9 +147,10 @@ def _key_and_fill(result: dict, lighting: dict, to_world, metres_per_unit: float
     from_where = "even" if more < EVEN else "mostly from above" if side[2] > 0.8 else f"more from {where(side)}"
     away = told[0]["near"]["distance"] if told and "near" in told[0] else None
     near = f", {metres_per_unit * away:.2g} m away" if away else ""
-    flash = bool(near) and "flash" in (result.get("choice") or {})  # no lamp stands near beside one
+    flash = (result.get("choice") or {}).get("flash") if near else None  # no lamp stands near beside one
+    place = where(direction) if not flash else FLASH if "a flash on the camera" in flash else AT_CAMERA
     return [
-        ("Key light", (FLASH if flash else where(direction)) + near + others),
+        ("Key light", place + near + others),
         ("", f"{size_words(size)}, {colour_words(power)}, {100 * min(share, 1):.0f}% of the light"),
         ("Fill", f"{colour_words(sky[0])}, {from_where}; key to fill {words}"),
     ]

@@ -107,6 +107,9 @@ def test_a_sunny_light_in_an_artists_words():
     flash = {"choice": {"flash": "a flash on the camera lights the objects from 0.8 m (by evidence)"}}
     told = dict(card.card_of(flash, near, FRONT, metres_per_unit=0.01)["lines"])
     assert told["Key light"] == "the camera's flash, 0.8 m away"
+    flash["choice"]["flash"] = "a light at the camera, as its flash would be, lights the objects from 0.8 m"
+    told = dict(card.card_of(flash, near, FRONT, metres_per_unit=0.01)["lines"])
+    assert told["Key light"] == "at the camera, as its flash, 0.8 m away"
     # where it stays in the World, the sun is no flash
     assert dict(card.card_of(flash, sunny(), FRONT)["lines"])["Key light"] == "front left (45° round), 45° up"
     # 3 of 4 pi + 3
@@ -226,7 +229,8 @@ def test_a_roughness_that_the_photo_does_not_show_is_said_with_the_one_that_it_s
 
 def light_found_in(monkeypatch, *names):
     """What the engine says where it has found light in the textures of these objects."""
-    monkeypatch.setattr(delighting, "light_in_texture", lambda obj, settings: (SimpleNamespace(contrast=0.34),))
+    found = SimpleNamespace(light=SimpleNamespace(contrast=0.34))
+    monkeypatch.setattr(delighting, "light_in_texture", lambda obj, settings: found)
     return delighting.words_of([SimpleNamespace(name=name) for name in names], None)
 
 

@@ -103,7 +103,9 @@ def flash_settled(model, light):
         light = refitted(model, light)
     distance, metres = own.distance, problem.scene.job.metres_per_unit
     low, high = distance * np.exp(1.96 * UNSURE * np.array([-1, 1]))
-    why = f"a flash on the camera lights the objects from {metres * distance:.2g} m (by evidence)"
+    # of 16 things in rooms, three with a window right behind the camera pass for things under one
+    what = "a flash on the camera" if problem.scene.job.photo.flash else "a light at the camera, as its flash would be,"
+    why = f"{what} lights the objects from {metres * distance:.2g} m (by evidence)"
     near = ((own.direction, Near(own.centre, distance, float(low), float(high))),)
     return model, replace(light, near=near), {"flash": why}
 
