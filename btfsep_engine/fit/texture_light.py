@@ -126,8 +126,9 @@ def _explained(grey, a, beside: Neighbours) -> tuple[float, float]:
         for out, left in ((before, told), (after, told - lit)):
             lost = beside.weight * np.log1p(np.square(left / spread))
             out += np.bincount(beside.piece[mine], lost[mine], PIECES)
-    without = 1 - (after.sum() - after) / np.maximum(before.sum() - before, 1e-300)
-    share = 1 - after.sum() / max(before.sum(), 1e-300)
+    gain = before - after  # of one colour, from which nothing differs, none
+    without = (gain.sum() - gain) / np.maximum(before.sum() - before, 1e-300)
+    share = gain.sum() / max(before.sum(), 1e-300)
     error = np.sqrt((PIECES - 1) * np.square(without - without.mean()).mean())
     return float(share), float(share / max(error, 1e-300))
 
