@@ -32,6 +32,7 @@ SURELY = 4.0
 STEPS, SETTLED, LONGEST = 20, 1e-3, 0.3  # of a coefficient
 LEAST = 0.05  # of even light: of irradiance, and (logarithms) of what neighbours differ by
 FINEST = 1e-2  # logarithm: what base colours of 8 bits, averaged, differ by
+ONE_COLOUR = 1e-6  # of what pairs may count that differ by rounding alone
 
 
 @dataclass(frozen=True)
@@ -126,9 +127,10 @@ def _explained(grey, a, beside: Neighbours) -> tuple[float, float]:
         for out, left in ((before, told), (after, told - lit)):
             lost = beside.weight * np.log1p(np.square(left / spread))
             out += np.bincount(beside.piece[mine], lost[mine], PIECES)
-    gain = before - after  # of one colour, from which nothing differs, none
-    without = (gain.sum() - gain) / np.maximum(before.sum() - before, 1e-300)
-    share = gain.sum() / max(before.sum(), 1e-300)
+    if before.sum() < ONE_COLOUR * beside.weight.sum():
+        return 0.0, 0.0
+    without = 1 - (after.sum() - after) / np.maximum(before.sum() - before, 1e-300)
+    share = 1 - after.sum() / max(before.sum(), 1e-300)
     error = np.sqrt((PIECES - 1) * np.square(without - without.mean()).mean())
     return float(share), float(share / max(error, 1e-300))
 
