@@ -102,3 +102,14 @@ def enlarged(values, side: int) -> np.ndarray:
     rows = (1 - share) * values[low % BAKED] + share * values[(low + 1) % BAKED]
     share = share.transpose(1, 0, 2)
     return (1 - share) * rows[:, low % BAKED] + share * rows[:, (low + 1) % BAKED]
+
+
+def obj_of(mesh: TriangleMesh) -> str:
+    """The mesh as an OBJ file has it, with its normals and texture coordinates."""
+    lines = ["v {:.9g} {:.9g} {:.9g}".format(*place) for place in mesh.vertices]
+    lines += ["vt {:.9g} {:.9g}".format(*place) for place in mesh.corner_uv.reshape(-1, 2)]
+    lines += ["vn {:.9g} {:.9g} {:.9g}".format(*normal) for normal in mesh.corner_normals.reshape(-1, 3)]
+    corner = np.arange(3 * len(mesh.faces)).reshape(-1, 3) + 1
+    for vertices, corners in zip(mesh.faces + 1, corner, strict=True):
+        lines.append("f " + " ".join(f"{a}/{b}/{b}" for a, b in zip(vertices, corners, strict=True)))
+    return "\n".join(lines) + "\n"
