@@ -99,7 +99,10 @@ def texture_light(base_color, images, closed, beside: Neighbours) -> TextureLigh
     closed : (n,), how much of what a place looks at, by the cosine, is the object itself
     """
     brightness = luminance(base_color)
-    a = images / np.median(images[:, 0])
+    usual = np.median(images[:, 0])
+    if not usual > 0:  # most places see nothing of the sky, as those of walls within walls
+        return None
+    a = images / usual
     a[:, 0] += float(np.mean(brightness)) * closed  # the object is lit as places are in the mean
     if len(beside.pairs) < 2 * a.shape[1]:
         return None

@@ -177,6 +177,12 @@ def test_what_is_all_clipped_says_nothing(value):
     assert looked(np.full((COUNT, 3), value)) is None
 
 
+def test_where_most_places_see_no_sky_nothing_is_said():
+    inside = np.arange(COUNT) % 5 > 1
+    images = np.where(inside[:, None], 0, IMAGES)
+    assert looked(painted() * light(), images, inside.astype(float)) is None
+
+
 def test_neighbours_lie_side_by_side_and_what_differs_in_hue_counts_little():
     base = painted(30)
     beside = neighbours(PLACES, PLACES, base)
