@@ -87,6 +87,12 @@ def test_maps_that_are_none_have_no_texels(uv):
     assert texels_on(sheet(uv), 16) is None
 
 
+def test_a_map_of_which_a_corner_is_no_number_is_none():
+    mesh = sheet()
+    mesh.corner_uv[1, 2, 0] = np.nan
+    assert texels_on(mesh, 16) is None
+
+
 def test_rounding_at_the_rim_is_not_outside():
     assert len(texels_on(sheet(CORNERS * (1 + 4e-4) - 2e-4), 16).number) == 256
 
@@ -182,6 +188,35 @@ def test_a_mesh_wound_inwards_has_the_same_light(normals):
     one, other = (light_in_texture(thing(scan, mesh), SETTINGS) for mesh in (outwards, inwards))
     np.testing.assert_array_equal(other[1].number, one[1].number)
     assert np.abs(other[2] - one[2]).max() < 0.05 and np.ptp(one[2]) > 1
+
+
+@pytest.mark.parametrize(("times", "away"), [(1.0, 1e4), (1e-3, 0.0), (1e3, 0.0)])
+def test_where_a_mesh_lies_and_how_large_it_is_does_not_matter(times, away):
+    _, scan = baked()
+    moved = replace(ring(), vertices=times * ring().vertices + away)
+    one, other = (light_in_texture(thing(scan, mesh), SETTINGS)[2] for mesh in (ring(), moved))
+    assert np.median(np.abs(other - one)) < 0.01
+
+
+def nested(*radii) -> TriangleMesh:
+    """Closed shells within each other, all faces outwards, each with as much of the image."""
+    ball, parts = trimesh.creation.uv_sphere(count=[24, 48]), []
+    turn = np.arctan2(ball.vertices[:, 1], ball.vertices[:, 0]) / (2 * np.pi) % 1
+    uv = np.stack([turn, np.arccos(np.clip(ball.vertices[:, 2], -1, 1)) / np.pi], 1)[ball.faces]
+    uv[..., 0] += (np.ptp(uv[..., 0], axis=1, keepdims=True) > 0.5) & (uv[..., 0] < 0.5)  # over the seam
+    for number, radius in enumerate(radii):
+        parts.append((radius * ball.vertices, (uv * [0.98, 1] + [number, 0]) / [len(radii), 1]))
+    faces = np.concatenate([ball.faces + i * len(ball.vertices) for i in range(len(radii))]).astype(np.int32)
+    normals = np.concatenate([ball.vertices[ball.faces]] * len(radii)).astype(np.float32)
+    vertices, corners = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return TriangleMesh(vertices, faces, normals, np.clip(corners, 0, 1).astype(np.float32))
+
+
+def test_walls_within_walls_of_which_most_see_no_sky():
+    mesh = nested(1.0, 0.8, 0.6)
+    assert len(texels_on(mesh, 64).number) > 3700
+    obj = thing(paint(64), mesh)
+    assert de_lit(obj, SETTINGS) is obj.surface
 
 
 def test_beside_a_chart_the_light_goes_on_and_texels_there_say_nothing_of_the_mean():
