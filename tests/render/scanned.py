@@ -4,6 +4,7 @@
 The light at its places is path-traced by Mitsuba, rays from just above them: nothing of `pipeline.delighting` is in it.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -102,6 +103,25 @@ def enlarged(values, side: int) -> np.ndarray:
     rows = (1 - share) * values[low % BAKED] + share * values[(low + 1) % BAKED]
     share = share.transpose(1, 0, 2)
     return (1 - share) * rows[:, low % BAKED] + share * rows[:, (low + 1) % BAKED]
+
+
+def in_islands(image, *, islands: int = 6, gap: float = 0.1):
+    """The ring with each of islands x islands parts of the image cut out and drawn in by ``gap``, black between them.
+
+    Gives the mesh, the image (side, side, 3), and where it is laid, (side, side) bool.
+    """
+    mesh, side = ring(), len(image)
+    uv = mesh.corner_uv.astype(np.float64) * islands
+    cell = np.floor(uv.mean(1, keepdims=True))
+    apart = (cell + 0.5 + (1 - gap) * (uv - cell - 0.5)) / islands
+    at = np.stack(texel_uv(side), -1) * islands
+    cell = np.floor(at)
+    within = 0.5 + (at - cell - 0.5) / (1 - gap)
+    laid = ((within >= 0) & (within <= 1)).all(-1)
+    u, v = np.moveaxis((cell + np.clip(within, 0, 1)) / islands, -1, 0)
+    row, column = (np.clip(each * side, 0, side - 1).astype(int) for each in (1 - v, u))
+    cut = np.where(laid[..., None], image[row, column], 0).astype(np.float32)
+    return replace(mesh, corner_uv=apart.astype(np.float32)), cut, laid
 
 
 def obj_of(mesh: TriangleMesh) -> str:

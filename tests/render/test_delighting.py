@@ -14,7 +14,7 @@ from btfsep_engine.pipeline.delighting import de_lit, light_in_texture, words_of
 from btfsep_engine.pipeline.materials import of_surface
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.texels import texels_on
-from tests.render.scanned import enlarged, irradiance, outward, paint, ring, surface, texel_uv
+from tests.render.scanned import enlarged, in_islands, irradiance, outward, paint, ring, surface, texel_uv
 from tests.render.scenes import job_of, looking_down
 
 SETTINGS = choose()
@@ -233,6 +233,15 @@ def test_beside_a_chart_the_light_goes_on_and_texels_there_say_nothing_of_the_me
     assert np.abs(factor[16:112, 10] - factor[16:112, 16]).max() < 0.1
     assert np.abs(factor[118, 16:112] - factor[111, 16:112]).max() < 0.1
     assert np.ptp(factor[16:112, 10]) > 0.5
+
+
+def test_a_map_of_many_islands_with_black_between_them():
+    """Texels at their rims are darker where the image is made smaller: that is no light, nor does it hide any."""
+    clean, scan = baked(384)
+    mesh, cut, laid = in_islands(scan)
+    _, true, _ = in_islands(clean)
+    assert off(de_lit(thing(cut, mesh), SETTINGS).image[laid], true[laid]) < 0.1 * off(cut[laid], true[laid])
+    assert light_in_texture(thing(true, mesh), SETTINGS) is None
 
 
 def test_light_goes_on_over_seams():
