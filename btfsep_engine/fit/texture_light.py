@@ -32,6 +32,7 @@ SURELY = 4.0
 STEPS, SETTLED, LONGEST = 20, 1e-3, 0.3  # of a coefficient
 LEAST = 0.05  # of even light: of irradiance, and (logarithms) of what neighbours differ by
 FINEST = 1e-2  # logarithm: what base colours of 8 bits, averaged, differ by
+ONE_COLOUR = 1e-6  # of what pairs may count that differ by rounding alone
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,10 @@ def texture_light(base_color, images, closed, beside: Neighbours) -> TextureLigh
     closed : (n,), how much of what a place looks at, by the cosine, is the object itself
     """
     brightness = luminance(base_color)
-    a = images / np.median(images[:, 0])
+    usual = np.median(images[:, 0])
+    if not usual > 0:  # most places see nothing of the sky, as those of walls within walls
+        return None
+    a = images / usual
     a[:, 0] += float(np.mean(brightness)) * closed  # the object is lit as places are in the mean
     if len(beside.pairs) < 2 * a.shape[1]:
         return None
@@ -126,6 +130,8 @@ def _explained(grey, a, beside: Neighbours) -> tuple[float, float]:
         for out, left in ((before, told), (after, told - lit)):
             lost = beside.weight * np.log1p(np.square(left / spread))
             out += np.bincount(beside.piece[mine], lost[mine], PIECES)
+    if before.sum() < ONE_COLOUR * beside.weight.sum():
+        return 0.0, 0.0
     without = 1 - (after.sum() - after) / np.maximum(before.sum() - before, 1e-300)
     share = 1 - after.sum() / max(before.sum(), 1e-300)
     error = np.sqrt((PIECES - 1) * np.square(without - without.mean()).mean())

@@ -45,6 +45,7 @@ def texels_on(mesh: TriangleMesh, side: int) -> Texels | None:
     if not len(number) or area > OVERLAP * len(number) / side**2:
         return None
     face, weight = hits.face[number], hits.barycentric[number].astype(np.float64)
+    weight /= weight.sum(1, keepdims=True)  # rounded to single precision: far from the origin that moves places
     corners = mesh.vertices[mesh.faces[face]]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal = np.einsum("mk,mkc->mc", weight, mesh.corner_normals[face])
