@@ -62,7 +62,6 @@ KNOWN = (
     ),
     Advice("stand on a ground that", "The objects stand on a ground that is not in the scene", "GROUND"),
     Advice("has light in it, as scans have", "The texture of {0} has light in it, which was taken off", "KEEP"),
-    Advice("in the texture is the objects' own colour", ""),
     Advice(
         "casts a shadow on the objects",
         "Something that is not in the scene casts a shadow on the object; add it",

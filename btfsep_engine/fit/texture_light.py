@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from btfsep_engine import sh
 from btfsep_engine.conventions import REC709_LUMINANCE, luminance
 from btfsep_engine.fit.robust import NORMAL
+from btfsep_engine.linear_algebra import product
 
 NEIGHBOURS = 6
 ASIDE = 0.05  # a normal's difference over that of places, as a part of the object's size
@@ -159,7 +160,8 @@ def _fitted(seen, a, beside: Neighbours, *, used=None, start=None) -> np.ndarray
         slopes = beside.between(a[:, 1:] / lit[:, None]) / spread
         left = (told - beside.between(np.log(lit))) / spread
         own = weight / (1 + np.square(left))
-        gram, goal = (slopes * own[:, None]).T @ slopes, (slopes * own[:, None]).T @ left
+        weighted = (slopes * own[:, None]).T
+        gram, goal = product(weighted, slopes), weighted @ left
         step = np.linalg.solve(gram + np.diag(prior), goal - prior * x[1:])
         x[1:] += np.clip(step, -LONGEST, LONGEST)
         if np.abs(step).max() < SETTLED:

@@ -21,6 +21,7 @@ from btfsep_engine.conventions import fibonacci_sphere, luminance
 from btfsep_engine.fit.texture_light import ASIDE, TextureLight, neighbours, texture_light
 from btfsep_engine.imaging.images import resized
 from btfsep_engine.job.model import JobObject, TriangleMesh
+from btfsep_engine.linear_algebra import product
 from btfsep_engine.pipeline.settings import TransportSettings
 from btfsep_engine.render.radiosity import is_wound_outwards
 from btfsep_engine.render.texels import Texels, texels_on
@@ -123,10 +124,10 @@ def _irradiance(mesh: TriangleMesh, position, normal, flat_normal) -> tuple[np.n
     flat = outwards * flat_normal
     normal = normal * np.sign((normal * flat).sum(1, keepdims=True))
     directions = fibonacci_sphere(RAYS)
-    cosine = np.maximum(normal @ directions.T, 0) * (4 * np.pi / RAYS)
+    cosine = np.maximum(product(normal, directions.T), 0) * (4 * np.pi / RAYS)
     seen = cosine * tracer_of([mesh]).visible(position, flat, directions)
     closed = 1 - seen.sum(1) / np.maximum(cosine.sum(1), 1e-300)
-    return seen @ sh.evaluate(ORDER, directions), closed
+    return product(seen, sh.evaluate(ORDER, directions)), closed
 
 
 def _without(image, found: LightInTexture) -> np.ndarray:

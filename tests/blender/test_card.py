@@ -19,7 +19,6 @@ from blender_btfsep.window import mending
 from btfsep_engine import sh
 from btfsep_engine.fit import tone_curve
 from btfsep_engine.pipeline import delighting
-from btfsep_engine.pipeline.refine import own_colours
 from btfsep_engine.pipeline.refine.curves import curve_words
 from btfsep_engine.pipeline.tone import Curves
 from tests.blender.found import SAID, lighting, planck, sunny
@@ -254,12 +253,6 @@ def test_of_several_textures_with_light_in_them_all_are_named(monkeypatch):
     told = light_found_in(monkeypatch, "Jug", "Lid and can")
     (shown,) = card.card_of({}, lighting(), FRONT, warnings=[told])["warnings"]
     assert shown["short"] == "The texture of Jug, Lid and can has light in it, which was taken off"
-
-
-def test_of_a_texture_that_is_the_objects_own_colour_nothing_is_said_but_under_details():
-    told = own_colours.ITS_OWN
-    found = card.card_of({"choice": {"de_lit": told}}, lighting(), FRONT, warnings=[told])
-    assert not found["warnings"] and found["details"] == [told[:1].upper() + told[1:]]
 
 
 def test_paint_that_the_job_does_not_know_is_said_with_the_way_to_its_material():

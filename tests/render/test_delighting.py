@@ -186,15 +186,15 @@ def test_a_mesh_wound_inwards_has_the_same_light(normals):
     outwards, inwards = ring(), ring(inward=True)
     inwards = replace(inwards, corner_normals=normals * inwards.corner_normals)
     one, other = (light_in_texture(thing(scan, mesh), SETTINGS) for mesh in (outwards, inwards))
-    np.testing.assert_array_equal(other[1].number, one[1].number)
-    assert np.abs(other[2] - one[2]).max() < 0.05 and np.ptp(one[2]) > 1
+    np.testing.assert_array_equal(other.laid, one.laid)
+    assert np.abs(other.logarithm - one.logarithm).max() < 0.05 and np.ptp(one.logarithm) > 1
 
 
 @pytest.mark.parametrize(("times", "away"), [(1.0, 1e4), (1e-3, 0.0), (1e3, 0.0)])
 def test_where_a_mesh_lies_and_how_large_it_is_does_not_matter(times, away):
     _, scan = baked()
     moved = replace(ring(), vertices=times * ring().vertices + away)
-    one, other = (light_in_texture(thing(scan, mesh), SETTINGS)[2] for mesh in (ring(), moved))
+    one, other = (light_in_texture(thing(scan, mesh), SETTINGS).logarithm for mesh in (ring(), moved))
     assert np.median(np.abs(other - one)) < 0.01
 
 
@@ -261,7 +261,7 @@ def test_each_texture_and_each_mesh_has_its_own_light():
     assert light_in_texture(thing(clean), SETTINGS) is None
     assert light_in_texture(thing(scan), SETTINGS) is first
     other = light_in_texture(thing(upside_down), SETTINGS)
-    assert other is None or np.abs(other[2] - first[2]).max() > 0.1
+    assert other is None or np.abs(other.logarithm - first.logarithm).max() > 0.1
     flat = replace(ring(), vertices=ring().vertices * [1, 1, 0.2])
     moved = light_in_texture(thing(scan, flat), SETTINGS)
     assert moved is None or moved is not first
@@ -272,7 +272,7 @@ def test_the_words_name_what_has_light_and_how_much():
     named = JobObject("named", ring(), material="surface/matte")
     things = [thing(clean, name="paint"), thing(scan, name="scan"), named]
     words = words_of(things, SETTINGS)
-    percent = round(100 * light_in_texture(things[1], SETTINGS)[0].contrast)
+    percent = round(100 * light_in_texture(things[1], SETTINGS).light.contrast)
     assert f"object 'scan' ({percent} %) has light in it" in words and "--delight never" in words
     assert "paint" not in words and "named" not in words and 30 < percent < 60
     assert words_of(things, choose(delight="never")) == words_of(things[:1], SETTINGS) == ""
