@@ -50,11 +50,11 @@ def test_a_scan_is_near_its_paint_when_the_light_is_taken_off(side, seed):
     assert off(image, clean) < 0.1 * off(scan, clean) and off(scan, clean) > 0.3
     assert luminance(image).mean() == pytest.approx(luminance(scan).mean(), rel=1e-3)
     np.testing.assert_array_equal(scan, before)
-    light, texels, logarithm = light_in_texture(obj, SETTINGS)
-    true = np.log(enlarged(irradiance(), texels.side).reshape(-1, 3)[texels.number])
-    apart = logarithm - true
+    light = light_in_texture(obj, SETTINGS)
+    true = np.log(enlarged(irradiance(), len(light.laid)))[light.laid]
+    apart = light.logarithm[light.laid] - true
     assert apart.std(0).max() < 0.1 and np.ptp(apart.mean(0)) < 0.03
-    assert light.contrast == pytest.approx((true @ [0.2126, 0.7152, 0.0722]).std(), rel=0.15)
+    assert light.light.contrast == pytest.approx((true @ [0.2126, 0.7152, 0.0722]).std(), rel=0.15)
 
 
 @pytest.mark.parametrize("side", [64, 128, 512])
@@ -193,7 +193,7 @@ def test_the_words_name_what_has_light_and_how_much():
     assert "paint" not in words and "named" not in words and 30 < percent < 60
     assert words_of(things, choose(delight="never")) == words_of(things[:1], SETTINGS) == ""
     both = words_of([things[1], replace(things[1], name="other")], SETTINGS)
-    assert "'scan'" in both and "and 'other'" in both
+    assert "'scan'" in both and "and object 'other'" in both
 
 
 def test_the_material_of_a_scan_is_made_of_its_paint():
