@@ -140,7 +140,7 @@ def train(*, job, library_folder, settings, reporter):
 @MATERIAL
 @LIBRARY
 @command
-@takes_settings("directions", "bounces", *RECOGNITION)
+@takes_settings("directions", "bounces", "delight", *RECOGNITION)
 def relight(*, job, library_folder, settings, reporter, **options):
     """Renders JOB's objects under a lighting."""
     from btfsep_engine.commands.relight import run_relight

@@ -2,6 +2,7 @@
 """The job's objects under any lighting."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +37,20 @@ def lighting_of(path):
     return light, light, ()
 
 
-def earlier_materials(job, result) -> list:
-    """Names of the materials that an earlier estimate of the same job found, None where there is none."""
+def earlier_estimate(job) -> dict:
+    """What is kept of an earlier estimate of the same job; empty where there is none."""
     try:
-        record = json.loads(Path(result).read_text())
+        record = json.loads((job.folder / "result" / "result.json").read_text())
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}
+
+
+def earlier_materials(job, record: dict) -> list:
+    """Names of the materials that an `earlier_estimate` found, None where there is none."""
+    try:
         found = {o["name"]: o["material"] for o in record["objects"]}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (KeyError, TypeError):
         return [None] * len(job.objects)  # no estimate yet: recognise
     known = [found.get(o.name) for o in job.objects]
     return [None if name == GIVEN else name for name in known]  # what an earlier job said by numbers, this one may not
@@ -51,7 +60,8 @@ def earlier_materials(job, result) -> list:
 def run_relight(folder, library, settings: Settings, *, lighting, out, material=None, reporter) -> dict:
     """Renders the job's objects under ``lighting`` (a file) into the image ``out``; the background is black.
 
-    The material of each object is the one given, or the job's, or that of an earlier estimate, or recognised.
+    The material of each object is the one given, or the job's, or that of an earlier estimate, or recognised. Textures
+    that this took for the objects' own colours are theirs here, too.
 
     Returns
     -------
@@ -63,9 +73,12 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
         suffix = Path(out).suffix.lower()
         if suffix not in (".exr", ".png"):
             raise InputError("--out", f"'{out}'", "name an .exr (linear) or a .png (for looking at)")
-    scene = PreparedScene(job, reporter)
+    scene, record = PreparedScene(job, reporter), earlier_estimate(job)
+    chosen = record.get("settings")
+    if isinstance(chosen, dict) and chosen.get("delight") == "never":
+        settings = replace(settings, delight="never")
     if material is None:
-        earlier = earlier_materials(job, job.folder / "result" / "result.json")
+        earlier = earlier_materials(job, record)
         names = [o.material or (None if o.surface else e) for o, e in zip(job.objects, earlier, strict=True)]
     else:
         names = [material] * len(job.objects)

@@ -10,7 +10,7 @@ import trimesh
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.cli import main
-from btfsep_engine.commands.relight import earlier_materials
+from btfsep_engine.commands.relight import earlier_estimate, earlier_materials
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
@@ -52,9 +52,11 @@ def test_estimate_plan_sequence_and_relight_take_it(sphere_job_folder, capsys, t
 
 def test_what_an_earlier_job_said_by_numbers_is_no_name(sphere_job_folder):
     folder, _ = sphere_job_folder
-    record = {"objects": [{"name": "ball", "material": "surface/given"}]}
-    (folder / "result.json").write_text(json.dumps(record))
-    assert earlier_materials(load_job(folder), folder / "result.json") == [None]
+    job, record = load_job(folder), {"objects": [{"name": "ball", "material": "surface/given"}]}
+    (folder / "result").mkdir(exist_ok=True)
+    for written, known in ((json.dumps(record), record), ("[1]", {}), ("{", {})):
+        (folder / "result" / "result.json").write_text(written)
+        assert earlier_estimate(job) == known and earlier_materials(job, known) == [None]
 
 
 def test_photographs_solved_together_each_state_it(sphere_job_folder, capsys, tmp_path):
