@@ -53,7 +53,7 @@ def textures(scene, thing: bpy.types.Object, plate) -> tuple[np.ndarray, np.ndar
 
     The light is that of ``plate["scan"]``'s sky, or the plate's own. As bright in the mean.
     """
-    clean = _baked(scene, thing, {"COLOR"}, samples=8)
+    clean = np.minimum(_baked(scene, thing, {"COLOR"}, samples=8), BRIGHTEST)  # mottled white may be brighter
     suns = []
     if plate["scan"]["sky"] is None:
         scene.world = studio.make_world(plate["light"], rotation_euler=(0, 0, math.radians(plate["turn"])))
