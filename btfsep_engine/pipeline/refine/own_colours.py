@@ -23,7 +23,9 @@ from btfsep_engine.pipeline.together import fit_together
 # top or go from light to dark, three of which pass for light, told colours gain 22 to 41; of 29 of scans with light
 # in them, 24 gain nothing, two 3 and 7, and three 7 to 87 by making the photo's light more even
 CLEARLY = 10.0
-AS_UNEVEN = 0.75  # times what order 1 has over order 0: 0.8 to 1.1 of the three, 0.35 to 0.6 of the other three
+# Times what order 1 has over order 0: 0.67 to 1.1 of these three and of 26 by the transport itself, whose light is too
+# uneven where their own colours are taken for light; 0.35 to 0.59 of the three scans
+AS_UNEVEN = 0.63
 ITS_OWN = "what goes by the shape in the texture is the objects' own colour: the photo is explained better by it"
 
 
