@@ -89,8 +89,7 @@ ABOVE_LENS, FLASHED, INDOORS = (0.03, 0.15), (0.5, 8.0), (0.05, 0.5)
 # Of a paper sweep: metres behind the object's middle where it rises, radius of its bend; its colours
 BEHIND, BEND = (0.15, 0.5), (0.05, 0.2)
 PAPERS = ((0.8, 0.8, 0.79), (0.8, 0.8, 0.79), (0.4, 0.4, 0.4), (0.08, 0.08, 0.08), (0.65, 0.2, 0.2), (0.25, 0.4, 0.6))
-# Of scans: how rough at least; radiances below and at the horizon over that above, of the sky they were taken under;
-# how many, in place of that, under the photo's own light
+# Of scans: least roughness; their sky's radiances below and at the horizon over that above; share in the photo's light
 MATTE, BELOW, HORIZON, OWN_LIGHT = 0.5, (0.1, 0.5), (0.4, 1.0), 1 / 3
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
@@ -392,15 +391,10 @@ def truth(plate) -> np.ndarray:
     c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
     x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
     x = x * plate.get("dimmed", 1)
-    for lamp in lamps_of(plate):
+    for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
         beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
         x = x + beam[:, None] * lamp["irradiance"]
     if "flash" in plate:
         place = np.array(plate["flash"]["place"])
         x = x + sh.evaluate(9, place[None] / np.linalg.norm(place))[0][:, None] * plate["flash"]["irradiance"]
     return x + sum(box_light(box, 9) for box in plate.get("boxes", ()))
-
-
-def lamps_of(plate) -> list:
-    """Its bare lamps, be it a sun."""
-    return [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", [])
