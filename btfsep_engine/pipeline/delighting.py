@@ -3,7 +3,7 @@
 
 A scan brings mesh and texture, and its base colours are darker below and in hollows, where less light came. Taken for
 paint, that leaves nothing of the photo's own shading to tell of its light. What goes by the shape in the texture, and
-not only by chance (`fit.texture_light`), is divided out of it: what is left is as bright in the mean.
+not only by chance (`fit.texture_light`), is divided out of it.
 
 Tried without gain: how much of it is known left free in the fit, in strength and side by side (`Problem.beside`). Of
 seven scans in the photo's own light the light then errs 1.3 times as much, 1.0 times what is stated in place of 1.3.
@@ -17,8 +17,8 @@ from scipy.spatial import cKDTree
 
 from btfsep_engine import sh
 from btfsep_engine.btf.surfaces import Surface
-from btfsep_engine.conventions import fibonacci_sphere, luminance
-from btfsep_engine.fit.texture_light import ASIDE, TextureLight, neighbours, texture_light
+from btfsep_engine.conventions import fibonacci_sphere
+from btfsep_engine.fit.texture_light import ASIDE, DARKEST, TextureLight, neighbours, texture_light
 from btfsep_engine.imaging.images import resized
 from btfsep_engine.job.model import JobObject, TriangleMesh
 from btfsep_engine.linear_algebra import product
@@ -30,10 +30,12 @@ from btfsep_engine.storage import kept
 from btfsep_engine.threads import one_thread
 
 DE_LIT = "de_lit"  # its name among what is chosen
-SIDE = 256  # of the image in which it is looked for
+SIDE, FINER = 256, 512  # of the image in which it is looked for, and in which it is taken off where it is found: light
+# of one chart is not to be another's, and those of a scan may be small
 PLACES, ORDER, RAYS = 3000, 4, 256
 AROUND = 4  # places that the light at a texel is the mean of
 FEWEST = 500  # texels
+WHITEST = 0.999  # of the texels: darker than white
 METAL = 0.5  # share of a surface that is metal: it mirrors, and what is mirrored moves with the camera
 
 
@@ -88,7 +90,7 @@ def _found(mesh: TriangleMesh, image) -> LightInTexture | None:
         return None
     random = np.random.default_rng(0)
     places = np.sort(random.choice(len(texels.number), min(PLACES, len(texels.number)), replace=False))
-    feature = _feature(texels)
+    feature = _feature(mesh, texels)
     tree = cKDTree(feature[places])
     nearest = tree.query(feature)[1]
     colours = resized(image, side).reshape(-1, 3)[texels.number].astype(np.float64)
@@ -99,9 +101,16 @@ def _found(mesh: TriangleMesh, image) -> LightInTexture | None:
     found = texture_light(mean, images, closed, neighbours(position, normal, mean))
     if found is None:
         return None
+    finer = texels_on(mesh, min(FINER, len(image))) or texels
+    return _everywhere(found, tree, _feature(mesh, finer), finer)
+
+
+def _everywhere(found: TextureLight, tree: cKDTree, feature, texels: Texels) -> LightInTexture:
+    """What was found at the places of a tree, at texels whose `_feature` is known, and beside them."""
     distance, around = tree.query(feature, k=AROUND)
     share = 1 / np.square(distance + 1e-4)
     share /= share.sum(1, keepdims=True)
+    side = texels.side
     laid, every = np.zeros(side * side, bool), np.zeros((side * side, 3), np.float32)
     laid[texels.number] = True
     every[texels.number] = np.einsum("mk,mkc->mc", share, found.logarithm[around])
@@ -113,8 +122,8 @@ def _found(mesh: TriangleMesh, image) -> LightInTexture | None:
     return LightInTexture(found, laid, every[nearest[label]])
 
 
-def _feature(texels: Texels) -> np.ndarray:
-    size = max(float(np.linalg.norm(np.ptp(texels.position, axis=0))), 1e-300)
+def _feature(mesh: TriangleMesh, texels: Texels) -> np.ndarray:
+    size = max(float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))), 1e-300)
     return np.concatenate([texels.position / size, ASIDE * texels.normal], 1)
 
 
@@ -131,9 +140,14 @@ def _irradiance(mesh: TriangleMesh, position, normal, flat_normal) -> tuple[np.n
 
 
 def _without(image, found: LightInTexture) -> np.ndarray:
-    """A texture (n, n, 3) less the light in it, as bright in the mean where it is laid."""
+    """A texture (n, n, 3) less the light in it, which is 1 in the median where the texture is not black.
+
+    Darker where something would be brighter than white: dark places that no light explains, as walls within walls are,
+    say nothing of how bright the others are, and what is cut off is no colour.
+    """
     n = len(image)
-    out = image / np.exp(cv2.resize(found.logarithm, (n, n)))
-    laid = cv2.resize(found.laid.astype(np.uint8), (n, n)) > 0
-    out *= float(luminance(image[laid]).mean()) / max(float(luminance(out[laid]).mean()), 1e-300)
-    return np.clip(out, 0, 1).astype(np.float32)
+    light = np.exp(cv2.resize(found.logarithm, (n, n)))
+    laid = (cv2.resize(found.laid.astype(np.uint8), (n, n)) > 0) & (image.min(-1) > DARKEST)
+    out = image * (np.median(light[laid], 0) / light)
+    brightest = float(np.quantile(out[laid].max(-1), WHITEST))
+    return np.clip(out / max(brightest, 1.0), 0, 1).astype(np.float32)

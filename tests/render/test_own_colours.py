@@ -207,11 +207,13 @@ def seen(evidence: float, unevenness: float):
     return SimpleNamespace(evidence=evidence, x=x)
 
 
-@pytest.mark.parametrize(("gain", "unevenness", "back"), [
-    (11, 1.0, True), (9, 1.0, False), (-50, 1.0, False), (11, 0.64, True), (11, 0.62, False), (90, 0.5, False),
-    (11, 3.0, True),
+@pytest.mark.parametrize(("gain", "unevenness", "left", "back"), [
+    (21, 1.0, 0.9, True), (19, 1.0, 0.9, False), (-50, 1.0, 0.9, False), (21, 0.64, 0.9, True),
+    (21, 0.62, 0.9, False), (90, 0.5, 0.9, False), (21, 3.0, 0.9, True), (90, 1.0, 0.94, True), (90, 1.0, 0.96, False),
 ])  # fmt: skip
-def test_the_photo_has_to_speak_clearly_and_not_by_more_even_light(gain, unevenness, back, scanned_model, monkeypatch):
+def test_the_photo_has_to_speak_clearly_and_not_by_more_even_light(
+    gain, unevenness, left, back, scanned_model, monkeypatch
+):
     model, light = scanned_model
     answers = [seen(100.0, 0.6), seen(100.0 + gain, 0.6 * unevenness)]
     asked = []
@@ -221,6 +223,7 @@ def test_the_photo_has_to_speak_clearly_and_not_by_more_even_light(gain, unevenn
         return answers[len(asked) - 1]
 
     monkeypatch.setattr(own_colours, "field_alone", field_alone)
+    monkeypatch.setattr(own_colours, "_left", lambda of, _: 3.0 if of is model else 3.0 * left)
     changed, after, words = its_own_colours(model, light)
     assert (words["de_lit"] == ITS_OWN) == back and (changed is model) == (after is light) == (not back)
     (first, _), (second, how) = asked
