@@ -22,7 +22,6 @@ from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.look_alike import LOOK_ALIKE
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
-from btfsep_engine.pipeline.refine.own_colours import ITS_OWN
 from btfsep_engine.pipeline.refine.roughness import OTHERWISE as ROUGH_OTHERWISE
 from btfsep_engine.pipeline.refine.said_surface import OTHERWISE, UNLIKE
 from btfsep_engine.pipeline.refine.shaded import SHADOW
@@ -75,7 +74,7 @@ def shape_and_colour_doubts(estimate) -> list[str]:
     """What was said on the way of a ground (`standing`), light in textures (`delighting`), shadows (`refine.shaded`),
     shapes (`refine.misshapen`), surroundings (`refine.said_surface`), roughness and textures."""
     keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
-    return [estimate.choice[key] for key in keys if estimate.choice.get(key, ITS_OWN) != ITS_OWN]
+    return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 
 def in_front_doubts(estimate) -> list[str]:

@@ -6,11 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
+from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.fit.stated import Fit, mixed
 from btfsep_engine.light.files import MAP_SIZE, Lighting, lighting_map
 from btfsep_engine.pipeline.alternatives import Alternative, alternatives, mixture, mixture_words
 from btfsep_engine.pipeline.black_and_white import COLOURLESS, as_photographed
 from btfsep_engine.pipeline.checks import all_doubts
+from btfsep_engine.pipeline.delighting import DE_LIT, words_of
 from btfsep_engine.pipeline.light_account import colour_words, light_words, sky_radiance
 from btfsep_engine.pipeline.materials import changed_materials, materials_of_all
 from btfsep_engine.pipeline.mirrors import softened
@@ -33,7 +35,6 @@ from btfsep_engine.pipeline.refine.misplaced import misplaced
 from btfsep_engine.pipeline.refine.misshapen import misshapen
 from btfsep_engine.pipeline.refine.near import near_lamps
 from btfsep_engine.pipeline.refine.near_between import light_between_near_surfaces
-from btfsep_engine.pipeline.refine.own_colours import its_own_colours
 from btfsep_engine.pipeline.refine.painted import painted_surfaces
 from btfsep_engine.pipeline.refine.parted import in_parts
 from btfsep_engine.pipeline.refine.reflectance import nearer_materials
@@ -160,13 +161,15 @@ def left_as_it_is(model: Model, light: SolvedLight):
         words["geometry"] = UNSEEN
     if any(o.supposed for problem in model.problems for o in problem.scene.job.occluders):
         words[STANDS] = STANDING
+    things = zip(model.problems[0].scene.job.objects, model.materials[0], strict=True)
+    if said := words_of([thing for thing, made_of in things if made_of.name == GIVEN], model.settings):
+        words[DE_LIT] = said
     return model, light, words
 
 
 REFINEMENTS = (
     as_the_photo_shows,
     light_between_surfaces,
-    its_own_colours,
     without_things_in_front,
     in_parts,
     each_object_by_itself,

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whole estimates of a ring whose job has a scan's texture: the light in that is taken off, unless it is the ring's."""
+"""Whole estimates of a ring whose job has a scan's texture: the light in that is taken off."""
 
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,18 +12,14 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.imaging import images
 from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.checks import all_doubts
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import of_surface
-from btfsep_engine.pipeline.model import first_model, solve_model
-from btfsep_engine.pipeline.refine import own_colours
-from btfsep_engine.pipeline.refine.own_colours import ITS_OWN, its_own_colours
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.reference import Reference
 from scripts.studies.measures import order2
 from scripts.studies.stage import write_job
-from tests.render.scanned import enlarged, irradiance, obj_of, outward, paint, ring, surface, texel_uv
+from tests.render.scanned import enlarged, irradiance, obj_of, paint, ring
 from tests.render.scenes import answer, edited, job_of, scene_of, with_photo
 from tests.render.test_standing import from_above
 
@@ -80,13 +75,6 @@ def scan(seed: int):
     return clean, np.clip(clean * enlarged(irradiance(), SIDE), 0, 1).astype(np.float32)
 
 
-def paler_above(seed: int, *, dust=False):
-    """Paint that goes from dark to light from below to above; dust: where the ring faces up."""
-    height = surface(*texel_uv(SIDE))[..., 2]
-    along = 0.5 * outward(*texel_uv(SIDE))[..., 2] if dust else 0.8 * height / height.max()
-    return np.clip(paint(SIDE, seed=seed) * np.exp(along)[..., None], 0, 1).astype(np.float32)
-
-
 def off(found, terms) -> float:
     return order2(found.fit.coefficients, light_of(terms))
 
@@ -118,22 +106,6 @@ def test_of_a_clean_texture_nothing_changes(photo):
     np.testing.assert_array_equal(found.materials[0].material.texels, told.materials[0].material.texels)
 
 
-@pytest.mark.parametrize(("seed", "dust"), [(0, False), (2, True)], ids=["paler above", "dusty"])
-def test_colours_that_go_by_the_shape_are_taken_back(seed, dust):
-    texture = paler_above(seed, dust=dust)
-    photo = photographed(ASIDE, texture)
-    found, told = found_in(photo, texture), found_in(photo, texture, settings=NEVER)
-    assert found.choice["de_lit"] == ITS_OWN and ITS_OWN not in all_doubts(found)
-    assert found.settings.delight == "never" and list(found.model.departed) == [0]
-    assert off(found, ASIDE) < off(told, ASIDE) + 0.03
-    texels = told.materials[0].material.texels
-    for made_of in (found.materials[0].material, found.model.departed[0], found.model.problems[0].materials[0]):
-        np.testing.assert_array_equal(made_of.texels, texels)
-    without = [each for each in estimation.REFINEMENTS if each is not its_own_colours]
-    taken = estimate(scene_of(with_photo(job(texture), photo)), open_library(None), SETTINGS, refinements=without[:2])
-    assert off(taken, ASIDE) > 1.5 * off(found, ASIDE)
-
-
 def test_a_scan_that_was_taken_under_the_photos_light_stays_de_lit():
     """Its texture has the photo's own shading."""
     clean, texture = scan(0)
@@ -141,13 +113,6 @@ def test_a_scan_that_was_taken_under_the_photos_light_stays_de_lit():
     found, told = found_in(photo, texture), found_in(photo, texture, settings=NEVER)
     assert "has light in it" in found.choice["de_lit"] and found.settings.delight == "auto"
     assert off(found, UP) < 0.6 * off(told, UP)
-
-
-@pytest.fixture(scope="module")
-def pair():
-    """Photo and textures of two rings, the second of which is paler above; the first is clean."""
-    textures = scan(2)[0], paler_above(0)
-    return photographed(ASIDE, *textures), textures
 
 
 @pytest.fixture(scope="module")
@@ -161,24 +126,13 @@ def test_of_two_objects_only_that_with_light_is_named(both_clean):
     assert "object 'ring 1' (" in words and words.count("ring") == 1
 
 
-def test_of_two_objects_only_that_is_taken_back_which_was_changed(pair, monkeypatch):
-    monkeypatch.setattr(own_colours, "AS_UNEVEN", 0.5)  # which object it is is asked here, not whether
-    image, textures = pair
-    found, told = found_in(image, *textures), found_in(image, *textures, settings=NEVER)
-    assert found.choice["de_lit"] == ITS_OWN and list(found.model.departed) == [1]
-    for one, other in zip(found.materials, told.materials, strict=True):
-        np.testing.assert_array_equal(one.material.texels, other.material.texels)
-    assert off(found, ASIDE) < off(told, ASIDE) + 0.03
-
-
 def test_a_material_that_is_named_beside_an_image_is_no_scan(photo):
     _, texture = scan(2)
     found = found_in(photo, texture, material="reference/white-diffuse")
     assert found.materials[0].name == "reference/white-diffuse" and "de_lit" not in found.choice
 
 
-def test_of_two_scans_that_whose_material_is_named_is_not_said(both_clean, monkeypatch):
-    monkeypatch.setattr(own_colours, "CLEARLY", np.inf)  # beside a white ring that is none, told colours may gain
+def test_of_two_scans_that_whose_material_is_named_is_not_said(both_clean):
     whole = with_photo(job(*[scan(2)[1]] * 2), both_clean)
     first, second = whole.objects
     told = replace(whole, objects=(replace(first, material="reference/white-diffuse"), second))
@@ -190,52 +144,6 @@ def test_by_least_squares_it_is_said_and_not_asked(photo):
     settings = choose("paper", pixels=800, directions=256, bounces=2, order=2)
     found = found_in(photo, scan(2)[1], settings=replace(settings, appearance="textured"))
     assert "has light in it" in found.choice["de_lit"] and found.settings.delight == "auto"
-
-
-@pytest.fixture(scope="module")
-def scanned_model(photo):
-    """The model of the scan's photo, and its light, before anything is refined."""
-    scene = scene_of(with_photo(job(scan(2)[1]), photo))
-    materials = estimation.materials_of_all([scene], open_library(None), SETTINGS, name=None)
-    return solve_model(first_model([scene], materials, SETTINGS))[:2]
-
-
-def seen(evidence: float, unevenness: float):
-    """What `field_alone` gives."""
-    x = np.zeros((3, 16))
-    x[:, 0], x[:, 1:4], x[:, 5] = 2.0, unevenness * 2.0 / np.sqrt(3), 9.0
-    return SimpleNamespace(evidence=evidence, x=x)
-
-
-@pytest.mark.parametrize(("gain", "unevenness", "left", "back"), [
-    (21, 1.0, 0.9, True), (19, 1.0, 0.9, False), (-50, 1.0, 0.9, False), (21, 0.64, 0.9, True),
-    (21, 0.62, 0.9, False), (90, 0.5, 0.9, False), (21, 3.0, 0.9, True), (90, 1.0, 0.94, True), (90, 1.0, 0.96, False),
-])  # fmt: skip
-def test_the_photo_has_to_speak_clearly_and_not_by_more_even_light(
-    gain, unevenness, left, back, scanned_model, monkeypatch
-):
-    model, light = scanned_model
-    answers = [seen(100.0, 0.6), seen(100.0 + gain, 0.6 * unevenness)]
-    asked = []
-
-    def field_alone(problems, *_, **how):
-        asked.append((problems, how))
-        return answers[len(asked) - 1]
-
-    monkeypatch.setattr(own_colours, "field_alone", field_alone)
-    monkeypatch.setattr(own_colours, "_left", lambda of, _: 3.0 if of is model else 3.0 * left)
-    changed, after, words = its_own_colours(model, light)
-    assert (words["de_lit"] == ITS_OWN) == back and (changed is model) == (after is light) == (not back)
-    (first, _), (second, how) = asked
-    assert how["start"] is answers[0]
-    told = of_surface(model.problems[0].scene.job.objects[0], model.problems[0].scene.job, NEVER)
-    assert np.abs(first[0].materials[0].texels - told.texels).max() > 0.05
-    np.testing.assert_array_equal(second[0].materials[0].texels, told.texels)
-
-
-def test_unevenness_is_of_order_1_over_order_0():
-    assert own_colours._unevenness(seen(0.0, 0.3)) == pytest.approx(0.3)
-    assert own_colours._unevenness(SimpleNamespace(x=np.zeros((3, 9)))) == 0
 
 
 def test_a_scan_is_relit_by_its_paint(tmp_path, capsys):
@@ -258,9 +166,3 @@ def test_a_scan_is_relit_by_its_paint(tmp_path, capsys):
     answer(capsys, "relight", folder, "--lighting", folder / "even.exr", "--out", folder / "out.exr")
     ratio = np.log(images.read_linear(folder / "out.exr").pixels[shown] / relit[0][shown])
     assert np.median(np.abs(ratio - np.median(ratio))) > 0.09
-
-
-def test_it_is_asked_before_what_else_the_photo_may_need():
-    order = estimation.REFINEMENTS
-    assert its_own_colours in estimation.refinements_of(SETTINGS)
-    assert order.index(its_own_colours) < min(order.index(each) for each in estimation.MORE)
