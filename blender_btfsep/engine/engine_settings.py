@@ -89,7 +89,7 @@ EVIDENCES = (
 )
 EVIDENCE = Row("evidence", "Evidence", "Which occluders' own pixels tell of the light, too", items=EVIDENCES)
 DELIGHTS = (
-    ("auto", "Automatic", "Light that is found in a texture is taken off, unless the photo speaks for the texture"),
+    ("auto", "Automatic", "Light that is found in a texture is taken off for the estimate"),
     ("never", "As They Are", "Textures are the objects' own colours: nothing is taken off"),
 )
 TAKEN_OFF = "What is done with light in textures, as scans have it that were not de-lit"

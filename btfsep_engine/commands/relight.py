@@ -61,7 +61,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
     """Renders the job's objects under ``lighting`` (a file) into the image ``out``; the background is black.
 
     The material of each object is the one given, or the job's, or that of an earlier estimate, or recognised. Textures
-    that this took for the objects' own colours are theirs here, too.
+    that this was told to leave as they are (``delight``) stay so.
 
     Returns
     -------

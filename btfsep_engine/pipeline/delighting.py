@@ -147,7 +147,9 @@ def _without(image, found: LightInTexture) -> np.ndarray:
     """
     n = len(image)
     light = np.exp(cv2.resize(found.logarithm, (n, n)))
-    laid = (cv2.resize(found.laid.astype(np.uint8), (n, n)) > 0) & (image.min(-1) > DARKEST)
+    laid = cv2.resize(found.laid.astype(np.uint8), (n, n)) > 0
+    coloured = laid & (image.min(-1) > DARKEST)
+    laid = coloured if coloured.any() else laid
     out = image * (np.median(light[laid], 0) / light)
     brightest = float(np.quantile(out[laid].max(-1), WHITEST))
     return np.clip(out / max(brightest, 1.0), 0, 1).astype(np.float32)

@@ -161,7 +161,7 @@ def test_a_scan_is_relit_by_its_paint(tmp_path, capsys):
     shown = relit[0].min(-1) > 0
     ratio = np.log(relit[1][shown] / relit[0][shown])
     assert np.median(np.abs(ratio - np.median(ratio))) < 0.06
-    (folder / "result").mkdir()  # an estimate took the texture for the object's own colours
+    (folder / "result").mkdir()  # an estimate that left the texture as it is
     (folder / "result" / "result.json").write_text('{"settings": {"delight": "never"}}')
     answer(capsys, "relight", folder, "--lighting", folder / "even.exr", "--out", folder / "out.exr")
     ratio = np.log(images.read_linear(folder / "out.exr").pixels[shown] / relit[0][shown])
