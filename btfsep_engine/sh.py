@@ -55,14 +55,12 @@ def evaluate(order: int, directions) -> np.ndarray:
 def _rows(order: int, directions) -> np.ndarray:
     """The same of (n, 3), a row each: (terms, n)."""
     x, y, z = directions.T
+    if len(x) <= FEW and order <= LOW:
+        return _of_few(order, x, y, z)
     turn = np.ones((order + 1, len(x)), complex)  # (x + i y)^m, times sqrt(2) where m > 0
     if order:
         np.multiply.accumulate(np.broadcast_to(x + 1j * y, (order, len(x))), out=turn[1:])
         turn[1:] *= np.sqrt(2)
-    if len(x) <= FEW and order <= LOW:
-        by_power, m = _polynomials(order)
-        turn = np.concatenate([turn.real, turn.imag])
-        return (by_power @ z ** np.arange(order + 1)[:, None]) * turn[m]
     step, before_last, diagonal = _recurrence(order)
     even, odd = np.ascontiguousarray(turn.real), np.ascontiguousarray(turn.imag)
     out = np.empty((term_count(order), len(x)))
@@ -80,9 +78,20 @@ def _rows(order: int, directions) -> np.ndarray:
     return out
 
 
+def _of_few(order: int, x, y, z) -> np.ndarray:
+    """`_rows` by polynomials."""
+    by_power, m = _polynomials(order)
+    powers = np.ones((order + 1, 2, len(x)), complex)  # of z, and (x + i y)^m
+    if order:
+        np.multiply.accumulate(np.broadcast_to([z, x + 1j * y], (order, 2, len(x))), out=powers[1:])
+    turn = np.concatenate([powers[:, 1].real, powers[:, 1].imag])
+    return (by_power @ powers[:, 0].real) * turn[m]
+
+
 @lru_cache(maxsize=16)
 def _polynomials(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """P_l^|m| / sin^|m| of every term by powers of z, (terms, order + 1); and its row among Re and Im (x + i y)^|m|."""
+    """P_l^|m| / sin^|m| of every term by powers of z, times sqrt(2) where m is not 0, (terms, order + 1); and its row
+    among Re and Im (x + i y)^|m|."""
     step, before_last, diagonal = _recurrence(order)
     p = np.zeros((order + 1, order + 1, order + 1))  # (l, m, power)
     for l in range(order + 1):
@@ -94,7 +103,7 @@ def _polynomials(order: int) -> tuple[np.ndarray, np.ndarray]:
         p[l, :l] *= step[l, :l, None]
     l = degrees(order)
     m = np.arange(term_count(order)) - l * l - l
-    return p[l, np.abs(m)], np.where(m < 0, order + 1 - m, m)
+    return p[l, np.abs(m)] * np.where(m, np.sqrt(2), 1)[:, None], np.where(m < 0, order + 1 - m, m)
 
 
 @lru_cache(maxsize=16)

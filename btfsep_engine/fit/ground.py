@@ -27,7 +27,7 @@ from scipy.linalg import block_diag, lapack, solve_triangular
 
 from btfsep_engine.fit.products import NEGLIGIBLE, SEEN, Photograph, Rows
 from btfsep_engine.fit.search import FLOOR, Solution
-from btfsep_engine.light.lightings import bilinear
+from btfsep_engine.light.lightings import bilinear_taps
 from btfsep_engine.linear_algebra import cholesky, eigh, product
 
 SKY = (30, 60)  # pixels of the map of beams: 6 degrees
@@ -266,7 +266,8 @@ class WithGround:
 def _between(axes, directions) -> np.ndarray:
     """(…, k), ``axes`` (h w, k) of a map of `SKY` in directions (…, 3), bilinear."""
     flat = np.reshape(directions, (-1, 3))
-    return (bilinear(flat, *SKY) @ axes).reshape(*np.shape(directions)[:-1], axes.shape[1])
+    pixels, weights = bilinear_taps(flat, *SKY)
+    return np.einsum("nk,nkc->nc", weights, axes[pixels]).reshape(*np.shape(directions)[:-1], axes.shape[1])
 
 
 def _drift(ground: Ground) -> np.ndarray:

@@ -29,6 +29,7 @@ LEAST_LEFT = 0.01  # of the brightness: no model of the shading is better
 STEP = 0.2  # pixels, of finite differences
 LONGEST_STEP = 6.0  # pixels, where nothing is known of how far a step may be believed
 PARAMETERS = 7
+AT_ONCE = 12  # cameras: enough that NumPy's calls cost little, few enough for the cache
 
 
 @dataclass(frozen=True)
@@ -62,12 +63,12 @@ class Frame:
         world, flat = camera.to_world, camera.orthographic
         c = world[:3, :3].T @ (self.centre - world[:3, 3])
         shift = np.array([q[3] / camera.fx, -q[4] / camera.fy, 0]) * (1 if flat else -c[2])
-        move = np.eye(4)
-        move[:3, :3] = cv2.Rodrigues(turn)[0]
+        rotation = cv2.Rodrigues(turn)[0]
         # a larger picture is a nearer object
-        move[:3, 3] = c * (1 if flat else np.exp(zoom - scale)) + shift - move[:3, :3] @ c
-        growth = np.exp(zoom + scale * flat)
-        return replace(camera, fx=camera.fx * growth, fy=camera.fy * growth, to_world=world @ np.linalg.inv(move))
+        place = c * (1 if flat else np.exp(zoom - scale)) + shift - rotation @ c
+        growth, back = np.exp(zoom + scale * flat), np.eye(4)
+        back[:3, :3], back[:3, 3] = rotation.T, -rotation.T @ place
+        return replace(camera, fx=camera.fx * growth, fy=camera.fy * growth, to_world=world @ back)
 
 
 class Shifts(Frame):
@@ -325,11 +326,10 @@ def first_steps(misfit: Misfit, frame: Frame, q, *, free, steps: int) -> np.ndar
 def best_shifts(misfit: Misfit, frame: Frame, *, step: float, keep: int, apart: float) -> list[np.ndarray]:
     """The best starts on a grid of shifts, ``apart`` pixels or more from one another, the best first."""
     reach = np.arange(-REACH, REACH + step / 2, step)
-    grid = [np.array([0, 0, 0, x, y, 0, 0]) for x in reach for y in reach if np.hypot(x, y) <= 1.1 * REACH]
-    values = [
-        float(np.square(misfit.residuals([frame.at(q)])).sum() + PRIOR * np.square(q / frame.deviations).sum())
-        for q in grid
-    ]
+    grid = np.array([[0, 0, 0, x, y, 0, 0] for x in reach for y in reach if np.hypot(x, y) <= 1.1 * REACH])
+    values = PRIOR * np.square(grid / frame.deviations).sum(1)
+    for some in np.split(np.arange(len(grid)), range(AT_ONCE, len(grid), AT_ONCE)):
+        values[some] += np.square(misfit.residuals([frame.at(q) for q in grid[some]])).sum(1)
     out: list = []
     for i in np.argsort(values):
         if len(out) < keep and all(np.linalg.norm(grid[i] - q) >= apart for q in out):

@@ -80,11 +80,14 @@ class Camera:
     def project(self, points) -> np.ndarray:
         """Image positions (n, 2), x and y, of points (n, 3) in the world; those behind a pinhole lie far away."""
         local = (np.asarray(points) - self.to_world[:3, 3]) @ self.to_world[:3, :3]
-        right, down = local[:, 0], -local[:, 1]
+        at = local[:, :2] * (1.0, -1.0)
         if not self.orthographic:
-            z = np.maximum(-local[:, 2], NEAREST * np.abs(local).max(initial=1e-300))
-            right, down = distorted(right / z, down / z, self.distortion)
-        return np.stack([self.cx + self.fx * right, self.cy + self.fy * down], -1)
+            at /= np.maximum(-local[:, 2:], NEAREST * np.abs(local).max(initial=1e-300))
+            if any(self.distortion):
+                at = np.stack(distorted(*at.T, self.distortion), -1)
+        at *= (self.fx, self.fy)
+        at += (self.cx, self.cy)
+        return at
 
     def seen_from(self, points):
         """From where, and how finely, the camera sees points (n, 3) in the world.

@@ -209,8 +209,11 @@ def _around(directions, samples):
     return indices, shares / shares.sum(-1, keepdims=True)
 
 
-def bilinear(directions, h: int, w: int) -> csr_matrix:
-    """Sparse (n, h * w) weights: around the seam, and at the poles the nearest row."""
+def bilinear_taps(directions, h: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+    """The four pixels around each direction, (n, 4) int, row * w + column, and their weights (n, 4).
+
+    Around the seam, and at the poles the nearest row.
+    """
     u, v = direction_to_equirect(directions)
     x, y = u * w - 0.5, np.clip((1 - v) * h - 0.5, 0, h - 1)
     x0, y0 = np.floor(x).astype(np.int64), np.minimum(np.floor(y).astype(np.int64), max(h - 2, 0))
@@ -218,8 +221,14 @@ def bilinear(directions, h: int, w: int) -> csr_matrix:
     y1 = np.minimum(y0 + 1, h - 1)
     columns = [y0 * w + x0 % w, y0 * w + (x0 + 1) % w, y1 * w + x0 % w, y1 * w + (x0 + 1) % w]
     weights = [(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy]
-    rows = np.tile(np.arange(len(u)), 4)
-    return csr_matrix((np.concatenate(weights), (rows, np.concatenate(columns))), shape=(len(u), h * w))
+    return np.stack(columns, 1), np.stack(weights, 1)
+
+
+def bilinear(directions, h: int, w: int) -> csr_matrix:
+    """The same as sparse weights (n, h * w)."""
+    pixels, weights = bilinear_taps(directions, h, w)
+    starts = np.arange(0, pixels.size + 1, pixels.shape[1])
+    return csr_matrix((weights.ravel(), pixels.ravel(), starts), shape=(len(pixels), h * w))
 
 
 def shrink(radiance, factor: int) -> np.ndarray:

@@ -173,7 +173,7 @@ class TransportSettings(Seeded):
         "auto", "Light directions per pixel", kind=int, low=16, high=65536, auto=DIRECTIONS, unit="directions"
     )
     bounces: int | str = setting("auto", BOUNCES, kind=int, low=1, high=64, auto=MORE_BOUNCES, unit="bounces")
-    surface_samples: int = setting(6000, "Points on surfaces between which reflected light is followed", low=1)
+    surface_samples: int = setting(3000, "Points on surfaces between which reflected light is followed", low=1)
     transport: str = setting("kernel", BASIS_IMAGES, choices=("kernel", "reference"))
     delight: str = setting("auto", DELIGHT, choices=("auto", "never"))
     samples: int = setting(256, "Paths per pixel and basis light of the reference", low=2, high=1 << 16, unit="paths")

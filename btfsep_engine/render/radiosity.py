@@ -27,6 +27,7 @@ DIRECTIONS = 64  # directions of a sample's gathering; 256 change nothing, more 
 LANES = 1 << 20  # pairs of pixel and direction that are followed at once
 NEIGHBOURS = 3
 MOST = 0.98  # of an albedo: light in a closed room ends
+LITTLE = 1e-3  # of the light that goes between surfaces: a reflection that adds less is the last one
 COARSE = 0.5  # longest edge of a face from which samples are drawn, over its distance
 SPLITS = 40  # the most times that a face is cut into four
 
@@ -177,6 +178,11 @@ def _in_four(corners) -> np.ndarray:
     return np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
+def _little(more, light) -> bool:
+    """Whether ``more`` is next to nothing beside the ``light`` (s, M) of surfaces, in all of its columns together."""
+    return bool(np.linalg.norm(more) <= LITTLE * np.linalg.norm(light))
+
+
 def network(tracer: Tracer, *, samples: int, seed: int) -> Network:
     """The :class:`Network` of a scene, made when it is first asked for."""
     parts = [tracer.key, samples, seed]
@@ -200,6 +206,7 @@ class Indirect:
     def __init__(self, tracer: Tracer, albedos, lightings, *, bounces: int, samples: int | None = None, seed: int = 0):
         self.tracer, self.albedos, self.lightings = tracer, albedos, lightings
         self.bounces, self.samples, self.seed = bounces, samples or SAMPLES, seed
+        self._lit: dict = {}  # how often light was sent on -> what the samples get of it
 
     @cached_property
     def _network(self) -> Network:
@@ -211,37 +218,38 @@ class Indirect:
         net = self._network
         albedos = net.albedos(self.albedos)
         alike = (albedos == albedos[:1]).all()
-        irradiance = self._irradiance(self.bounces if alike else 1)
+        straight = self._irradiance(0)
         grey = (albedos == albedos[:, :1]).all()
         found = []
-        for c in range(1 if grey and len(irradiance) == 1 else 3):
-            again = irradiance[min(c, len(irradiance) - 1)]
-            if alike:
-                found.append(sum(albedos[0, c] ** (k + 1) * light for k, light in enumerate(again)))
-                continue
-            albedo, straight = albedos[:, c, None], again[0]
-            radiosity = albedo * straight
-            for _ in range(self.bounces - 1):
-                radiosity = albedo * (straight + net.gather @ radiosity)
+        for c in range(1 if grey and len(straight) == 1 else 3):
+            channel = min(c, len(straight) - 1)
+            more = radiosity = albedos[:, c, None] * straight[channel]
+            for k in range(1, self.bounces):
+                if _little(more, radiosity):
+                    break
+                if alike:
+                    more = albedos[0, c] ** (k + 1) * self._irradiance(k)[channel]
+                else:
+                    more = albedos[:, c, None] * (net.gather @ more)
+                radiosity = radiosity + more
             found.append(radiosity)
         return found
 
-    def _irradiance(self, times: int) -> list:
-        """Of samples by the sky, by white surfaces which that lights, … : 1 or 3 channels of ``times`` (s, M)."""
+    def _irradiance(self, times: int) -> list[np.ndarray]:
+        """Of samples by light that surfaces, all white, have sent on ``times`` times: 1 or 3 channels of (s, M)."""
 
         def found():
             net = self._network
+            if times:
+                return [net.gather @ light for light in self._irradiance(times - 1)]
             light = np.moveaxis(np.asarray(self.lightings.cell_averages(net.directions), np.float32), 2, 0)
-            out = [[net.sky @ np.ascontiguousarray(channel)] for channel in light]
-            for again in out:
-                for _ in range(times - 1):
-                    again.append(net.gather @ again[-1])
-            return out
+            return [net.sky @ np.ascontiguousarray(channel) for channel in light]
 
-        if not self.lightings.returns:
-            return found()
-        parts = [self.tracer.key, self.samples, self.seed, self.lightings, times]  # whatever the material
-        return kept.recalled("irradiance", parts, found)
+        if times not in self._lit:
+            parts = [self.tracer.key, self.samples, self.seed, self.lightings, times]  # whatever the material
+            again = self.lightings.returns
+            self._lit[times] = kept.recalled("irradiance", parts, found) if again else found()
+        return self._lit[times]
 
     def reflected(self, transport, material) -> np.ndarray:
         """Radiance (p, M, 3) float32 of a `Transport`'s points by the light that other surfaces send them.

@@ -42,17 +42,18 @@ class Store:
     def get(self, key: tuple, make, *, size=None):
         """The thing called ``key``; ``make()``, kept from now on, where there is none. ``size`` (bytes) : of it."""
         found = self._things.pop(key, None)
-        if found is None:
-            thing = make()
-            _freeze(thing)
-            found = thing, SMALL + (bytes_of(thing) if size is None else size)
-            self.made += 1
-        else:
+        if found is not None:
+            self._things[key] = found
             self.recalled += 1
+            return found[0]
+        thing = make()
+        _freeze(thing)
+        found = thing, SMALL + (bytes_of(thing) if size is None else size)
+        self.made += 1
         if found[1] <= LARGEST * self.most_bytes:
             self._things[key] = found
             self._make_room()
-        return found[0]
+        return thing
 
     def _make_room(self) -> None:
         over = self.bytes - self.most_bytes
