@@ -16,6 +16,7 @@ NAME = "btfsep_material"  # custom property of a Blender material: the library's
 FINISH = ("roughness", "metallic", "specular")  # in an image of finishes: red, green, blue
 VARYING = ("Roughness", "Metallic", "Specular IOR Level", "Base Color", "Color")  # inputs whose links are baked
 MOST_FINISHES = 16  # that a job may have of one object
+RELIEF = "material '{}' has a normal or bump map, which is not followed: the light goes by the mesh's own shape"
 NEW = 0.8  # of each channel of a new material's colour, which says nothing
 ALIKE = 0.01  # numbers of materials that differ by less are one
 
@@ -140,6 +141,7 @@ def surface_of(name: str, part: dict | None, surfaces: dict | None, folder, *, m
     if surface is None:
         why = told[0] if told else surroundings.NOT_KNOWN
         raise InputError(f"object '{name}'", why, "give its colour, or have it recognised")
+    told += [RELIEF.format(material.name) for material in surroundings.with_relief(part["areas"])]
     for sentence in told:
         warn(f"object '{name}': {sentence}")
     if baked is not None:

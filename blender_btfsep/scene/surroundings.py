@@ -12,6 +12,7 @@ from .bake import source_of
 DEFAULT = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0, "metallic": 0.0, "specular": 0.0}  # Cycles', of no material
 LAYERS = {"coat": 0.0, "coat_roughness": 0.03, "sheen": [0.0, 0.0, 0.0], "sheen_roughness": 0.5}  # of Principled
 BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
+RELIEF = {"NORMAL_MAP", "BUMP"}
 CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"}
 SENDS = 1.0  # radiance of what is a lamp: as much as the whitest things send under a sky of brightness one
 SHINING = "material '{}' shines: its light is found as the World's, and a render that shows both has it twice"
@@ -135,6 +136,26 @@ def _numbers(material, warn, otherwise: str = NOT_KNOWN) -> dict | None:
     return {"base_color": np.clip(base, 0, 1), "roughness": float(np.clip(roughness, 0, 1)), **more}
 
 
+def with_relief(areas: dict) -> list:
+    """Those materials that are lit otherwise than the mesh's own shape is: by a normal map or a bump."""
+    return [material for material in areas if material is not None and material.use_nodes and _has_relief(material)]
+
+
+def _has_relief(material) -> bool:
+    tree = material.node_tree
+    output = tree.get_output_node("CYCLES")
+    if material.displacement_method == "BUMP" and output is not None:
+        if source_of(output.inputs["Displacement"]) is not None:
+            return True
+    return any(_bends_normals(node) for node in tree.nodes)
+
+
+def _bends_normals(node) -> bool:
+    if node.type == "GROUP" and node.node_tree:
+        return any(_bends_normals(inner) for inner in node.node_tree.nodes)
+    return node.type in RELIEF and any(socket.is_linked for socket in node.outputs)
+
+
 def displaced(areas: dict) -> bool:
     """Whether a render moves the surface by what one of its materials says (as a bump alone does not)."""
     for material in areas:
@@ -165,6 +186,11 @@ def _left_out(node) -> list[str]:
         found.append("light that goes on below its surface")
     if _up_to(node.inputs["Sheen Weight"]) > LITTLE:
         found.append("how bright its sheen is at a slant")
+    if _up_to(node.inputs["Anisotropic"]) > LITTLE:
+        found.append("how its gloss is stretched")
+    tint = node.inputs["Specular Tint"]
+    if source_of(tint) is not None or min(tint.default_value[:3]) < 1 - LITTLE:
+        found.append("the tint of its gloss")
     film = node.inputs.get("Thin Film Thickness")
     if film is not None and _up_to(film) > 0:
         found.append("its thin film")

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from blender_btfsep.basics.errors import InputError
-from blender_btfsep.scene import export, meshes
+from blender_btfsep.scene import export, meshes, own_surface
 from btfsep_engine.job.load import load_job
 from btfsep_engine.pipeline.refine.seen_colour import _is_asked
 from scripts.cycles import materials
@@ -89,7 +89,7 @@ def test_a_material_that_moves_the_surface_is_said(exported):
     for method, left in (("DISPLACEMENT", ["its displacement"]), ("BOTH", ["its displacement"]), ("BUMP", None)):
         material.displacement_method = method
         fitted, warnings = exported(thing, surfaces=surface)
-        assert fitted["surface"].get("left_out") == left and not warnings
+        assert fitted["surface"].get("left_out") == left and len(warnings) == (method == "BUMP")
     material.displacement_method = "BOTH"
     assert exported(thing)[1] == ["object 'Thing': its displacement is left out"]
 
@@ -140,3 +140,55 @@ def test_adaptive_subdivision_is_as_smooth_as_the_render(scene):
     assert faces() == 6 * 4**6 <= meshes.FINE and smooth.levels == 0
     thing.modifiers.new("Bevel", "BEVEL").show_render = False
     assert faces() == 24  # a render does so only where the modifier is the last
+
+
+def relief(material, shader, kind: str):
+    """Gives a material a relief that moves no surface."""
+    tree = material.node_tree
+    if kind == "displacement":
+        node, material.displacement_method = tree.nodes.new("ShaderNodeDisplacement"), "BUMP"
+        tree.links.new(node.outputs[0], tree.get_output_node("CYCLES").inputs["Displacement"])
+        return
+    node = tree.nodes.new({"normal map": "ShaderNodeNormalMap", "bump": "ShaderNodeBump"}.get(kind, "ShaderNodeGroup"))
+    if kind == "in a group":
+        node.node_tree = bpy.data.node_groups.new("Inner", "ShaderNodeTree")
+        node.node_tree.interface.new_socket("Normal", in_out="OUTPUT", socket_type="NodeSocketVector")
+        bump, end = (node.node_tree.nodes.new(name) for name in ("ShaderNodeBump", "NodeGroupOutput"))
+        node.node_tree.links.new(bump.outputs[0], end.inputs[0])
+    tree.links.new(node.outputs[0], shader.inputs["Normal"])
+
+
+@pytest.mark.parametrize("kind", ["normal map", "bump", "in a group", "displacement"])
+def test_a_relief_that_a_material_alone_has_is_said_and_the_rest_of_it_followed(exported, kind):
+    thing, (own, shader) = add_cube(), materials.shaded("Bark", "ShaderNodeBsdfPrincipled")
+    shader.inputs["Base Color"].default_value = (0.3, 0.2, 0.1, 1)
+    thing.data.materials.append(own)
+    relief(own, shader, kind)
+    fitted, warnings = exported(thing, surfaces={"Thing": own_surface.BLENDER})
+    assert fitted["surface"]["base_color"] == pytest.approx([0.3, 0.2, 0.1], abs=1e-6)
+    told = "object 'Thing': material 'Bark' has a normal or bump map, which is not followed"
+    assert len(warnings) == 1 and warnings[0].startswith(told) and "left_out" not in fitted["surface"]
+
+
+def test_a_bump_that_nothing_hangs_on_is_not_said(exported):
+    thing, (own, shader) = add_cube(), materials.shaded("Bark", "ShaderNodeBsdfPrincipled")
+    thing.data.materials.append(own)
+    own.node_tree.nodes.new("ShaderNodeBump")
+    assert exported(thing, surfaces={"Thing": own_surface.BLENDER})[1] == []
+    relief(own, shader, "bump")
+    assert exported(thing, surfaces={"Thing": GREY})[1] == []  # what is told is not the material's
+
+
+@pytest.mark.parametrize(
+    ("socket", "value", "said"),
+    [
+        ("Anisotropic", 0.5, ["how its gloss is stretched"]),
+        ("Specular Tint", (1, 0.8, 0.5, 1), ["the tint of its gloss"]),
+    ],
+)
+def test_a_gloss_that_no_number_has_is_left_out_in_words(exported, socket, value, said):
+    thing, (own, shader) = add_cube(), materials.shaded("Steel", "ShaderNodeBsdfPrincipled")
+    thing.data.materials.append(own)
+    assert "left_out" not in exported(thing, surfaces={"Thing": own_surface.BLENDER})[0]["surface"]
+    shader.inputs[socket].default_value = value
+    assert exported(thing, surfaces={"Thing": own_surface.BLENDER})[0]["surface"]["left_out"] == said
