@@ -31,7 +31,8 @@ from btfsep_engine.light.lightings import bilinear_taps
 from btfsep_engine.linear_algebra import cholesky, eigh, product
 
 SKY = (30, 60)  # pixels of the map of beams: 6 degrees
-DIRECTIONS = 800  # of a field: 7 degrees apart
+DIRECTIONS, FEW_DIRECTIONS = 800, 400  # of a field: 7 degrees apart; of a first look: 10 degrees
+LOOKED_AT, EVERY = 150, 20  # places that a first look at a ground has at least, and of so many at least one
 EVIDENCE = 500  # places that count as such
 LEAST_NOISE = 0.02  # of the ground's root mean square: light between surfaces is known no better
 FREE, DRIFT = 1.0, 0.03  # of the ground's reflectance: its own; its deviation over the place
@@ -80,6 +81,12 @@ class Ground:
             axes /= np.linalg.norm(axes, axis=0)
         return axes
 
+    @property
+    def thinned(self) -> "Ground":
+        """The same with every second or third place, or fewer, but `LOOKED_AT` at least: for a first look."""
+        some = slice(None, None, min(max(1, len(self.radiance) // LOOKED_AT), EVERY))
+        return Ground(*(values[some] for values in (self.response, self.radiance, self.surface, self.at)))
+
     @cached_property
     def columns(self) -> np.ndarray:
         """(3, p, k): the response along the axes."""
@@ -104,13 +111,16 @@ class WithGround:
     ground : Ground, in the photo's exposure
     first : Solution for the objects alone
     alike : how many places speak as one
+    directions : of the field
     """
 
-    def __init__(self, photo: Photograph, ground: Ground, first: Solution, *, alike: float = 1.0):
+    def __init__(
+        self, photo: Photograph, ground: Ground, first: Solution, *, alike: float = 1.0, directions: int = DIRECTIONS
+    ):
         self.photo, self.ground, self._alike = photo, ground, alike
         self.basis, self.level, self.mean_square = photo.basis, photo.level, photo.mean_square
         self._columns, beside = ground.columns, partial(_between, ground.axes)
-        self.fields = tuple(replace(f, beside=beside, count=DIRECTIONS) for f in photo.fields)
+        self.fields = tuple(replace(f, beside=beside, count=directions) for f in photo.fields)
         self._drift, self._shown = _drift(ground), 0.0
         field = self.fields[0 if first.model.field.order else 1]
         self.learn_ground(replace(first.model, field=field).light(first.white)[0])

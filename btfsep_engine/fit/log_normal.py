@@ -37,7 +37,7 @@ from btfsep_engine.fit.election import (
     onward,
     rough_light,
 )
-from btfsep_engine.fit.ground import Ground, WithGround
+from btfsep_engine.fit.ground import FEW_DIRECTIONS, Ground, WithGround
 from btfsep_engine.fit.light_model import LightModel
 from btfsep_engine.fit.posterior import HIDDEN, WIDER, hidden_lamps, posterior_samples
 from btfsep_engine.fit.products import SINGLE, Basis, Photograph
@@ -178,10 +178,15 @@ class LightSolver:
             return self._fit(photo, best, rival and onward(photo, rival))
 
     def ground_evidence(self, radiance, alone: Fit, ground: Ground, *, weights=None) -> float:
-        """How probable objects and ``ground`` are under the model of ``alone``: quickly, to choose among some."""
+        """How probable objects and ``ground`` are under the model of ``alone``: quickly, to choose among some.
+
+        By some of the ground's places, in less than half of the time: of 26 grounds another look is the most probable
+        on two or three, and the light of 19 plates on glossy tables errs 1.002 times as much.
+        """
         with one_thread():
             known = alone.election.solution
-            photo = WithGround(self._photograph(radiance, weights, alone), ground, known)
+            photo = self._photograph(radiance, weights, alone)
+            photo = WithGround(photo, ground.thinned, known, directions=FEW_DIRECTIONS)
             photo.learn_from(known.x)
             model = replace(known.model, field=photo.fields[0 if known.model.field.order else 1])
             v = np.concatenate([known.v, FIRST_GROUND_NOISE**2 * photo.energy])

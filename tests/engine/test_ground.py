@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A ground with an object's shadow on it, as evidence beside the object: what it adds, and what it must not change."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from btfsep_engine.conventions import pixel_directions, pixel_solid_angles
-from btfsep_engine.fit.ground import EVIDENCE, NULL, SKY, Ground, WithGround, _drift
+from btfsep_engine.fit.ground import EVIDENCE, LOOKED_AT, NULL, SKY, Ground, WithGround, _drift
 from btfsep_engine.fit.log_normal import LightSolver
 from tests.engine.half_sphere import SUN, even, half_sphere, lamp, off, shown
 
@@ -196,3 +198,30 @@ def test_the_axes_of_a_coloured_gloss_leave_out_no_more_than_those_of_all_channe
     np.testing.assert_allclose(np.linalg.svd(axes.T @ kept, compute_uv=False), 1, atol=1e-4)
     np.testing.assert_allclose(axes.T @ axes, np.eye(axes.shape[1]), atol=1e-4)
     np.testing.assert_allclose(ground.columns, np.moveaxis(response, 2, 0) @ axes, rtol=1e-4, atol=1e-4)
+
+
+def test_a_first_look_at_a_ground_has_enough_of_each_surface_and_what_is_small_whole(case, rng):
+    light = case[0]
+    small = table(rng, light, places=2 * LOOKED_AT - 1)
+    assert len(small.thinned.radiance) == len(small.radiance)
+    some = table(rng, light, places=4 * LOOKED_AT + 3)
+    surface = np.repeat([0, 1], [4 * LOOKED_AT - 37, 40])
+    some = replace(some, surface=surface, at=np.arange(len(surface))[:, None] * np.ones(2))
+    few = some.thinned
+    assert LOOKED_AT <= len(few.radiance) < 1.1 * LOOKED_AT and (np.bincount(few.surface) >= 9).all()
+    which = few.at[:, 0].astype(int)
+    for name in ("response", "radiance", "surface"):
+        np.testing.assert_array_equal(getattr(few, name), getattr(some, name)[which])
+    twenty = {name: np.concatenate([getattr(some, name)] * 20) for name in ("response", "radiance")}
+    many = replace(some, **twenty)
+    many = replace(many, surface=np.repeat([0, 1], [len(many.radiance) - 40, 40]), at=np.zeros((len(many.radiance), 2)))
+    assert np.bincount(many.thinned.surface)[1] >= 2  # however little of all a surface is
+
+
+def test_of_two_grounds_the_one_that_goes_with_the_objects_is_more_probable_at_a_first_look(case, rng):
+    """What a first look has to say is which of several; a ground whose shadow lies elsewhere is none."""
+    light, _, solver, b, alone = case
+    right = table(rng, light, places=2 * LOOKED_AT)
+    turned = replace(right, response=right.response[::-1])
+    evidences = [solver.ground_evidence(b, alone, one) for one in (right, turned)]
+    assert evidences[0] > evidences[1] + 10
