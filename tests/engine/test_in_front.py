@@ -193,6 +193,52 @@ def test_of_what_shows_highlights_nothing_is_left_out_and_no_lamp_nearby_is_soug
     assert "highlights" in near.near_lamps(replace(same, materials=((made_of,),)), answer)[2]["near"]
 
 
+def of_photo_and_model(b, shown) -> tuple:
+    """The model and the light of photographs (p, 3) that a light explains as ``shown`` (p, 3)."""
+    return SimpleNamespace(problems=[]), SimpleNamespace(radiance=lambda _: b, left_over=lambda _: b - shown)
+
+
+def lobes(offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance (p, 3) of a row of 200 points with a bright place, so many points off; and (p,) bool, where it is."""
+    at = np.arange(200.0)
+    level = 0.2 + 0.001 * at + 2 * np.exp(-(((at - 80 - offset) / 12) ** 2))
+    return level[:, None] * [1.0, 0.8, 0.5], np.abs(at - 80) < 20
+
+
+@pytest.mark.parametrize(("offset", "expected"), [(0.0, True), (4.0, True), (25.0, False)])
+def test_light_a_little_beside_its_place_is_the_objects_own(offset, expected):
+    """No light explains what lies elsewhere on the mesh than in the photo."""
+    shown, lost = lobes()
+    assert in_front.as_the_objects(*of_photo_and_model(lobes(offset)[0], shown), lost) is expected
+
+
+@pytest.mark.parametrize("colour", [(1.0, 0.8, 0.5), (0.2, 0.2, 0.2)])
+def test_what_is_the_same_all_over_is_a_thing_in_front(colour):
+    shown, lost = lobes()
+    b = np.where(lost[:, None], colour, shown)
+    assert not in_front.as_the_objects(*of_photo_and_model(b, shown), lost)
+
+
+def test_what_is_shaded_as_the_objects_by_another_colour_is_a_thing_in_front():
+    shown, lost = lobes()
+    tinted = np.where(lost[:, None], shown * [1.1, 1.0, 0.9], shown)
+    assert not in_front.as_the_objects(*of_photo_and_model(tinted, shown), lost)
+    elsewhere_too = shown * np.where(lost, 1.0, -1.0)[:, None] * [0.05, 0.0, -0.05] + shown
+    assert in_front.as_the_objects(*of_photo_and_model(elsewhere_too, shown), lost)
+
+
+def test_of_what_the_mesh_has_elsewhere_nothing_is_left_out_and_the_other_light_is_the_other_half(rng, monkeypatch):
+    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: False)
+    model, light = photographed(rng, patch, 0.02)
+    left_out = without_things_in_front(model, light)[1]
+    monkeypatch.setattr(in_front, "as_the_objects", lambda *_: True)
+    same, answer, words = without_things_in_front(model, light)
+    assert answer is light and same.problems is not None and same.problems[0].left_out is None
+    ((other, share),) = same.otherwise
+    assert share == 0.5 and words == {in_front.SHAPE: in_front.MISPLACED}
+    np.testing.assert_allclose(other.all_coefficients, left_out.fit.all_coefficients, rtol=1e-6)
+
+
 def test_highlights_are_said_unless_lamps_have_images_that_explain_them():
     def estimate(highlights, correction=None):
         leather = SimpleNamespace(material=SimpleNamespace(name="leather"))
