@@ -73,6 +73,7 @@ KNOWN = (
     Advice("poorly (relative residual", "The light explains {0} poorly: material, shape or camera", "ALIGN", "RED"),
     Advice("show something else than the light explains", "What stands before {0} is left out; a mask is surer"),
     Advice("lies over the photo and never met them", "Haze or stray light over the photo is taken off", level="AMBER"),
+    Advice("lie beside where the mesh has them", "Shape or pose of {0} is not what the photo shows", level="AMBER"),
     Advice(
         "brighter or darker than the light makes",
         "Shape, pose or paint of {0} is not what the photo shows",

@@ -19,6 +19,7 @@ from btfsep_engine.pipeline.doubts import (
 )
 from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
+from btfsep_engine.pipeline.refine.in_front import OTHER_SHAPE
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.look_alike import LOOK_ALIKE
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
@@ -72,8 +73,8 @@ def tones_doubts(estimate) -> list[str]:
 
 def shape_and_colour_doubts(estimate) -> list[str]:
     """What was said on the way of a ground (`standing`), light in textures (`delighting`), shadows (`refine.shaded`),
-    shapes (`refine.misshapen`), surroundings (`refine.said_surface`), roughness and textures."""
-    keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
+    shapes (`refine.misshapen`, `refine.in_front`), surroundings (`refine.said_surface`), roughness and textures."""
+    keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHER_SHAPE, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
     return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 

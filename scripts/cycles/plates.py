@@ -164,6 +164,8 @@ def take(plate, folder: Path) -> None:
     if "pattern" in plate:
         table[0].data.materials[0] = materials.white(plate["pattern"]["told"])
     photo = coded(scene, linear, folder, plate["curve"])
+    if "mesh" in plate:
+        scans.remeshed(thing, **plate["mesh"])
     told = {"image_path": photo, "objects": [thing], "occluders": table}
     told |= {"surfaces": {thing.name: own_surface.BLENDER}, "curve": "agx" if plate["curve"] == "agx" else "auto"}
     folders = [("in line", (0, 0)), ("job", plate["off"])]

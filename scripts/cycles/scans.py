@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scans as they come: textures with the light in them under which they were taken."""
+"""Scans as they come: textures with the light in them under which they were taken, meshes that are a little off."""
 
 import math
 
@@ -7,12 +7,15 @@ import bpy
 import numpy as np
 
 from blender_btfsep.basics import pixels
-from scripts.cycles import materials, studio
+from scripts.cycles import materials, objects, studio
 
 SIDE, MARGIN = 512, 8  # of a texture, pixels
 SAMPLES = 128  # a texel
 BRIGHTEST = 0.95  # of base colours
 ISLANDS = 0.01  # between charts, of the texture
+# Of a mesh's waves: their length in shares of its largest side, and how high each of several that run any way
+WAVE, WAVES = 0.3, ((1.0, 1.0), (2.0, 0.5))
+DIRECTIONS = 6
 
 
 def unwrapped(thing: bpy.types.Object) -> None:
@@ -88,3 +91,40 @@ def textured(surface, texture, name: str) -> bpy.types.Material:
     node.image = pixels.new(name, texture)
     material.node_tree.links.new(node.outputs["Color"], bsdf.inputs["Base Color"])
     return material
+
+
+def remeshed(thing: bpy.types.Object, *, face, smoothed, waves, noise, triangles, seed) -> None:
+    """Gives a thing the mesh that a scan has of it.
+
+    ``face`` : edge of its faces; ``waves``, ``noise`` : by how much it is off, smoothly and from vertex to vertex; in
+    shares of the largest side; ``smoothed`` : how often; ``triangles`` : how many are left, 0: all
+    """
+    largest = float(np.ptp(objects.vertex_positions(thing.data), axis=0).max())
+    own, random = list(thing.data.materials), np.random.default_rng(seed)
+    cells = thing.modifiers.new("Cells", "REMESH")
+    cells.mode, cells.voxel_size = "VOXEL", largest * face
+    if smoothed:
+        thing.modifiers.new("Smooth", "SMOOTH").iterations = smoothed
+    _applied(thing)
+    positions, normals = objects.vertex_positions(thing.data), np.empty((len(thing.data.vertices), 3), np.float32)
+    thing.data.vertex_normals.foreach_get("vector", normals.reshape(-1))
+    off = noise * random.normal(size=len(positions))
+    for times, height in WAVES:
+        for way in random.normal(size=(DIRECTIONS, 3)):
+            way *= 2 * np.pi * times / (WAVE * largest) / np.linalg.norm(way)
+            off += waves * height / np.sqrt(DIRECTIONS) * np.sin(positions @ way + random.uniform(0, 2 * np.pi))
+    objects.move(thing.data, positions + largest * off[:, None] * normals)
+    if triangles:
+        thing.modifiers.new("Fewer", "DECIMATE").ratio = min(1.0, triangles / (2 * len(thing.data.polygons)))
+        _applied(thing)
+    thing.data.materials.clear()
+    for material in own:
+        thing.data.materials.append(material)
+    thing.data.shade_smooth()
+
+
+def _applied(thing: bpy.types.Object) -> None:
+    """Makes the thing's mesh what its modifiers make of it."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    thing.data = bpy.data.meshes.new_from_object(thing.evaluated_get(graph), depsgraph=graph)
+    thing.modifiers.clear()

@@ -20,7 +20,7 @@ from btfsep_engine.pipeline.refine.each_object import each_object_by_itself
 from btfsep_engine.storage.atomic import write_json
 from scripts.cycles import plain
 from scripts.cycles.lights import studio_lights
-from scripts.studies import parser, photos, plate_sets, tables
+from scripts.studies import parser, photos, plate_light, plate_sets, tables
 from scripts.studies.estimates import estimated, worth
 
 COUNT, SEED = 24, 301
@@ -53,7 +53,7 @@ def drawn(seed: int = SEED) -> list[dict]:
 def study(pair: dict, folder: Path) -> list[dict]:
     """A photograph's rows."""
     ways = {AS_IT_IS: None, ALIKE: tuple(r for r in REFINEMENTS if r is not each_object_by_itself)}
-    truth, out = plate_sets.truth(pair | {"sun": None}), []
+    truth, out = plate_light.truth(pair | {"sun": None}), []
     for way, refinements in ways.items():
         found = estimated(folder / pair["name"], refinements=refinements)
         row = {"name": pair["name"], "second": f"second {pair['second']}", "way": way}

@@ -3,10 +3,9 @@
 
 import numpy as np
 
-from btfsep_engine import sh
-from btfsep_engine.conventions import across
 from scripts.cycles import plain
 from scripts.cycles.lights import studio_lights, true_lighting
+from scripts.studies.plate_light import CORNERS, of_box
 
 SETS = {
     "first": 1,
@@ -48,6 +47,8 @@ SETS = {
     "sweep again": 220,
     "scanned": 221,
     "scanned again": 222,
+    "remeshed": 223,
+    "remeshed again": 224,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -79,8 +80,6 @@ SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
 # Of softboxes: how many at most; metres from the object's middle; their edge over that; how warm or cold; the light of
 # further ones over the first one's
 BOXES, AWAY, EDGE, WARM, FILL = 3, (0.3, 1.2), (0.2, 0.7), 0.15, (0.2, 0.8)
-CORNERS = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])  # of a softbox, in its edges from its middle
-PATCHES = 24  # of a softbox, a side: of its integral
 ROOM = (0.03, 0.3)  # their plates' other light, times what it is
 BEYOND, LARGE = (0.1, 0.45), (0.8, 1.1)  # of what the picture's edge cuts: share of its extent beyond it; of the frame
 CAMERA, CAMERA_AWAY = np.array([0.45, -1.0, 0.42]) / np.linalg.norm([0.45, -1.0, 0.42]), 0.5  # about; metres
@@ -91,6 +90,9 @@ BEHIND, BEND = (0.15, 0.5), (0.05, 0.2)
 PAPERS = ((0.8, 0.8, 0.79), (0.8, 0.8, 0.79), (0.4, 0.4, 0.4), (0.08, 0.08, 0.08), (0.65, 0.2, 0.2), (0.25, 0.4, 0.6))
 # Of scans: least roughness; their sky's radiances below and at the horizon over that above; share in the photo's light
 MATTE, BELOW, HORIZON, OWN_LIGHT = 0.5, (0.1, 0.5), (0.4, 1.0), 1 / 3
+# Of meshes as scans have them, in shares of the object's largest side: a face's edge; how far they are off at most, in
+# waves and by noise; how often they are smoothed; how many triangles are left of them, 0: all
+FACE, WAVES, NOISE, SMOOTHED, TRIANGLES = (0.006, 0.02), 0.006, 0.001, (0, 2, 8), (0, 3000, 10000)
 BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
@@ -303,20 +305,15 @@ def scanned(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
-def of_box(box: dict, across_it) -> np.ndarray:
-    """Points (n, 3) of a softbox, metres from the object's middle; ``across_it`` : (n, 2), in edges from its own."""
-    towards = np.array(box["direction"])
-    return box["distance"] * towards + box["edge"] * np.asarray(across_it) @ across(towards)
-
-
-def box_light(box: dict, order: int) -> np.ndarray:
-    """The light of a softbox at the object's middle: ((order + 1)^2, 3)."""
-    steps = (np.arange(PATCHES) + 0.5) / PATCHES - 0.5
-    points = of_box(box, np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2))
-    distance = np.linalg.norm(points, axis=1)
-    solid_angle = (box["edge"] / PATCHES) ** 2 * box["distance"] / distance**3
-    light = sh.evaluate(order, points / distance[:, None]).T @ solid_angle
-    return light[:, None] * box["radiance"]
+def remeshed(plates: list[dict], seed: int) -> list[dict]:
+    """The plates with meshes as scans have them: smoother, noisy, a little off and of fewer faces."""
+    random, out = np.random.default_rng(seed), []
+    for plate in plates:
+        mesh = {"face": float(np.exp(random.uniform(*np.log(FACE)))), "smoothed": int(random.choice(SMOOTHED))}
+        mesh |= {"waves": random.uniform(0, WAVES), "noise": random.uniform(0, NOISE)}
+        mesh |= {"triangles": int(random.choice(TRIANGLES)), "seed": plate["seed"]}
+        out.append(plate | {"mesh": mesh})
+    return out
 
 
 def by_eye(true: dict, random) -> dict:
@@ -379,22 +376,9 @@ def of_set(name: str, lights=None) -> list[dict]:
         "flash": flashed,
         "sweep": on_paper,
         "scanned": scanned,
+        "remeshed": remeshed,
     }
     for kind, made_of in made.items():
         if name.startswith(kind):
             return made_of(plates, seed)
     return {"several": several, "glossy tables": on_gloss}.get(name, list)(plates)
-
-
-def truth(plate) -> np.ndarray:
-    """The light's coefficients (100, 3)."""
-    c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
-    x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
-    x = x * plate.get("dimmed", 1)
-    for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
-        beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
-        x = x + beam[:, None] * lamp["irradiance"]
-    if "flash" in plate:
-        place = np.array(plate["flash"]["place"])
-        x = x + sh.evaluate(9, place[None] / np.linalg.norm(place))[0][:, None] * plate["flash"]["irradiance"]
-    return x + sum(box_light(box, 9) for box in plate.get("boxes", ()))

@@ -23,7 +23,8 @@ unread (*table not read*), and it may be said to be matte, or as a new material 
 none (*not told*), and the photo may not be asked for it (*nor looked for*). Of the sets *cut* an edge of the picture
 cuts the object; those of *flash* have a flash on the camera, indoors; those of *sweep* stand on paper that rises behind
 them, under softboxes. Those of *scanned* have a texture with the light in it that it was taken under, which may be left
-there (*not de-lit*), or not have been there (*without light in the texture*).
+there (*not de-lit*), or not have been there (*without light in the texture*). The jobs of *remeshed* have meshes as
+scans are, smoother, noisy and a little off.
 With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
 of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """
@@ -47,7 +48,8 @@ from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.ground import above
 from scripts.studies.measures import errors
-from scripts.studies.plate_sets import SETS, of_set, truth
+from scripts.studies.plate_light import truth
+from scripts.studies.plate_sets import SETS, of_set
 
 AS_IS, IN_LINE, AS_MEAN = "as it is", "in line", "as their mean"
 NOT_SAID, AS_SRGB = "not said", "taken for sRGB"

@@ -31,7 +31,7 @@ from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from btfsep_engine.storage.atomic import write_json
 from scripts.cycles.lights import studio_lights
-from scripts.studies import parser, photos, plate_sets, plates, tables
+from scripts.studies import parser, photos, plate_light, plate_sets, plates, tables
 from scripts.studies.estimates import estimated, kept, worth
 from scripts.studies.stability.axes import smoothed
 from scripts.studies.stage import as_mesh
@@ -319,7 +319,7 @@ def judged(plate, folder: Path, case: str, settings) -> dict:
         found = estimated(PreparedScene(job, reporter), preset=settings.preset, robust=settings.robust)
     except InputError as error:
         return row | {"failed": str(error)}
-    row |= worth(found, plate_sets.truth(plate), free_scale=True) | {
+    row |= worth(found, plate_light.truth(plate), free_scale=True) | {
         "choice": found.choice,
         "said": list(reporter.warnings),
     }

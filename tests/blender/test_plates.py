@@ -14,7 +14,7 @@ from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
 from scripts.cycles import materials, objects, studio
 from scripts.cycles import plates as studio_plates
-from scripts.studies import cameras, measures, phones, plate_sets, plates
+from scripts.studies import cameras, measures, phones, plate_light, plate_sets, plates
 from scripts.studies.estimates import scene_of
 
 
@@ -53,7 +53,7 @@ def test_lights_are_drawn_from_a_folder_of_maps(tmp_path):
         assert {plate["light"] for plate in here} == {path} and path not in {plate["light"] for plate in usual}
         assert len(here) == plate_sets.COUNT and set(here[0]) == set(usual[0])
     plain = {**plate_sets.of_set("tenth", [path])[0], "sun": None}
-    assert plate_sets.truth(plain)[0] == pytest.approx(np.sqrt(4 * np.pi) * np.array([2.0, 1.0, 0.5]), rel=1e-3)
+    assert plate_light.truth(plain)[0] == pytest.approx(np.sqrt(4 * np.pi) * np.array([2.0, 1.0, 0.5]), rel=1e-3)
 
 
 def test_plates_of_several_materials_and_their_mean(tmp_path):
@@ -100,7 +100,7 @@ def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
     assert pressed.std() < 0.8 * left.std() and np.std(fused - left) > 0.02
     assert load_job(tmp_path / "00" / "contrast pressed").image_colorspace == "camera"
     aside = plate | {"turn": plate["turn"] + 90}
-    assert measures.order2(plate_sets.truth(aside), plate_sets.truth(plate)) > 0.4
+    assert measures.order2(plate_light.truth(aside), plate_light.truth(plate)) > 0.4
     # on a table only light from above it is judged, and what is stated of that
     on_table = plate | {"table": (0.3, 0.3, 0.3)}
     below = plates.study(on_table, tmp_path, plates.AS_IS)
@@ -204,13 +204,13 @@ def test_softboxes_stand_where_the_truth_has_them(tmp_path):
     assert plates_of_set == plate_sets.of_set("softboxes") != plate_sets.of_set("softboxes again")
     assert {len(plate["boxes"]) for plate in plates_of_set} == {1, 2, 3}
     box = {"direction": [0.6, 0.0, 0.8], "distance": 0.5, "edge": 0.2, "radiance": [3.0, 2.0, 1.0]}
-    light = plate_sets.box_light(box, 9)
+    light = plate_light.box_light(box, 9)
     solid_angle = 0.2**2 / 0.5**2 * (1 - 0.2**2 / 0.5**2 / 4)  # of a square, to the second order
     np.testing.assert_allclose(np.sqrt(4 * np.pi) * light[0], solid_angle * np.array([3, 2, 1]), rtol=0.01)
     np.testing.assert_allclose(
         light[1:4, 0] / light[0, 0], np.sqrt(3) * np.array([0, 0.8, -0.6]), atol=0.02
     )  # y, z, -x
-    corners = plate_sets.of_box(box, plate_sets.CORNERS)
+    corners = plate_light.of_box(box, plate_light.CORNERS)
     np.testing.assert_allclose(np.linalg.norm(corners - np.roll(corners, 1, 0), axis=1), 0.2)
     studio.clear()
     there = studio.add_box(corners, box["radiance"])
@@ -239,7 +239,7 @@ def test_a_flash_gives_what_the_truth_has_of_it(tmp_path, monkeypatch):
     nearest = (np.linalg.norm(place) / (np.linalg.norm(place) - 0.075)) ** 2
     expected = 0.8 / np.pi * nearest * np.mean(plate["flash"]["irradiance"])
     assert shown.max() == pytest.approx(expected, rel=0.15)
-    light, towards = plate_sets.truth(dark), place / np.linalg.norm(place)
+    light, towards = plate_light.truth(dark), place / np.linalg.norm(place)
     around = light[1:4].mean(1)[[2, 0, 1]] / light[0].mean() / np.sqrt(3) * [-1, -1, 1]
     assert np.abs(np.abs(around) - np.abs(towards)).max() < 1e-6
     assert np.sqrt(4 * np.pi) * light[0].mean() == pytest.approx(np.mean(plate["flash"]["irradiance"]))

@@ -7,8 +7,8 @@ import pytest
 from btfsep_engine.conventions import luminance
 from btfsep_engine.job.load import load_job
 from btfsep_engine.render.texels import texels_on
+from scripts.cycles import materials, objects, scans, studio
 from scripts.cycles import plates as studio_plates
-from scripts.cycles import scans
 from scripts.studies import plate_sets, plates
 
 BELOW, HORIZON = 0.2, 0.6
@@ -89,3 +89,24 @@ def test_jobs_tell_it_with_light_without_or_in_the_mean(a_scan):
     texels = texels_on(lit.objects[0].mesh, len(images[1]))
     laid = images[1].reshape(-1, 3)[texels.number].mean(0)
     np.testing.assert_allclose(colour.base_color, laid, rtol=0.1)
+
+
+def test_a_remeshed_thing_is_as_far_off_as_is_said():
+    """A ball of radius 75 mm: its vertices lie so far from it, on both sides, and no farther than all together."""
+    drawn = plate_sets.of_set("remeshed")
+    assert drawn == plate_sets.of_set("remeshed") != plate_sets.of_set("remeshed again")
+    off = {}
+    for waves, noise in ((0.0, 0.0), (0.006, 0.0), (0.0, 0.001)):
+        studio.clear()
+        ball = objects.build("sphere", seed=1, view=studio.VIEW_FROM)
+        ball.data.materials.append(materials.white())
+        mesh = drawn[0]["mesh"] | {"face": 0.015, "waves": waves, "noise": noise, "smoothed": 0, "triangles": 0}
+        scans.remeshed(ball, **mesh)
+        off[waves, noise] = np.linalg.norm(objects.vertex_positions(ball.data), axis=1) - 0.075
+        assert len(ball.data.materials) == 1 and all(face.use_smooth for face in ball.data.polygons)
+    assert np.abs(off[0.0, 0.0]).max() < 0.0005
+    assert np.sqrt(np.square(off[0.006, 0.0]).mean()) == pytest.approx(0.15 * 0.006 * np.sqrt(1.25 / 2), rel=0.3)
+    assert off[0.0, 0.001].std() == pytest.approx(0.15 * 0.001, rel=0.2)
+    ball = objects.build("sphere", seed=1, view=studio.VIEW_FROM)
+    scans.remeshed(ball, **drawn[0]["mesh"] | {"triangles": 3000})
+    assert len(ball.data.polygons) == pytest.approx(3000, rel=0.05)

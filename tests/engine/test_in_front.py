@@ -235,7 +235,7 @@ def test_of_what_the_mesh_has_elsewhere_nothing_is_left_out_and_the_other_light_
     same, answer, words = without_things_in_front(model, light)
     assert answer is light and same.problems is not None and same.problems[0].left_out is None
     ((other, share),) = same.otherwise
-    assert share == 0.5 and words == {in_front.SHAPE: in_front.MISPLACED}
+    assert share == 0.5 and words == {in_front.OTHER_SHAPE: in_front.MISPLACED}
     np.testing.assert_allclose(other.all_coefficients, left_out.fit.all_coefficients, rtol=1e-6)
 
 

@@ -54,8 +54,11 @@ EITHER = 0.5  # how probable they are highlights, if not for that
 # things in front (the set "covered") two are explained so well, 0.4 and 0.8, whose colour is 17 and 4.6 times as far;
 # of three whose mesh is as scans have it, which lost their suns, 0.4 to 0.7 are, and the colour is 2.2 to 2.8 times.
 SHADED_ALIKE, COLOURED_ALIKE, SAME_COLOUR = 0.35, 3.5, 0.01  # radians, below which all colours are the same
-SHAPE = "shape"  # its name among what is chosen
-MISPLACED = "what the light explains badly is shaded as the objects are, a little elsewhere: it is not left out"
+OTHER_SHAPE = "shape"  # its name among what is chosen
+MISPLACED = (
+    "light and shade of the objects (a highlight, where a lamp's light ends) lie beside where the mesh has them: its "
+    "shape or pose may be wrong; what is known of the light is stated wider for it"
+)
 HIGHLIGHTS = "what looks like highlights is not left out: of gloss that the material has not, or of sharp lamps"
 SHADOWS = 0.02  # of the pixels: shadows of things in front that are worth a search
 
@@ -186,7 +189,7 @@ def without_things_in_front(model, light):
             if lit_otherwise(model, light, lost):
                 continue
             if as_the_objects(model, light, lost):
-                return with_others(model, [((freed, answer), EITHER)]), light, {SHAPE: MISPLACED}
+                return with_others(model, [((freed, answer), EITHER)]), light, {OTHER_SHAPE: MISPLACED}
             break
         else:
             return model, light, {}
