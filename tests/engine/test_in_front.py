@@ -195,7 +195,9 @@ def test_of_what_shows_highlights_nothing_is_left_out_and_no_lamp_nearby_is_soug
 
 def of_photo_and_model(b, shown) -> tuple:
     """The model and the light of photographs (p, 3) that a light explains as ``shown`` (p, 3)."""
-    return SimpleNamespace(problems=[]), SimpleNamespace(radiance=lambda _: b, left_over=lambda _: b - shown)
+    row = SimpleNamespace(pixels=np.stack([np.zeros(len(b)), np.arange(len(b))], 1))
+    model = SimpleNamespace(problems=[SimpleNamespace(points=[row])])
+    return model, SimpleNamespace(radiance=lambda _: b, left_over=lambda _: b - shown)
 
 
 def lobes(offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -221,10 +223,16 @@ def test_what_is_the_same_all_over_is_a_thing_in_front(colour):
 
 def test_what_is_shaded_as_the_objects_by_another_colour_is_a_thing_in_front():
     shown, lost = lobes()
-    tinted = np.where(lost[:, None], shown * [1.1, 1.0, 0.9], shown)
+    tinted = np.where(lost[:, None], shown * [1.2, 1.0, 0.8], shown)
     assert not in_front.as_the_objects(*of_photo_and_model(tinted, shown), lost)
-    elsewhere_too = shown * np.where(lost, 1.0, -1.0)[:, None] * [0.05, 0.0, -0.05] + shown
+    elsewhere_too = shown * np.where(lost, 1.0, -1.0)[:, None] * [0.1, 0.0, -0.1] + shown
     assert in_front.as_the_objects(*of_photo_and_model(elsewhere_too, shown), lost)
+
+
+def test_what_ends_where_the_objects_light_does_not_is_a_thing_in_front():
+    shown, lost = lobes()
+    lighter = shown + np.where(lost, 0.5, 0.0)[:, None] * [1.0, 0.8, 0.5]
+    assert not in_front.as_the_objects(*of_photo_and_model(lighter, shown), lost)
 
 
 def test_of_what_the_mesh_has_elsewhere_nothing_is_left_out_and_the_other_light_is_the_other_half(rng, monkeypatch):
