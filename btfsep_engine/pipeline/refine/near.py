@@ -224,7 +224,8 @@ def nearer(scene: Photographed, model, light, found: Placed):
     """The model whose photos are less what lamps at their places make of them, its light, and what is said of it."""
     spread, lamps = np.sqrt(np.diag(scene.next_step(found)[1])).reshape(-1, 3)[:, 2], []
     for lamp, sigma in zip(found.lamps, np.hypot(spread, BLUR), strict=True):
-        between = np.clip(lamp.radii * np.exp(1.96 * sigma * np.array([-1, 1])), NEAREST, FARTHEST)
+        logarithm = min(1.96 * sigma, np.log(FARTHEST / NEAREST))  # one that nothing tells of is anywhere between
+        between = np.clip(lamp.radii * np.exp(logarithm * np.array([-1, 1])), NEAREST, FARTHEST)
         distance, (low, high) = scene.radius * lamp.radii, scene.radius * between
         lamps.append((lamp.direction, Near(scene.centre, distance, float(low), float(high))))
     fit = max(scene.solve(found.correction, None), found.fit, key=lambda f: f.evidence)
