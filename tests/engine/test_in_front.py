@@ -229,6 +229,17 @@ def test_what_is_shaded_as_the_objects_by_another_colour_is_a_thing_in_front():
     assert in_front.as_the_objects(*of_photo_and_model(elsewhere_too, shown), lost)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_whole_object_that_is_not_explained_has_no_border_to_tell_it_by():
+    (shown, lost), places = lobes(), np.stack([np.zeros(200), np.arange(200)], 1)
+    model, light = of_photo_and_model(lobes(4.0)[0], shown)
+    apart = [SimpleNamespace(pixels=places[some]) for some in (lost, ~lost)]
+    order = np.concatenate([np.flatnonzero(lost), np.flatnonzero(~lost)])
+    model.problems[0].points = apart
+    b, left = (made(None)[order] for made in (light.radiance, light.left_over))
+    assert not in_front.as_the_objects(model, of_photo_and_model(b, b - left)[1], lost[order])
+
+
 def test_what_ends_where_the_objects_light_does_not_is_a_thing_in_front():
     shown, lost = lobes()
     lighter = shown + np.where(lost, 0.5, 0.0)[:, None] * [1.0, 0.8, 0.5]

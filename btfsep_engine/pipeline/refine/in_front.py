@@ -9,9 +9,9 @@ are found by. Of an object with gloss, what is brighter than the light explains 
 most of them lie along outlines, the camera is off, or the mesh. Light between surfaces that was left out of what the
 photo seemed to show is asked for again. Nor are those left out that are shaded as objects are which a lamp lights there
 and nowhere else, or only elsewhere (`refine.parted`), nor highlights of gloss that the material has not, or of lamps
-sharper than the light is so far; and a thing's shadow stays, where a lamp explains it. What is shaded and coloured as
-the light of all pixels has it, only not just there, shows the objects, whose mesh is of another shape: it stays, and
-what is stated holds the light without it, too.
+sharper than the light is so far; and a thing's shadow stays, where a lamp explains it. What is shaded, coloured and
+bounded as the light of all pixels has it, only not just there, shows the objects, whose mesh is of another shape: it
+stays, and what is stated holds the light without it, too.
 """
 
 from dataclasses import replace
@@ -48,7 +48,7 @@ CLEARLY = 0.75
 # light's colour up to 0.4; and of what is left over, what sharp lamps leave, where it is no more of them: 0.3 and 0.45
 BRIGHTER, SURELY, BY_LAMPS = 0.5, 0.6, 0.5
 UNLIKE = -25.0  # log odds of a colour's being of two lights: of highlights in clean photographs -15 and more
-EITHER = 0.5  # how probable they are highlights, if not for that
+EITHER = 0.5  # how probable they are highlights, if not for that; or a thing in front, if not of another shape
 # Of what would be left out: how much of the way in which it differs from place to place the light of all pixels has;
 # how far its colour is from the one that this light gives there, over the same of all else; and by how much this light
 # jumps at its border, over what the photo jumps by otherwise. Of 36 plates on which things in front are found (sets
@@ -142,6 +142,8 @@ def as_the_objects(model, light, lost) -> bool:
         return False
     one, other = neighbours(objects_apart(model.problems)).nonzero()
     border = lost[one] & ~lost[other]
+    if not border.any():  # a whole object, which something else stands for
+        return False
     level, model_level = (np.log(np.maximum(each.sum(1), 0) + DARK * b.sum(1).mean()) for each in (b, shown))
     jump, model_jump = (each[one[border]] - each[other[border]] for each in (level, model_level))
     otherwise = np.median(np.abs(jump - model_jump))
