@@ -12,11 +12,11 @@ from btfsep_engine.pipeline.estimation import Estimate, light_of
 from btfsep_engine.pipeline.following import Follower
 from btfsep_engine.pipeline.refine import parted
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
-from btfsep_engine.pipeline.refine.parted import asked, coloured_as_light, in_parts, lit_otherwise
+from btfsep_engine.pipeline.refine.parted import asked, coloured_as_light, in_parts, leaves_less, lit_otherwise
 from btfsep_engine.pipeline.refine.pieces import Pieces
 from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW
-from tests.render.lit_things import TOWARDS, degrees_off, lit_things, off, photo_of, solved
+from tests.render.lit_things import TOWARDS, degrees_off, lit_things, off, photo_of, shaded, solved
 
 WARM = np.array([1.3, 1.0, 0.75])  # beside skylight: a sun that stands low
 
@@ -209,3 +209,41 @@ def test_no_paint_reflects_more_than_all_light(things):
     pieces._albedo = 2 * pieces._albedo
     assert pieces._too_light(found) and pieces.found() is None
     assert not pieces._too_light(replace(found, more=np.full(3, 1.01)))
+
+
+@pytest.fixture(scope="module")
+def in_the_dark(things):
+    """The model of a photo with a shadow of what no job knows, and its light."""
+    return solved(things, photo_of(things, shaded(things)))[:2]
+
+
+@pytest.mark.parametrize(("lamp", "is_shadow"), [(0.24, True), (0.18, False)])
+def test_a_lamp_nearby_that_explains_nearly_as_much_is_no_shadow(in_the_dark, monkeypatch, lamp, is_shadow):
+    """It has fewer unknowns; but one that explains half as much, which imitates what it can, is no rival."""
+    left = {"as it is": 0.4, "shadow": 0.15, "sharp": 0.4, "near": lamp}
+    for name in ("sharp", "near"):
+        monkeypatch.setattr(parted, f"{name}_lamps", lambda model, light, name=name: (name, light, {}))
+
+    def left_over(_, tried):
+        named = ["as it is", "shadow", *(what for what, _ in tried[2:])]
+        return [left.get(what, 0.4) if isinstance(what, str) else 0.4 for what in named]
+
+    monkeypatch.setattr(parted, "left_over", left_over)
+    assert (SHADOW in in_parts(*in_the_dark)[2]) is is_shadow
+
+
+@pytest.mark.parametrize(
+    ("left", "patches", "gloss", "expected"),
+    [
+        ((0.4, 0.19), (0.2, 0.19), False, True),
+        ((0.4, 0.21), (0.2, 0.05), False, False),
+        ((0.4, 0.29), (0.2, 0.11), True, True),  # highlights leave as much with a shadow as without
+        ((0.4, 0.29), (0.2, 0.13), True, False),
+        ((0.4, 0.31), (0.2, 0.05), True, False),
+    ],
+)
+def test_beside_highlights_a_shadow_explains_whole_parts(monkeypatch, left, patches, gloss, expected):
+    monkeypatch.setattr(parted, "shines", lambda _: gloss)
+    monkeypatch.setattr(parted, "patch_misfit", lambda problems, light: patches[light])
+    model = SimpleNamespace(problems=None)
+    assert leaves_less(left, [(model, 0), (model, 1)]) is expected
