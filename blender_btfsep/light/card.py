@@ -19,6 +19,7 @@ from .advice import (
     MISFIT,
     NONE_OF_THESE,
     OUT_OF_LINE,
+    RELIEF,
     advice,
     worst,
 )
@@ -48,6 +49,7 @@ SAID_ALREADY = (
     (LOOK_ALIKE, MISFIT),
     (OUT_OF_LINE, MADE_UP_FOR),
 )
+UNKNOWN = (NONE_OF_THESE, COLOUR_UNKNOWN, RELIEF)  # of an object: what else does not fit may come of that
 BEHIND = "what the mirror hides"
 FLASH, AT_CAMERA = "the camera's flash", "at the camera, as its flash"
 AROUND = "what the table, or whatever stands around, keeps away"
@@ -75,7 +77,7 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     idle = {other for said, other in SAID_ALREADY if said in phrases}
     if NONE_OF_THESE in phrases:  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
-    which = [a for _, a in told if a.short and a.phrase not in idle]
+    which = sorted((a for _, a in told if a.short and a.phrase not in idle), key=_rank)
     shown = {a.short: doubt_of(a) for a in which}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}
     error = errors.get("order_2") or errors.get("order_1")
@@ -100,13 +102,17 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
         lines.append(("Material", materials))
     read = [doubt for doubt in shown.values() if doubt["mend"] in READING]
     others = [doubt for doubt in shown.values() if doubt not in read]
-    others.sort(key=lambda doubt: doubt["mend"] != "SELECT")  # causes before what comes of them
     return {
         "trust": trust,
         "lines": [list(line) for line in lines],
         "warnings": [*read, *unsure, *_unsure_view(result), *others],
         "details": _details(result, lighting, [s for s, a in told if a.phrase != MATERIAL or not unsure]),
     }
+
+
+def _rank(advised) -> int:
+    """Which of two doubts comes of the other: what an object is made of, then what stands around it, then the rest."""
+    return 0 if advised.phrase in UNKNOWN else 1 if advised.mend == "SELECT" else 2
 
 
 def doubt_of(advised) -> dict:

@@ -15,6 +15,7 @@ from blender_btfsep.light import (
     lighting_file,
 )
 from blender_btfsep.run import answer
+from blender_btfsep.scene import own_surface
 from blender_btfsep.window import mending
 from btfsep_engine import sh
 from btfsep_engine.fit import tone_curve
@@ -335,6 +336,32 @@ def test_how_the_photo_is_read_is_asked_before_what_may_come_of_it():
     ]
     shown = card.card_of({}, lighting(), warnings=said)["warnings"]
     assert [doubt["mend"] for doubt in shown] == ["AGX", "UPRIGHT", "SELECT", "MATERIAL"]
+
+
+def test_what_an_object_is_made_of_is_asked_before_what_may_come_of_that():
+    said = [
+        "occluder 'Table' is 23 % brighter in the photo than its 'surface' is under this light",
+        "the material does not go with the photo",
+        f"object 'Cup': {own_surface.RELIEF.format('Clay')}",
+        "object 'Head' looks like none of the library's materials: a plain surface stands for it",
+    ]
+    shown = [doubt["short"] for doubt in card.card_of({}, lighting(), warnings=said)["warnings"]]
+    assert shown == [
+        "Bumps of Cup's material are not followed: the light goes by the mesh alone",
+        "Head looks like no material of the library; give its colour",
+        "Table is 23 % brighter in the photo than in this light: the material is wrong, or the light",
+    ]
+
+
+def test_how_much_of_an_object_is_left_out_is_said_but_not_of_two_pixels():
+    told = "{} of 3000 pixels show something else than the light explains: things in front of the objects"
+    assert not card.card_of({}, lighting(), warnings=[told.format(2)])["warnings"]
+    for lost, words in ((988, "33 %"), (29, "A little")):
+        (shown,) = card.card_of({}, lighting(), warnings=[told.format(lost)])["warnings"]
+        assert (
+            shown["short"] == f"{words} of the object is left out: something is in front of it, or it has paint there"
+        )
+        assert shown["mend"] == "MASK"
 
 
 def test_a_light_that_may_be_quite_another_is_not_green():
