@@ -30,6 +30,9 @@ def source(context, layout, entry, *, whole: bool = True) -> None:
         labels.wrapped(context, layout, own_surface.material_words(entry.object), icon="MATERIAL")
     elif entry.source == "LIBRARY":
         _library(context, layout, entry, whole)
+    elif whole and not entry.recognised and own_surface.tells_a_colour(entry.object):
+        words = "Its material in Blender has a colour: As in Blender takes that, and is sooner done"
+        labels.wrapped(context, layout, words, icon="INFO")
     elif entry.candidates:
         _candidates(context, layout, entry)
 
