@@ -49,7 +49,8 @@ def _mask(context, box) -> None:
 
 
 def _again(context, box) -> None:
-    if not context.scene.btfsep.live:
+    """Of the estimate that the card is of: not of a sequence, nor where the light follows by itself."""
+    if kept_light.kept(context.scene) is not None and not context.scene.btfsep.live:
         box.operator("btfsep.estimate", text="Estimate Again", icon="LIGHT_SUN")
 
 
@@ -58,7 +59,7 @@ def _buttons(context, box, mend: str, name: str) -> None:
     light = kept_light.kept(scene)
     ways = mending.ways(scene, light, mend, name)
     pressed = [way for way in ways if mending.is_done(scene, light, *way)]
-    row = box.row(align=True)
+    row = sidebar.beside(context, box)
     for how, thing in ways:
         button = row.operator("btfsep.mend", text=mending.WORDS[how], depress=(how, thing) in pressed)
         button.how, button.object = how, thing
@@ -75,10 +76,10 @@ def suns(context, layout) -> None:
     scene, known, active = context.scene, sun_lamp.known_suns(context.scene), context.object
     chosen = [active] if active is not None and active.type == "LIGHT" else []
     shown = dict.fromkeys((*known, *sun_lamp.lamps(scene), *chosen))
-    column = layout.column(align=True)
+    column, freeze = layout.column(align=True), "Freeze" if sidebar.is_narrow(context) else "Freeze Sun"
     for lamp in (lamp for lamp in shown if lamp.data.type == "SUN"):
         row = column.row(align=True)
         held = lamp in known
         row.label(text=lamp.name.removeprefix(PREFIX), icon="LIGHT_SUN")
-        words, icon = ("Free", "UNLOCKED") if held else ("Freeze Sun", "LOCKED")
+        words, icon = ("Free", "UNLOCKED") if held else (freeze, "LOCKED")
         row.operator(f"btfsep.{'free' if held else 'freeze'}_sun", text=words, icon=icon).name = lamp.name

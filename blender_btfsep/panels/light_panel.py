@@ -28,12 +28,12 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         column.enabled = not runs.is_running()
         sidebar.engine_rows(column, settings, "light")
 
-        row = layout.row(align=True)
+        row = sidebar.beside(context, layout)
         row.scale_y = 1.4
         if runs.is_running():
             # In the buttons' place stands a property: what is under the mouse when the engine ends must not be taken by
             # Blender for a label or button that comes then, which would look like it until the mouse moves.
-            row.enabled = False
+            row.enabled, row.scale_y = False, row.scale_y * (2 if sidebar.is_narrow(context) else 1)
             row.prop(run, "running", text=f"{run.task} …", toggle=True)
             row = layout.row(align=True)
             row.progress(factor=run.fraction, type="BAR", text=f"{100 * run.fraction:.0f}%  {run.stage}")
@@ -115,16 +115,18 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         if light.picture is not None:
             units = context.region.width / context.preferences.system.ui_scale / 20
             box.template_icon(icons.of_image(light.picture), scale=max(4, min(units - 3.5, 9)))
-        row = box.row(align=True)
+        row = sidebar.beside(context, box)
         row.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
         row.operator("btfsep.show_report", text="Report", icon="IMAGE_DATA")
         column = box.column(align=True)
         for label, words in (line for line in lines if line[0] != "Trust"):
-            row = column.split(factor=0.3)
+            narrow = sidebar.is_narrow(context)  # then what it is stands above, or it would be cut off
+            row = column if narrow else column.split(factor=0.3)
             name = row.column()
             name.active, name.scale_y = False, 0.8
-            name.label(text=label)
-            labels.wrapped(context, row.column(), words, share=0.7)
+            if label or not narrow:
+                name.label(text=label)
+            labels.wrapped(context, row.column(), words, share=1.0 if narrow else 0.7)
         others = [f"'{lamp.name}'" for lamp in sun_lamp.others(context.scene)]
         if others:
             shine = f"{', '.join(others[:SHOWN])}{' …' * (len(others) > SHOWN)} shine{'s' * (len(others) == 1)}"

@@ -143,7 +143,8 @@ def ways(scene, light, mend: str, name: str) -> list:
     """
     settings = scene.btfsep
     if mend == "COLOUR":
-        own = may_be_its_own(settings, name) or ["BLENDER", name] in done(light)
+        again = any(thing == name and how in SOURCE for how, thing in done(light))
+        own = may_be_its_own(settings, name, again=again)
         return [("BLENDER", name), (mend, name)] if own else [(mend, name)]
     if mend in ("AGX", "STANDARD") and (settings.curve in OPEN or done(light)):
         return [("AGX", name), ("STANDARD", name)]  # what it was taken for can be said as well
@@ -162,14 +163,14 @@ def number_of(settings, name: str) -> int | None:
     return next((n for n, e in enumerate(settings.objects) if e.object and e.object.name == name), None)
 
 
-def may_be_its_own(settings, name: str) -> bool:
+def may_be_its_own(settings, name: str, *, again: bool = False) -> bool:
     """Whether the object in doubt (of no name: the active one) might be taken as its Blender material says, and is not
-    yet."""
+    yet; or, ``again``, could be."""
     number = number_of(settings, name) if name else settings.active_object
     if settings.depth is not None or number is None or not 0 <= number < len(settings.objects):
         return False
     entry = settings.objects[number]
-    return entry.source in ("RECOGNISE", "LIBRARY") and own_surface.tells_a_colour(entry.object)
+    return (again or entry.source in ("RECOGNISE", "LIBRARY")) and own_surface.tells_a_colour(entry.object)
 
 
 def select(context, names) -> str:

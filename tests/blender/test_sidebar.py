@@ -82,13 +82,13 @@ class Everything:
         return next((n for n, (k, w) in enumerate(self.shown) if k == kind and w.startswith(begins)), None)
 
 
-def drawn(scene):
-    """What the light's panel shows of ``scene``."""
+def drawn(scene, width=260):
+    """What the light's panel shows of ``scene`` in a sidebar of some pixels."""
     kind = light_panel.BTFSEP_PT_light
     panel = SimpleNamespace(layout=Everything())
     for name in ("_beside", "_outcome", "_card"):
         setattr(panel, name, partial(getattr(kind, name), panel))
-    kind.draw(panel, seen(260, scene=scene))
+    kind.draw(panel, seen(width, scene=scene))
     return panel.layout
 
 
@@ -208,6 +208,16 @@ def test_of_two_views_that_a_render_may_have_been_saved_with_either_can_be_said(
     assert operators(draw()) == ["Read as AgX", "Read as Standard", "Estimate Again"]
     kept_light.keep(photographed, lighting_file.validate(LIGHTING))
     assert operators(draw()) == ["Read as AgX"]  # the photo is said to be read as Standard
+
+
+def test_in_a_narrow_sidebar_nothing_stands_in_a_row_that_would_be_cut_off(photographed, sunny):
+    answer.apply_light(photographed, lighting_file.read(sunny[0]))
+    usual, narrow = drawn(photographed), drawn(photographed, 208)
+    assert [kind for kind, _ in usual.shown].count("split") > [kind for kind, _ in narrow.shown].count("split") == 1
+    assert narrow.place("label", "Key light") < narrow.place("label", "Fill") < narrow.place("operator", "Freeze")
+    assert "Freeze Sun" in operators(usual) and "Freeze Sun" not in operators(narrow)
+    blf.size(0, labels.FONT_SIZE)
+    assert max(blf.dimensions(0, words)[0] for kind, words in narrow.shown if kind == "label") < 208
 
 
 def test_suns_stand_once_below_the_card_or_where_one_is_asked_for(photographed, sunny):
