@@ -30,6 +30,7 @@ TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not state
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
+NO_CLASS = ("surface/", "reference/")  # begins the names of what has no class that people know
 PLAIN = "surface/"  # how the engine's surfaces are called that are no material of a library
 READING = {"UPRIGHT", "AGX", "STANDARD", "CAMERA", "CURVE"}
 """What mends how the photo is read: most other doubts may come of that."""
@@ -77,7 +78,10 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     idle = {other for said, other in SAID_ALREADY if said in phrases}
     if NONE_OF_THESE in phrases:  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
-    which = sorted((a for _, a in told if a.short and a.phrase not in idle), key=_rank)
+    asked = {doubt["object"] for doubt in unsure}  # which material it is
+    which = [a for _, a in told if a.short and a.phrase not in idle]
+    which = [a for a in which if a.phrase != BY_CURVE or not asked.intersection(a.objects)]
+    which.sort(key=_rank)
     shown = {a.short: doubt_of(a) for a in which}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}
     error = errors.get("order_2") or errors.get("order_1")
@@ -207,6 +211,11 @@ def _plain(name: str) -> str:
     return f"{own} {kind}".replace("-", " ").strip()
 
 
+def _kind(name: str) -> str:
+    """The class of a material for people; of what has none, its name."""
+    return _plain(name) if name.startswith(NO_CLASS) else name.split("/")[0]
+
+
 def _unsure_materials(result: dict) -> list:
     """A warning for each object whose material recognition leaves open, in the card's form."""
     out = []
@@ -214,7 +223,7 @@ def _unsure_materials(result: dict) -> list:
         likely = found.get("likely") or []
         if len(likely) < 2 or all(name.startswith(PLAIN) for name in likely):  # of those the colour is asked for
             continue
-        kinds = list(dict.fromkeys(name.split("/")[0] for name in likely))
+        kinds = list(dict.fromkeys(map(_kind, likely)))
         names = kinds if len(kinds) > 1 else [_plain(name) for name in likely]
         more = ", …" if len(names) > MOST_NAMES else ""
         shown = names[:MOST_NAMES]

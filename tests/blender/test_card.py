@@ -387,6 +387,12 @@ def test_materials_that_are_not_certain_are_said_shortly_and_once():
     result["objects"][0]["likely"] = names[2:4]
     assert "(green felt or grey felt)" in card.card_of(result, lighting(), FRONT)["warnings"][0]["short"]
     assert ["Material", "brown grain leather"] in found["lines"]
+    result["objects"][0]["likely"] = ["surface/metal", "reference/chrome", "wood/oak", "wood/walnut"]
+    curve = "object 'Cow' was recognised as surface/metal with the photo read by the tone curve that was found"
+    (shown,) = card.card_of(result, lighting(), FRONT, warnings=[curve])["warnings"]  # its material is asked for once
+    assert "(plain metal, chrome or wood)" in shown["short"]
+    other = curve.replace("Cow", "Calf")
+    assert len(card.card_of(result, lighting(), FRONT, warnings=[other])["warnings"]) == 2
 
 
 def test_warnings_that_are_not_known_are_said_by_their_beginning():
