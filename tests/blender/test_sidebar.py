@@ -36,6 +36,8 @@ def test_lines_break_between_words_and_names_of_folders():
         "three",
     ]
     assert labels.lines("", lambda line: True) == [""]
+    told = labels.lines("warm white (5500 K), 42 % of it, 3 m away", lambda line: len(line) <= 17)
+    assert told == ["warm white", "(5500\u00a0K), 42\u00a0% of", "it, 3\u00a0m away"]
 
 
 class Drawn:
