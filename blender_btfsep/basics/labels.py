@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Labels over several lines, in the sidebar and in the preferences."""
 
+import re
+
 import blf
 
 FONT_SIZE = 11  # of Blender's labels, in points, at scale 1
 MARGIN = 105  # pixels of a region's width that a label with an icon in a box cannot have, at scale 1
+TOGETHER = re.compile(r"(?<=\d) (?=(?:%|K\b|m\b|s\b|°))")  # between a number and its unit no line ends
 
 
 def wrapped(context, layout, text: str, *, icon: str = "NONE", icon_value: int = 0, share: float = 1.0) -> None:
@@ -34,7 +37,7 @@ def parted(context, layout, message: str) -> None:
 def lines(text: str, fits) -> list:
     """``text`` in lines of which ``fits(line)``; a word that is too long for one, as a path, is broken."""
     made = [""]
-    for word in text.split():
+    for word in re.split(r"[ \n]+", TOGETHER.sub("\u00a0", text).strip()):
         if fits(f"{made[-1]} {word}".strip()):
             made[-1] = f"{made[-1]} {word}".strip()
             continue

@@ -93,7 +93,7 @@ DELIGHTS = (
     ("never", "As They Are", "Textures are the objects' own colours: nothing is taken off"),
 )
 TAKEN_OFF = "What is done with light in textures, as scans have it that were not de-lit"
-DELIGHT = Row("delight", "De-light Textures", TAKEN_OFF, "auto", DELIGHTS, unsaid="auto")
+DELIGHT = Row("delight", "De-light", TAKEN_OFF, "auto", DELIGHTS, unsaid="auto")
 PANEL = (PRESET, ORDER, replace(TEXTURE, panel="advanced"), replace(DELIGHT, panel="advanced"))
 COMMANDS = {
     "estimate": (*PANEL, EVIDENCE),

@@ -15,15 +15,16 @@ LOOK_ALIKE = "of which it is not known how it reflects"
 OUT_OF_LINE, MADE_UP_FOR = "geometry and photo do not line up", "geometry and photo did not line up"
 COLOUR_UNKNOWN = "the object's colour is not known"
 BY_CURVE = "with the photo read by the tone curve that was found"
+RELIEF = "has a normal or bump map, which is not followed"  # the add-on says it itself
 FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said but under Details
 
 
 @dataclass(frozen=True)
 class Advice:
     """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object, {1}: how much
-    brighter or darker it is, {2}: how rough); "" hides it under Details; ``mend`` : key of `mending.MENDS`, or "ALIGN",
-    "UPRIGHT", "FREEZE" (the suns), which have their own buttons; ``level`` : the trust that is left at best;
-    ``objects`` : what the engine's sentence names
+    brighter or darker it is, {2}: how rough, {3}: how much of it); "" hides it under Details; ``mend`` : key of
+    `mending.MENDS`, or "ALIGN", "UPRIGHT", "MASK", "FREEZE" (the suns), which have their own buttons; ``level`` :
+    the trust that is left at best; ``objects`` : what the engine's sentence names
     """
 
     phrase: str
@@ -71,7 +72,11 @@ KNOWN = (
     Advice("highlights that are not those of", "The photo shows more gloss than the material has", "MATERIAL", "AMBER"),
     Advice(MISFIT, "The material does not quite fit the photo", "MATERIAL", "AMBER"),
     Advice("poorly (relative residual", "The light explains {0} poorly: material, shape or camera", "ALIGN", "RED"),
-    Advice("show something else than the light explains", "What stands before {0} is left out; a mask is surer"),
+    Advice(
+        "show something else than the light explains",
+        "{3} of {0} is left out: something is in front of it, or it has paint there",
+        "MASK",
+    ),
     Advice("lies over the photo and never met them", "Haze or stray light over the photo is taken off", level="AMBER"),
     Advice("lie beside where the mesh has them", "Shape or pose of {0} is not what the photo shows", level="AMBER"),
     Advice(
@@ -129,13 +134,16 @@ KNOWN = (
     Advice("a depth shows one side", "The depth shows one side of it only"),
 )
 
+OURS = (Advice(RELIEF, "Bumps of {0}'s material are not followed: the light goes by the mesh alone"),)
+"""What the add-on says itself (`scene.own_surface`)."""
+
 
 def advice(sentence: str) -> Advice:
     """What to make of a warning; of one that is not known, how it begins."""
-    pixels = re.search(r"\b(\d+) of (\d+) pixels are", sentence)
+    pixels = re.search(r"\b(\d+) of (\d+) pixels (?:are|show)", sentence)
     if pixels and int(pixels[1]) < FEW * int(pixels[2]):
         return Advice(pixels[0], "")
-    for known in KNOWN:
+    for known in (*KNOWN, *OURS):
         if known.phrase in sentence:
             named = tuple(dict.fromkeys(re.findall(r"(?:object|occluder) '(.+?)'(?=[ ,:;]|$)", sentence)))
             called, mend = ", ".join(named), known.mend
@@ -144,7 +152,7 @@ def advice(sentence: str) -> Advice:
                 called = called[:1].upper() + called[1:] if known.short.startswith("{0}") else called
             return Advice(
                 known.phrase,
-                known.short.format(called, _how_much(sentence), _how_rough(sentence)),
+                known.short.format(called, _how_much(sentence), _how_rough(sentence), _share(pixels)),
                 mend,
                 known.level,
                 named,
@@ -162,6 +170,14 @@ def _how_much(sentence: str) -> str:
 def _how_rough(sentence: str) -> str:
     """The roughness that an object was taken to have, of several the numbers of all."""
     return ", ".join(re.findall(r"a roughness of ([\d.]+)", sentence))
+
+
+def _share(pixels) -> str:
+    """How much of the pixels, of a match of how many of how many: "33 %"; of none, "A part"."""
+    if pixels is None:
+        return "A part"
+    share = 100 * int(pixels[1]) / max(int(pixels[2]), 1)
+    return f"{share:.0f} %" if share >= 1 else "A little"
 
 
 def worst(*levels) -> str:

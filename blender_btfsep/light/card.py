@@ -19,6 +19,7 @@ from .advice import (
     MISFIT,
     NONE_OF_THESE,
     OUT_OF_LINE,
+    RELIEF,
     advice,
     worst,
 )
@@ -29,6 +30,7 @@ TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not state
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
+NO_CLASS = ("surface/", "reference/")  # begins the names of what has no class that people know
 PLAIN = "surface/"  # how the engine's surfaces are called that are no material of a library
 READING = {"UPRIGHT", "AGX", "STANDARD", "CAMERA", "CURVE"}
 """What mends how the photo is read: most other doubts may come of that."""
@@ -48,6 +50,7 @@ SAID_ALREADY = (
     (LOOK_ALIKE, MISFIT),
     (OUT_OF_LINE, MADE_UP_FOR),
 )
+UNKNOWN = (NONE_OF_THESE, COLOUR_UNKNOWN, RELIEF)  # of an object: what else does not fit may come of that
 BEHIND = "what the mirror hides"
 FLASH, AT_CAMERA = "the camera's flash", "at the camera, as its flash"
 AROUND = "what the table, or whatever stands around, keeps away"
@@ -75,7 +78,10 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
     idle = {other for said, other in SAID_ALREADY if said in phrases}
     if NONE_OF_THESE in phrases:  # then it does not matter which it was taken for at first
         told = [(sentence, a) for sentence, a in told if a.phrase != BY_CURVE]
+    asked = {doubt["object"] for doubt in unsure}  # which material it is
     which = [a for _, a in told if a.short and a.phrase not in idle]
+    which = [a for a in which if a.phrase != BY_CURVE or not asked.intersection(a.objects)]
+    which.sort(key=_rank)
     shown = {a.short: doubt_of(a) for a in which}
     errors = result.get("expected_error_shown") or result.get("expected_error") or {}
     error = errors.get("order_2") or errors.get("order_1")
@@ -100,13 +106,17 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
         lines.append(("Material", materials))
     read = [doubt for doubt in shown.values() if doubt["mend"] in READING]
     others = [doubt for doubt in shown.values() if doubt not in read]
-    others.sort(key=lambda doubt: doubt["mend"] != "SELECT")  # causes before what comes of them
     return {
         "trust": trust,
         "lines": [list(line) for line in lines],
         "warnings": [*read, *unsure, *_unsure_view(result), *others],
         "details": _details(result, lighting, [s for s, a in told if a.phrase != MATERIAL or not unsure]),
     }
+
+
+def _rank(advised) -> int:
+    """Which of two doubts comes of the other: what an object is made of, then what stands around it, then the rest."""
+    return 0 if advised.phrase in UNKNOWN else 1 if advised.mend == "SELECT" else 2
 
 
 def doubt_of(advised) -> dict:
@@ -201,6 +211,11 @@ def _plain(name: str) -> str:
     return f"{own} {kind}".replace("-", " ").strip()
 
 
+def _kind(name: str) -> str:
+    """The class of a material for people; of what has none, its name."""
+    return _plain(name) if name.startswith(NO_CLASS) else name.split("/")[0]
+
+
 def _unsure_materials(result: dict) -> list:
     """A warning for each object whose material recognition leaves open, in the card's form."""
     out = []
@@ -208,7 +223,7 @@ def _unsure_materials(result: dict) -> list:
         likely = found.get("likely") or []
         if len(likely) < 2 or all(name.startswith(PLAIN) for name in likely):  # of those the colour is asked for
             continue
-        kinds = list(dict.fromkeys(name.split("/")[0] for name in likely))
+        kinds = list(dict.fromkeys(map(_kind, likely)))
         names = kinds if len(kinds) > 1 else [_plain(name) for name in likely]
         more = ", …" if len(names) > MOST_NAMES else ""
         shown = names[:MOST_NAMES]

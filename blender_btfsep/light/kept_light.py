@@ -38,7 +38,7 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
     units = scene.unit_settings
     unit = 1.0 if units.system == "NONE" else units.scale_length
     card = card_of(result or {}, lighting, to_world, warnings=warnings, metres_per_unit=unit)
-    light.text = json.dumps({"lighting": lighting_file.as_data(lighting), "card": card})
+    light.text, light.mended = json.dumps({"lighting": lighting_file.as_data(lighting), "card": card}), ""
     out = Path(str((result or {}).get("out") or ""))
     sky, report = (out / name if (out / name).is_file() else None for name in ("lighting.exr", "report.png"))
     picture = pixels.new(PICTURE, light_picture.picture_of(scene, lighting, to_world, map_file=sky)[::-1], floats=False)
@@ -52,7 +52,7 @@ def keep(scene, lighting: dict, result: dict | None = None, *, warnings=()) -> N
 def put_with_world(scene) -> None:
     """Gives the scene's World a copy of what is kept of the light that was made its own."""
     here, there = scene.btfsep.light, scene.world.btfsep_kept
-    there.text = here.text
+    there.text, there.mended = here.text, here.mended
     for name in PICTURES:
         _replace(there, name, getattr(here, name))
 
@@ -61,7 +61,7 @@ def forget(scene) -> None:
     """Keeps no light any more: another one, which has no card, is the World."""
     for light in (scene.btfsep.light, scene.world and scene.world.btfsep_kept):
         if light:
-            light.text = ""
+            light.text = light.mended = ""
             for name in PICTURES:
                 _replace(light, name, None)
 

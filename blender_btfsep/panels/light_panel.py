@@ -9,11 +9,10 @@ from ..light import kept_light, sun_lamp, world
 from ..light.advice import advice
 from ..light.card import doubt_of
 from ..run import answer, reasons, request, runs
-from ..window import icons, live, mending, operators, sequence_run
-from . import sidebar
+from ..window import icons, live, operators, sequence_run
+from . import doubts, sidebar
 
 SHOWN = 3  # lamps in the panel
-PREFIX = "BTFsep "  # of our lamps: their numbers at the end are what tells them apart
 
 
 class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
@@ -29,12 +28,12 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         column.enabled = not runs.is_running()
         sidebar.engine_rows(column, settings, "light")
 
-        row = layout.row(align=True)
+        row = sidebar.beside(context, layout)
         row.scale_y = 1.4
         if runs.is_running():
             # In the buttons' place stands a property: what is under the mouse when the engine ends must not be taken by
             # Blender for a label or button that comes then, which would look like it until the mouse moves.
-            row.enabled = False
+            row.enabled, row.scale_y = False, row.scale_y * (2 if sidebar.is_narrow(context) else 1)
             row.prop(run, "running", text=f"{run.task} …", toggle=True)
             row = layout.row(align=True)
             row.progress(factor=run.fraction, type="BAR", text=f"{100 * run.fraction:.0f}%  {run.stage}")
@@ -65,24 +64,12 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             self._card(context, layout, run, light)
         elif ours:
             layout.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
-        self._suns(context, layout)
+        if "FREEZE" not in {doubt["mend"] for doubt in doubts.of_card(context.scene)}:
+            doubts.suns(context, layout)
         if light is not None:
             layout.operator("btfsep.apply", icon="WORLD")
         if ours:
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")
-
-    def _suns(self, context, layout):
-        """The Sun lamps: those of the estimate, those that are known, and the active one, each with its button."""
-        scene, known, active = context.scene, sun_lamp.known_suns(context.scene), context.object
-        chosen = [active] if active is not None and active.type == "LIGHT" else []
-        shown = dict.fromkeys((*known, *sun_lamp.lamps(scene), *chosen))
-        column = layout.column(align=True)
-        for lamp in (lamp for lamp in shown if lamp.data.type == "SUN"):
-            row = column.row(align=True)
-            held = lamp in known
-            row.label(text=lamp.name.removeprefix(PREFIX), icon="LIGHT_SUN")
-            words, icon = ("Free", "UNLOCKED") if held else ("Freeze Sun", "LOCKED")
-            row.operator(f"btfsep.{'free' if held else 'freeze'}_sun", text=words, icon=icon).name = lamp.name
 
     def _beside(self, context, layout, run, lacking):
         """How long an estimate takes, and the switch that spares asking for one, which stays where one cannot be."""
@@ -115,24 +102,7 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
             said = {found.short: found for found in (advice(each.name) for each in run.warnings) if found.short}
             box = layout.box() if said else None
             for found in said.values():  # all of each is in the Info editor
-                self._doubt(context, box, doubt_of(found))
-
-    def _doubt(self, context, box, doubt):
-        """A doubt of a card, with the button that mends it."""
-        labels.wrapped(context, box, doubt["short"], icon="ERROR")
-        mend = doubt["mend"]
-        if mend == "ALIGN":
-            sidebar.refine_alignment(box, context.scene.btfsep)
-        elif mend == "UPRIGHT":
-            box.operator("btfsep.turn_upright", icon="LOOP_FORWARDS")
-        elif mend == "FREEZE":
-            self._suns(context, box)
-        elif mend:
-            row = box.row(align=True)
-            own = mend == "COLOUR" and mending.may_be_its_own(context.scene.btfsep, doubt["object"])
-            for how in ("BLENDER", mend) if own else (mend,):
-                button = row.operator("btfsep.mend", text=mending.WORDS[how])
-                button.how, button.object = how, doubt["object"]
+                doubts.draw(context, box, doubt_of(found))
 
     def _card(self, context, layout, run, light):
         card = kept_light.card(light)
@@ -145,22 +115,24 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         if light.picture is not None:
             units = context.region.width / context.preferences.system.ui_scale / 20
             box.template_icon(icons.of_image(light.picture), scale=max(4, min(units - 3.5, 9)))
-        row = box.row(align=True)
+        row = sidebar.beside(context, box)
         row.operator("btfsep.rendered_view", text="Rendered", icon="SHADING_RENDERED")
         row.operator("btfsep.show_report", text="Report", icon="IMAGE_DATA")
         column = box.column(align=True)
         for label, words in (line for line in lines if line[0] != "Trust"):
-            row = column.split(factor=0.3)
+            narrow = sidebar.is_narrow(context)  # then what it is stands above, or it would be cut off
+            row = column if narrow else column.split(factor=0.3)
             name = row.column()
             name.active, name.scale_y = False, 0.8
-            name.label(text=label)
-            labels.wrapped(context, row.column(), words, share=0.7)
+            if label or not narrow:
+                name.label(text=label)
+            labels.wrapped(context, row.column(), words, share=1.0 if narrow else 0.7)
         others = [f"'{lamp.name}'" for lamp in sun_lamp.others(context.scene)]
         if others:
             shine = f"{', '.join(others[:SHOWN])}{' …' * (len(others) > SHOWN)} shine{'s' * (len(others) == 1)}"
             labels.wrapped(context, box, f"{shine} beside this light: hide in renders what should not", icon="INFO")
-        for warning in card.get("warnings") or ():
-            self._doubt(context, box, warning)
+        for warning in doubts.of_card(context.scene):
+            doubts.draw(context, box, warning)
         if card.get("details"):
             row = box.row()
             row.alignment = "LEFT"

@@ -4,16 +4,11 @@
 import bpy
 
 from ..basics import labels
-from ..engine import preferences
 from ..photo import camera as pinhole
 from ..photo import photo, upright
 from ..run import request, runs
-from ..scene import own_surface
-from ..window import icons, library, outlines, sequence_run, use_photo
-from . import sidebar
-
-SHOWN = 3  # candidates in the panel
-PICTURE = 5  # units, the height of a material's picture
+from ..window import outlines, sequence_run, use_photo
+from . import made_of, sidebar
 
 
 class BTFSEP_UL_objects(bpy.types.UIList):
@@ -107,7 +102,7 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
 
         entry = request.active_entry(settings)
         if entry is not None:
-            self._made_of(context, layout, entry)
+            made_of.source(context, layout, entry)
         split = sidebar.fields(layout)
         if entry is not None:
             row = split.row(align=True)
@@ -121,61 +116,6 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
         thing = context.object
         if settings.occluders == "OTHERS" and request.may_be_evidence(settings, thing):
             split.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
-
-    def _made_of(self, context, layout, entry):
-        split = sidebar.fields(layout)
-        split.prop(entry, "source")
-        if entry.source == "COLOUR":
-            split.prop(entry, "colour")
-            split.prop(entry, "roughness")
-            split.prop(entry, "metallic")
-        elif entry.source == "BLENDER":
-            labels.wrapped(context, layout, own_surface.material_words(entry.object), icon="MATERIAL")
-        elif entry.source == "LIBRARY":
-            self._library(context, layout, entry)
-        elif entry.candidates:
-            self._candidates(context, layout, entry)
-
-    def _library(self, context, layout, entry):
-        library.ensure()
-        run = runs.run_state()
-        row = layout.row(align=True)
-        if run.library:
-            row.prop(run, "library_class", text="")
-            row.operator("btfsep.library_assets", text="", icon="ASSET_MANAGER")
-            row.operator("btfsep.read_library", text="", icon="FILE_REFRESH")
-            layout.template_icon_view(entry, "browse", show_labels=True, scale=PICTURE, scale_popup=4.5)
-            layout.prop_search(entry, "material", run, "library", text="", icon="MATERIAL")
-        elif run.library_error:
-            layout.prop(entry, "material", text="", icon="MATERIAL")  # a search would show any name as wrong
-            labels.parted(context, layout, run.library_error)
-            layout.operator("btfsep.read_library", icon="FILE_REFRESH")
-        else:  # as high as what comes, or all below would jump away from the mouse
-            layout.label(text="Reading the library …", icon="SORTTIME")
-            room = layout.box()
-            room.scale_y = PICTURE
-            room.label()
-            layout.prop(entry, "material", text="", icon="MATERIAL")
-        chosen = preferences.get(context)
-        if isinstance(chosen, bpy.types.AddonPreferences):
-            layout.prop(chosen, "library", text="", placeholder="The library that comes with it")
-        layout.operator("btfsep.measure_material", icon="NODE_MATERIAL")
-
-    def _candidates(self, context, layout, entry):
-        box = layout.box()
-        if entry.unknown:
-            labels.wrapped(context, box, "It looks like nothing of the library; the likeliest are:", icon="QUESTION")
-        column = box.column(align=True)
-        library.ensure()  # for the thumbnails
-        pictures = {material.name: material.thumbnail for material in runs.run_state().library}
-        for candidate in entry.candidates[:SHOWN]:
-            row = column.split(factor=0.7, align=True)
-            row.active = candidate.name == entry.recognised
-            name, picture = candidate.name, pictures.get(candidate.name)
-            own = name.rsplit("/", 1)[-1]
-            shown = icons.of_file(picture) if picture else 0
-            row.operator("btfsep.use_candidate", text=own, icon_value=shown, emboss=False).material = name
-            row.progress(factor=candidate.score, type="BAR", text=f"{100 * candidate.score:.0f} %")
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects))

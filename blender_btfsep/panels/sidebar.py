@@ -3,6 +3,8 @@
 
 from ..engine import engine_settings
 
+NARROW = 250  # pixels of the sidebar's width, at scale 1, below which the words of two buttons do not stand in a row
+
 
 class Sidebar:
     bl_space_type = "VIEW_3D"
@@ -15,6 +17,16 @@ def fields(layout):
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     return column
+
+
+def is_narrow(context) -> bool:
+    """Whether the sidebar has been made so narrow that words would be cut off."""
+    return context.region.width < NARROW * context.preferences.system.ui_scale
+
+
+def beside(context, layout):
+    """A row for two buttons; in a narrow sidebar a column."""
+    return layout.column(align=True) if is_narrow(context) else layout.row(align=True)
 
 
 def engine_rows(column, settings, part: str) -> None:

@@ -22,6 +22,7 @@ FLOAT = {".exr", ".hdr"}
 CODED = {"sRGB": "auto", "Display P3": "display-p3", "sRGB Encoded P3-D65": "display-p3"}
 """Blender's colour spaces that have sRGB's curve, and their primaries for the engine (auto: what the file says)."""
 MOVIE = "save it as an image sequence, or the frame as an image, and open that"
+RENDERED = "is a render that is in no file: save it (Image > Save As) and open that"
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
 _last = None, FileFacts()
 
@@ -148,6 +149,8 @@ def lacks_pixels(image) -> str:
     """Why ``image``, which has no pixels, has none, and what to do, in two parts with a colon."""
     if image.type == "MULTILAYER":
         return "is an EXR of many layers: save the one with the photo as an EXR of its own"
+    if image.type == "RENDER_RESULT":
+        return RENDERED
     return unread(file_of(image)) or "has no pixels: choose it again"
 
 

@@ -34,6 +34,8 @@ def _of_photo(image, camera, frame: int) -> str:
         return "Choose the photo first"
     if image.source == "MOVIE":
         return f"'{image.name}' is a movie: {photo.MOVIE}"
+    if image.type == "RENDER_RESULT":  # in a window it has a size, and still no pixels
+        return f"The photo '{image.name}' {photo.RENDERED}"
     path = photo.file_at(image, camera, frame)
     kept = image.packed_file is not None or image.source not in {"FILE", "SEQUENCE"} or image.is_dirty
     if not kept and (path is None or not path.is_file()):

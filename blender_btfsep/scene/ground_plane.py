@@ -11,13 +11,18 @@ NAME = "Ground"
 REACH = 4.0  # half an edge, in the longest edge of the box around the objects: the engine's own guess
 
 
+def there(scene):
+    """The plane that was put into the scene already; None where there is none."""
+    return next((o for o in scene.objects if o.name.split(".")[0] == NAME and o.is_shadow_catcher), None)
+
+
 def add(context, objects) -> bpy.types.Object:
     """A level plane under the lowest point of objects as a render shows them, without a material: the photo tells it.
 
     Raises InputError where none of them has faces, or the scene has such a plane.
     """
-    if there := next((o for o in context.scene.objects if o.name.split(".")[0] == NAME and o.is_shadow_catcher), None):
-        raise InputError("the ground", f"'{there.name}' is in the scene already", "put it in its place, or delete it")
+    if found := there(context.scene):
+        raise InputError("the ground", f"'{found.name}' is in the scene already", "put it in its place, or delete it")
     view_layer, objects = context.view_layer, list(objects)
     with meshes.as_rendered(view_layer, set(objects), chosen=set(objects)):
         view_layer.update()

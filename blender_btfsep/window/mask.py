@@ -168,7 +168,8 @@ def open_for_painting(context, image) -> str:
     area = looking.show(context, image)
     if area is not None:
         area.spaces.active.ui_mode = "PAINT"
-        area.spaces.active.uv_editor.show_uv = False  # Blender 5 draws the object's over what is painted
+        with contextlib.suppress(AttributeError):  # of Blenders before 4.5
+            area.spaces.active.uv_editor.show_uv = False  # Blender 5 draws the object's over what is painted
         paint = context.tool_settings.image_paint
         colours = getattr(paint, "unified_paint_settings", None) or context.tool_settings.unified_paint_settings
         colours.color, colours.secondary_color = (0, 0, 0), (1, 1, 1)

@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The buttons beside a doubt: each goes where what is in doubt can be set right."""
+"""The buttons beside a doubt: each goes where what is in doubt can be set right.
+
+What was pressed is kept with the light (so that it follows undo) until there is another: the card shows it, and what
+is still to be said.
+"""
 
 import contextlib
+import json
 
 import bpy
 from bpy.props import EnumProperty, StringProperty
 
 from ..basics.errors import InputError
+from ..light import kept_light
 from ..run import buttons, request
 from ..scene import ground_plane, own_surface
+from . import use_photo
 
 MENDS = (
     ("COLOUR", "Give Its Colour", "Say the object's own colour, so that it is not taken for the light's"),
@@ -36,7 +43,14 @@ MENDS = (
 )
 WORDS = {how: words for how, words, _ in MENDS}
 READ_AS = {"AGX": "agx", "STANDARD": "srgb", "CAMERA": "camera", "CURVE": "unknown"}
+OPEN = ("auto", "blender", "unknown")  # curves with which the engine chooses among the views of a render
 SOURCE = {"COLOUR": "COLOUR", "BLENDER": own_surface.BLENDER, "MATERIAL": "LIBRARY"}
+AGAIN = "estimate again"
+SAID = {
+    "COLOUR": f"say the colour of {{}}, and {AGAIN}",
+    "BLENDER": f"{{}} is taken as its Blender material says; {AGAIN}",
+    "MATERIAL": f"choose the material of {{}}, and {AGAIN}",
+}
 
 
 class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
@@ -44,7 +58,7 @@ class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
 
     bl_idname = "btfsep.mend"
     bl_label = "Mend"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"UNDO", "INTERNAL"}  # nothing of it is worth being adjusted
     how: EnumProperty(name="How", items=MENDS, options={"SKIP_SAVE"})
     object: StringProperty(
         name="Object",
@@ -57,29 +71,91 @@ class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
         return next(about for name, _, about in MENDS if name == properties.how)
 
     def do(self, context):
+        if self.how == "SELECT":
+            return select(context, self.object.splitlines())
+        said = self._mend(context)
+        light = kept_light.kept(context.scene)
+        if light is not None:
+            light.mended = json.dumps([*done(light), [self.how, self.object]])
+        return said
+
+    def _mend(self, context) -> str:
         settings = context.scene.btfsep
         if self.how in READ_AS:
             settings.curve = READ_AS[self.how]
-            return ""
-        if self.how == "SELECT":
-            return select(context, self.object.splitlines())
+            return f"the photo: {use_photo.READ[settings.curve]}; {AGAIN}"
         if self.how == "GROUND":
             ground_plane.add(context, [e.object for e in settings.objects if e.object and not settings.depth])
             settings.occluders = "OTHERS"
-            return ""
+            return f"'{ground_plane.NAME}' is below the objects; {AGAIN}"
         if self.how == "KEEP":
             settings.delight = "never"
-            return ""
+            return f"textures are taken for the objects' own colours; {AGAIN}"
+        entry = entry_of(settings, self.object)
         if settings.depth is None and self.object:
-            number = number_of(settings, self.object)
-            if number is None:
-                raise InputError(f"object '{self.object}'", "it is not in the list", "add it")
-            settings.active_object = number
-        entry = request.active_entry(settings)
-        if entry is None:
-            raise InputError("the list of objects", "it is empty", "add what the photo shows")
+            settings.active_object = number_of(settings, self.object)
         entry.source = SOURCE[self.how]
-        return ""
+        return SAID[self.how].format(f"'{entry.object.name}'" if entry.object else "the surface")
+
+
+def done(light) -> list:
+    """What was pressed since there is this light (or None): lists of how, and of what object, as of the operator."""
+    try:
+        return [list(map(str, each)) for each in json.loads((light and light.mended) or "[]")]
+    except (ValueError, TypeError):
+        return []
+
+
+def is_done(scene, light, how: str, name: str) -> bool:
+    """Whether a doubt of ``light`` was mended by ``how``, and that was not taken back by other means."""
+    settings = scene.btfsep
+    if [how, name] not in done(light):
+        return False
+    if how in READ_AS:
+        return settings.curve == READ_AS[how]
+    if how == "KEEP":
+        return settings.delight == "never"
+    if how == "GROUND":
+        return ground_plane.there(scene) is not None
+    try:
+        entry = entry_of(settings, name)
+    except InputError:
+        return False
+    return entry.source == SOURCE[how]
+
+
+def entry_of(settings, name: str):
+    """The entry of the object in doubt; of no name, the active one. Raises InputError."""
+    number = number_of(settings, name) if name and settings.depth is None else None
+    if name and settings.depth is None and number is None:
+        raise InputError(f"object '{name}'", "it is not in the list", "add it")
+    entry = request.active_entry(settings) if number is None else settings.objects[number]
+    if entry is None:
+        raise InputError("the list of objects", "it is empty", "add what the photo shows")
+    return entry
+
+
+def ways(scene, light, mend: str, name: str) -> list:
+    """The buttons of a doubt: pairs of how, and of what object (as of the operator).
+
+    What is given is not thrown away for a material of the library: there the numbers, or its Blender material, are
+    looked at again.
+    """
+    settings = scene.btfsep
+    if mend == "COLOUR":
+        again = any(thing == name and how in SOURCE for how, thing in done(light))
+        own = may_be_its_own(settings, name, again=again)
+        return [("BLENDER", name), (mend, name)] if own else [(mend, name)]
+    if mend in ("AGX", "STANDARD") and (settings.curve in OPEN or done(light)):
+        return [("AGX", name), ("STANDARD", name)]  # what it was taken for can be said as well
+    if mend == "MATERIAL" and [mend, name] not in done(light):
+        with contextlib.suppress(InputError):
+            entry = entry_of(settings, name)
+            if entry.source == "BLENDER" and entry.object:
+                return [("SELECT", entry.object.name)]
+            if entry.source == "COLOUR":
+                return [("COLOUR", name)]
+    return [(mend, name)]
 
 
 def number_of(settings, name: str) -> int | None:
@@ -87,14 +163,14 @@ def number_of(settings, name: str) -> int | None:
     return next((n for n, e in enumerate(settings.objects) if e.object and e.object.name == name), None)
 
 
-def may_be_its_own(settings, name: str) -> bool:
+def may_be_its_own(settings, name: str, *, again: bool = False) -> bool:
     """Whether the object in doubt (of no name: the active one) might be taken as its Blender material says, and is not
-    yet."""
+    yet; or, ``again``, could be."""
     number = number_of(settings, name) if name else settings.active_object
     if settings.depth is not None or number is None or not 0 <= number < len(settings.objects):
         return False
     entry = settings.objects[number]
-    return entry.source in ("RECOGNISE", "LIBRARY") and own_surface.tells_a_colour(entry.object)
+    return (again or entry.source in ("RECOGNISE", "LIBRARY")) and own_surface.tells_a_colour(entry.object)
 
 
 def select(context, names) -> str:

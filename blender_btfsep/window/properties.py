@@ -157,6 +157,7 @@ class BTFSEP_PG_kept(bpy.types.PropertyGroup):
     """A light that was found, with its card (`kept_light`): of the scene, and of the World that was made of it."""
 
     text: StringProperty(name="Light", description="Lighting and card, as JSON")
+    mended: StringProperty(options={"HIDDEN"})  # what was done since about its doubts (`mending`), as JSON
     picture: PointerProperty(name="Picture", description="The light, to look at", type=bpy.types.Image)
     report: PointerProperty(name="Report", description="Photo, re-rendering, difference", type=bpy.types.Image)
     sky: PointerProperty(

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from btfsep_engine import sh
+from btfsep_engine.btf.surfaces import GIVEN
 from btfsep_engine.btf.thumbnail import LIGHTS
 from btfsep_engine.conventions import pixel_directions
 from btfsep_engine.imaging.images import write_png
@@ -285,7 +286,7 @@ def write_estimate_report(path, estimate) -> None:
     light = shrink(estimate.map, 2)
     count = len(estimate.lighting.suns)
     suns = {0: "", 1: " and a sun"}.get(count, f" and {count} suns")
-    names = ", ".join(dict.fromkeys(m.name for m in estimate.materials))
+    names = ", ".join(dict.fromkeys("the material as given" if m.name == GIVEN else m.name for m in estimate.materials))
     panels = [
         ("photo", display(photo, factor)),
         (names, display(np.where(region[..., None], sample * exposure(sample, region), 1.0))),

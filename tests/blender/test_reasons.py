@@ -36,6 +36,12 @@ def many_layers(scene, tmp_path):
     scene.btfsep.image = bpy.data.images.load(str(tmp_path / "layers.exr"))
 
 
+def of_no_file(scene, tmp_path):
+    scene.cycles.samples = 1
+    bpy.ops.render.render()
+    scene.btfsep.image = bpy.data.images["Render Result"]
+
+
 def another_shape(scene, tmp_path):
     scene.render.resolution_x = 90
 
@@ -88,6 +94,7 @@ def empty_list(scene, tmp_path):
         (without_photo, "Choose the photo first"),
         (lost_photo, "The photo's file photo.png is not there"),
         (many_layers, "The photo 'layers.exr' is an EXR of many layers: save the one"),
+        (of_no_file, "The photo 'Render Result' is a render that is in no file: save it"),
         (another_shape, "The photo is 48 x 32, the scene renders 90 x 32"),
         (excluded, "'Cube' is in no collection of this view layer"),
         (deleted, "'Cube' was deleted: take it off the list"),

@@ -11,9 +11,10 @@ import pytest
 
 from blender_btfsep.basics import labels
 from blender_btfsep.engine import checkup
-from blender_btfsep.light import lighting_file
-from blender_btfsep.panels import light_panel, photo_panels
+from blender_btfsep.light import kept_light, lighting_file
+from blender_btfsep.panels import doubts, light_panel, photo_panels
 from blender_btfsep.run import answer, runs
+from blender_btfsep.window import mending
 from tests.blender.lit import LIGHTING
 
 PATH = "/tmp/blender_VC1elB/btfsep/sun-8bcbcf0a/Renamed/result/lighting.json"
@@ -35,6 +36,8 @@ def test_lines_break_between_words_and_names_of_folders():
         "three",
     ]
     assert labels.lines("", lambda line: True) == [""]
+    told = labels.lines("warm white (5500 K), 42 % of it, 3 m away", lambda line: len(line) <= 17)
+    assert told == ["warm white", "(5500\u00a0K), 42\u00a0% of", "it, 3\u00a0m away"]
 
 
 class Drawn:
@@ -81,13 +84,13 @@ class Everything:
         return next((n for n, (k, w) in enumerate(self.shown) if k == kind and w.startswith(begins)), None)
 
 
-def drawn(scene):
-    """What the light's panel shows of ``scene``."""
+def drawn(scene, width=260):
+    """What the light's panel shows of ``scene`` in a sidebar of some pixels."""
     kind = light_panel.BTFSEP_PT_light
     panel = SimpleNamespace(layout=Everything())
-    for name in ("_suns", "_beside", "_outcome", "_card", "_doubt"):
+    for name in ("_beside", "_outcome", "_card"):
         setattr(panel, name, partial(getattr(kind, name), panel))
-    kind.draw(panel, seen(260, scene=scene))
+    kind.draw(panel, seen(width, scene=scene))
     return panel.layout
 
 
@@ -110,22 +113,123 @@ def test_where_blender_knows_a_colour_one_click_takes_it(photographed, colour, s
     own.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = colour
     entry.object.data.materials.append(own)
     entry.source = source
-    panel, layout = SimpleNamespace(_suns=None), Everything()
+    layout = Everything()
     for name in ("", entry.object.name):
         doubt = {"short": "Its colour is not known", "mend": "COLOUR", "object": name}
-        light_panel.BTFSEP_PT_light._doubt(panel, seen(260, scene=photographed), layout, doubt)
+        doubts.draw(seen(260, scene=photographed), layout, doubt)
     assert [words for kind, words in layout.shown if kind == "operator"] == 2 * buttons
     assert bpy.ops.btfsep.mend(how="BLENDER", object=entry.object.name) == {"FINISHED"} and entry.source == "BLENDER"
 
 
 def test_a_texture_with_light_in_it_has_a_button_and_a_field(photographed):
-    panel, layout = SimpleNamespace(_suns=None), Everything()
+    layout = Everything()
     doubt = {"short": "The texture has light in it", "mend": "KEEP", "object": "Cube"}
-    light_panel.BTFSEP_PT_light._doubt(panel, seen(260, scene=photographed), layout, doubt)
+    doubts.draw(seen(260, scene=photographed), layout, doubt)
     assert [words for kind, words in layout.shown if kind == "operator"] == ["Keep Its Colours"]
     panel = SimpleNamespace(layout=Everything())
     light_panel.BTFSEP_PT_advanced.draw(panel, seen(260, scene=photographed))
     assert ("prop", "delight") in panel.layout.shown
+
+
+def operators(layout) -> list:
+    return [words for kind, words in layout.shown if kind == "operator"]
+
+
+def has_doubt(scene, sentence: str):
+    """Makes a light that the engine doubts the World; gives a function that draws its only doubt."""
+    light = lighting_file.validate(LIGHTING)
+    kept_light.keep(scene, light, warnings=[sentence])
+    answer.apply_light(scene, light)
+    (doubt,) = kept_light.card(scene.btfsep.light)["warnings"]
+
+    def draw():
+        layout = Everything()
+        doubts.draw(seen(260, scene=bpy.context.scene), layout, doubt)
+        return layout
+
+    return draw
+
+
+def test_a_mend_that_was_pressed_shows_what_is_still_to_be_said_and_the_way_to_a_new_light(photographed):
+    (entry,) = photographed.btfsep.objects
+    draw = has_doubt(photographed, f"object '{entry.object.name}' looks like none of the library's materials")
+    assert operators(draw()) == ["Give Its Colour"] and draw().place("prop") is None
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.btfsep.mend("EXEC_DEFAULT", True, how="COLOUR", object=entry.object.name) == {"FINISHED"}
+    after = draw()
+    assert operators(after) == ["Give Its Colour", "Estimate Again"]
+    assert [words for kind, words in after.shown if kind == "prop"] == ["colour", "roughness", "metallic"]
+    bpy.context.scene.btfsep.objects[0].source = "RECOGNISE"  # by hand: it is not mended any more
+    assert operators(draw()) == ["Give Its Colour"]
+    bpy.ops.ed.undo()
+    assert operators(draw()) == ["Give Its Colour"]
+    bpy.ops.ed.redo()
+    assert operators(draw()) == ["Give Its Colour", "Estimate Again"]
+    kept_light.keep(bpy.context.scene, lighting_file.validate(LIGHTING))
+    assert not mending.done(bpy.context.scene.btfsep.light)
+
+
+@pytest.mark.parametrize(("how", "takes_back"), [
+    ("AGX", lambda scene: setattr(scene.btfsep, "curve", "auto")),
+    ("KEEP", lambda scene: setattr(scene.btfsep, "delight", "auto")),
+    ("GROUND", lambda scene: bpy.data.objects.remove(bpy.data.objects["Ground"])),
+])  # fmt: skip
+def test_what_was_mended_is_seen_until_it_is_taken_back(photographed, how, takes_back):
+    kept_light.keep(photographed, lighting_file.validate(LIGHTING))
+    light = photographed.btfsep.light
+    assert not mending.is_done(photographed, light, how, "")
+    assert bpy.ops.btfsep.mend(how=how) == {"FINISHED"}
+    assert mending.is_done(photographed, light, how, "")
+    takes_back(photographed)
+    assert not mending.is_done(photographed, light, how, "")
+
+
+@pytest.mark.parametrize(("source", "buttons"), [
+    ("RECOGNISE", ["Choose Material"]),
+    ("LIBRARY", ["Choose Material"]),
+    ("COLOUR", ["Give Its Colour"]),
+    ("BLENDER", ["Go to Its Material"]),
+])  # fmt: skip
+def test_what_is_given_is_looked_at_again_and_not_thrown_away(photographed, source, buttons):
+    photographed.btfsep.objects[0].source = source
+    draw = has_doubt(photographed, "the material (surface/given) does not go with the photo: its gloss may be wrong")
+    assert operators(draw()) == buttons
+
+
+def test_what_stands_before_an_object_is_painted_over_where_it_is_said(photographed):
+    draw = has_doubt(photographed, "500 of 3000 pixels show something else than the light explains: things in front")
+    assert operators(draw()) == ["Make a Mask"]
+    photographed.btfsep.objects[0].mask = photographed.btfsep.image
+    assert operators(draw()) == ["btfsep.paint_mask", "Estimate Again"]
+
+
+def test_of_two_views_that_a_render_may_have_been_saved_with_either_can_be_said(photographed):
+    draw = has_doubt(photographed, "the photo looks like a render that was saved with that view")
+    assert operators(draw()) == ["Read as AgX", "Read as Standard"]
+    bpy.ops.btfsep.mend(how="STANDARD")
+    assert operators(draw()) == ["Read as AgX", "Read as Standard", "Estimate Again"]
+    kept_light.keep(photographed, lighting_file.validate(LIGHTING))
+    assert operators(draw()) == ["Read as AgX"]  # the photo is said to be read as Standard
+
+
+def test_in_a_narrow_sidebar_nothing_stands_in_a_row_that_would_be_cut_off(photographed, sunny):
+    answer.apply_light(photographed, lighting_file.read(sunny[0]))
+    usual, narrow = drawn(photographed), drawn(photographed, 208)
+    assert [kind for kind, _ in usual.shown].count("split") > [kind for kind, _ in narrow.shown].count("split") == 1
+    assert narrow.place("label", "Key light") < narrow.place("label", "Fill") < narrow.place("operator", "Freeze")
+    assert "Freeze Sun" in operators(usual) and "Freeze Sun" not in operators(narrow)
+    blf.size(0, labels.FONT_SIZE)
+    assert max(blf.dimensions(0, words)[0] for kind, words in narrow.shown if kind == "label") < 208
+
+
+def test_suns_stand_once_below_the_card_or_where_one_is_asked_for(photographed, sunny):
+    light = lighting_file.read(sunny[0])
+    answer.apply_light(photographed, light)
+    assert operators(drawn(photographed)).count("Freeze Sun") == 1
+    kept_light.keep(photographed, light, warnings=["the photo determines 2 of 25, and not all of the first four"])
+    shown = drawn(photographed)
+    assert operators(shown).count("Freeze Sun") == 1
+    assert shown.place("operator", "Freeze Sun") < shown.place("operator", "btfsep.apply")
 
 
 def test_the_preferences_say_all_of_what_the_engine_lacks(addon, monkeypatch):

@@ -103,7 +103,7 @@ def test_every_doubt_that_the_panel_knows_is_said_by_the_engine(known):
     files = sorted(Path(btfsep_engine.__file__).parent.rglob("*.py"))
     assert any(known.phrase in text for path in files for text in said_by(ast.parse(path.read_text())))
     assert (
-        known.mend in {"", "ALIGN", "UPRIGHT", "FREEZE", *(name for name, *_ in mending.MENDS)}
+        known.mend in {"", "ALIGN", "UPRIGHT", "MASK", "FREEZE", *(name for name, *_ in mending.MENDS)}
         and known.level in advice.LEVELS
     )
     assert advice.advice(f"object 'Cow' {known.phrase} and more").phrase == known.phrase
