@@ -121,6 +121,7 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
     monkeypatch.setattr(studio_plates, "RESOLUTION", 48)
     monkeypatch.setattr(studio_plates, "SAMPLES", 4)
     plain = drawn[0] | {"thing": "as said", "camera": "clean", "curve": "floats", "much": 1.0, "off": [0, 0]}
+    plain["object"] = "sphere"
     pictures = {}
     for name in plate_sets.OF_OBJECTS:
         matte = plain["surface"] | {"roughness": 0.9, "metallic": 0}
@@ -141,6 +142,7 @@ def test_patterned_plates_stand_on_two_colours_and_jobs_have_the_mean(tmp_path, 
     monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
     monkeypatch.setattr(studio_plates, "SAMPLES", 16)
     plate = drawn[0] | {"table": (0.8,) * 3, "light": "sunset", "sun": None, "curve": "floats", "off": [0, 0]}
+    plate["object"] = "sphere"
     pattern = {"other": [0.2] * 3, "size": 0.08, "turn": 0.3, "told": (0.5, 0.4, 0.3)}
     pictures = {}
     for kind in (None, *plate_sets.PATTERNS):
