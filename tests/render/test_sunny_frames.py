@@ -56,7 +56,7 @@ def sunny(sphere_job_folder):
 
 @pytest.fixture
 def searches(monkeypatch):
-    """(first, [of each further frame]): how often a model is searched for, counted as it goes."""
+    """([of all], [of each further frame]): how often a model is searched for, counted as it goes."""
     count, further = [0], []
     solve, follow = search.solve, Follower.estimate
 
