@@ -25,6 +25,7 @@ LENS_MM, SENSOR_MM = 85.0, 36.0
 FRAME_FILL = 0.84  # the object's larger extent over the frame's edge: about 60 % of the frame for a round object
 VIEW_FROM = (0.45, -1.0, 0.42)  # from the front, a little from the right and above
 BOUNCES = 8
+SAMPLED = 4096  # columns of a map, at most, among which Cycles samples light
 COVER_AWAY, FINGER, LEAF = 0.11, 0.008, 0.018  # metres: how far before the object's middle what covers it is; radii
 SHADE, SHADE_AWAY = 0.6, 1.5  # metres: the edge of what casts a shadow, and how far away it is
 
@@ -71,6 +72,9 @@ def make_world(light, *, rotation_euler=(0.0, 0.0, 0.0)) -> bpy.types.World:
     mapping.vector_type = "TEXTURE"  # looks up at R^-1 d
     mapping.inputs["Rotation"].default_value = rotation_euler
     texture.image = bpy.data.images.load(str(light_path(light)), check_existing=True)
+    # four times as fine as the map; by itself Cycles takes as many places of a small one that is turned
+    finer = min(4 * texture.image.size[0], SAMPLED)
+    world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", finer
     link(coordinates.outputs["Generated"], mapping.inputs["Vector"])
     link(mapping.outputs["Vector"], texture.inputs["Vector"])
     link(texture.outputs["Color"], background.inputs["Color"])

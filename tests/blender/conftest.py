@@ -4,6 +4,7 @@
 import json
 import os
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,26 @@ def photographed(addon, scene, add_camera, tmp_path):
     scene.btfsep.image = bpy.data.images.load(str(tmp_path / "photo.png"))
     scene.btfsep.objects.add().object = cube
     return scene
+
+
+@pytest.fixture(scope="session")
+def small_light(tmp_path_factory):
+    """small_light(name) -> the path of that map of Blender's with an eighth of its rows and columns.
+
+    What Cycles does with a large one before its first sample takes longer than a small photo.
+    """
+    from btfsep_engine.imaging import images
+    from btfsep_engine.light.maps import read_map
+    from scripts.cycles.lights import light_path
+
+    @cache
+    def small(name: str) -> str:
+        radiance, path = read_map(light_path(name)), tmp_path_factory.mktemp("light") / f"{name}.exr"
+        rows, columns, _ = radiance.shape
+        images.write_exr(path, radiance.reshape(rows // 8, 8, columns // 8, 8, 3).mean((1, 3)))
+        return str(path)
+
+    return small
 
 
 @pytest.fixture

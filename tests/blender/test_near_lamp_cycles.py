@@ -11,8 +11,8 @@ from scripts.cycles import engine, studio
 DIRECTION, RADII = np.array([-0.70, -0.55, 0.45]), 3.0
 
 
-def test_a_point_lamp_comes_back_at_its_place_and_as_strong(tmp_path):
-    scene, _, base, _ = studio.make_scene("knot", "white", "forest", resolution=160)
+def test_a_point_lamp_comes_back_at_its_place_and_as_strong(tmp_path, small_light):
+    scene, _, base, _ = studio.make_scene("knot", "white", small_light("forest"), resolution=160)
     corners = np.array([base.matrix_world @ v.co for v in base.data.vertices])
     low, high = corners.min(0), corners.max(0)
     centre, radius = (low + high) / 2, np.linalg.norm(high - low) / 2

@@ -39,7 +39,7 @@ def compare(m, tmp_path, *, samples, views=VIEWS, lights=LIGHTS, layer=None):
 )
 def test_waves(base, f0, metallic, limit, worst, tmp_path):
     layer = layer_albedo(f0) if f0 and not metallic else None
-    ours, theirs = compare(waves(base, f0, metallic=metallic), tmp_path, samples=32, layer=layer)
+    ours, theirs = compare(waves(base, f0, metallic=metallic), tmp_path, samples=8, layer=layer)
     error = np.abs(ours / theirs - 1)
     assert np.median(error) < limit, error
     assert error.max() < worst
@@ -48,5 +48,5 @@ def test_waves(base, f0, metallic, limit, worst, tmp_path):
 @pytest.mark.parametrize("name", ["leather/brown-grain", "carpet/cut-wine"])
 def test_materials_of_the_library(name, tmp_path):
     """Against a plain Principled BSDF, whose coupling of base and layer is not reciprocal."""
-    ours, theirs = compare(maps(name, 192), tmp_path, samples=32, views=VIEWS[1:3], lights=LIGHTS[1:4])
+    ours, theirs = compare(maps(name, 192), tmp_path, samples=8, views=VIEWS[1:3], lights=LIGHTS[1:4])
     assert np.median(np.abs(ours / theirs - 1)) < 0.03

@@ -78,11 +78,12 @@ def test_plates_of_several_materials_and_their_mean(tmp_path):
         assert getattr(mean, key) == pytest.approx(numbers[key], abs=1e-4)
 
 
-def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
+def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch, small_light):
     monkeypatch.setattr(studio_plates, "RESOLUTION", 96)
     monkeypatch.setattr(studio_plates, "SAMPLES", 16)
     plate = {
-        "name": "00", "object": "suzanne", "seed": 0, "light": "sunset", "turn": 130.0, "sun": None, "table": None,
+        "name": "00", "object": "suzanne", "seed": 0, "light": small_light("sunset"), "turn": 130.0, "sun": None,
+        "table": None,
         "surface": {"colour": (0.5, 0.5, 0.5), "roughness": 0.9, "metallic": 0}, "curve": "agx", "off": [0.0, 0.0],
         "kinds": ["0 px off", "agx", "alone", "matte"],
     }  # fmt: skip
@@ -108,7 +109,7 @@ def test_the_light_of_a_plate_is_where_its_truth_has_it(tmp_path, monkeypatch):
     assert below["over"] == below["order2"] / below["stated2"] and below["inside"] == row["inside"]
 
 
-def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
+def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch, small_light):
     drawn = plate_sets.of_set("unsaid")
     assert drawn == plate_sets.of_set("unsaid") != plate_sets.of_set("unsaid again")
     usual = plate_sets.drawn(plate_sets.SETS["unsaid"])
@@ -121,6 +122,7 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
     monkeypatch.setattr(studio_plates, "RESOLUTION", 48)
     monkeypatch.setattr(studio_plates, "SAMPLES", 4)
     plain = drawn[0] | {"thing": "as said", "camera": "clean", "curve": "floats", "much": 1.0, "off": [0, 0]}
+    plain |= {"object": "sphere", "light": small_light("sunset")}
     pictures = {}
     for name in plate_sets.OF_OBJECTS:
         matte = plain["surface"] | {"roughness": 0.9, "metallic": 0}
@@ -133,14 +135,15 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch):
         assert np.abs(pictures[name] / pictures["as said"] - 1).max() > 0.1, name
 
 
-def test_patterned_plates_stand_on_two_colours_and_jobs_have_the_mean(tmp_path, monkeypatch):
+def test_patterned_plates_stand_on_two_colours_and_jobs_have_the_mean(tmp_path, monkeypatch, small_light):
     drawn = plate_sets.of_set("patterned")
     assert drawn == plate_sets.of_set("patterned") != plate_sets.of_set("patterned again")
     assert all(plate["table"] is not None and plate["kinds"][-1] == plate["pattern"]["kind"] for plate in drawn)
     assert {plate["pattern"]["kind"] for plate in drawn} == set(plate_sets.PATTERNS)
     monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
     monkeypatch.setattr(studio_plates, "SAMPLES", 16)
-    plate = drawn[0] | {"table": (0.8,) * 3, "light": "sunset", "sun": None, "curve": "floats", "off": [0, 0]}
+    plate = drawn[0] | {"table": (0.8,) * 3, "sun": None, "curve": "floats", "off": [0, 0]}
+    plate |= {"object": "sphere", "light": small_light("sunset")}
     pattern = {"other": [0.2] * 3, "size": 0.08, "turn": 0.3, "told": (0.5, 0.4, 0.3)}
     pictures = {}
     for kind in (None, *plate_sets.PATTERNS):
@@ -182,12 +185,13 @@ def test_painted_plates_have_two_colours_and_jobs_their_mean():
         assert not plate["surface"]["metallic"] and "metal" not in plate["kinds"]
 
 
-def test_a_painted_plate_shows_both_colours_in_pieces(tmp_path, monkeypatch):
+def test_a_painted_plate_shows_both_colours_in_pieces(tmp_path, monkeypatch, small_light):
     monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
     monkeypatch.setattr(studio_plates, "SAMPLES", 16)
     white = {"colour": (0.8, 0.8, 0.8), "roughness": 0.9, "metallic": 0}
     plate = plate_sets.of_set("painted")[0] | {"surface": white, "paint": [0.2] * 3, "told": white, "table": None}
     plate |= {"curve": "floats", "off": [0, 0], "lamps": [], "dimmed": 1.0, "much": 0.5}
+    plate["light"] = small_light("sunset")
     pictures = []
     for thing in ("as said", "painted"):
         studio_plates.take(plate | {"thing": thing}, tmp_path / thing)
@@ -222,7 +226,7 @@ def test_softboxes_stand_where_the_truth_has_them(tmp_path):
     assert not there.visible_camera
 
 
-def test_a_flash_gives_what_the_truth_has_of_it(tmp_path, monkeypatch):
+def test_a_flash_gives_what_the_truth_has_of_it(tmp_path, monkeypatch, small_light):
     """A white thing under a flash alone: what faces it at the middle is as bright as its irradiance makes it."""
     monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
     monkeypatch.setattr(studio_plates, "SAMPLES", 16)
@@ -231,6 +235,7 @@ def test_a_flash_gives_what_the_truth_has_of_it(tmp_path, monkeypatch):
     assert not any(plate["sun"] for plate in plates_of_set)
     white = {"colour": (0.8, 0.8, 0.8), "roughness": 1, "metallic": 0}
     plate = plates_of_set[1] | {"object": "sphere", "surface": white, "table": None, "curve": "floats", "off": [0, 0]}
+    plate["light"] = small_light("sunset")
     place, dark = np.array(plate["flash"]["place"]), plate | {"dimmed": 0.0}
     assert 0.5 < np.linalg.norm(place) < 0.6
     studio_plates.take(dark, tmp_path)
@@ -246,10 +251,11 @@ def test_a_flash_gives_what_the_truth_has_of_it(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("way", ["left", "right", "up", "down"])
-def test_the_picture_cuts_off_what_it_is_to(way, tmp_path, monkeypatch):
+def test_the_picture_cuts_off_what_it_is_to(way, tmp_path, monkeypatch, small_light):
     monkeypatch.setattr(studio_plates, "RESOLUTION", 64)
     monkeypatch.setattr(studio_plates, "SAMPLES", 1)
     plate = plate_sets.of_set("cut")[0] | {"object": "sphere", "table": None, "curve": "floats", "off": [0, 0]}
+    plate["light"] = small_light("sunset")
     studio_plates.take(plate | {"cut": {"way": way, "beyond": 0.3, "fill": 0.9}}, tmp_path)
     seen = scene_of(tmp_path / "job").view.mesh == 0
     sides = {"left": seen[:, 0], "right": seen[:, -1], "up": seen[0], "down": seen[-1]}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Recognition of photos by Cycles: displaced geometry, other texels, another UV map, a path tracer's noise.
 
-Small and cheap: a ball at 160 pixels, faces of half a millimetre, four materials. What larger photos of all materials
+Small and cheap: a ball at 160 pixels, faces of a millimetre, four materials. What larger photos of all materials
 come to is `scripts/study recognition`'s to say.
 """
 
@@ -24,12 +24,12 @@ SETTINGS = choose("draft", training_turns=1)
 
 
 @pytest.fixture(scope="module")
-def photographed(tmp_path_factory):
+def photographed(tmp_path_factory, small_light):
     """The job of a ball for each material of LIGHTS."""
     jobs = {}
     for name, light in LIGHTS.items():
         folder = tmp_path_factory.mktemp("photo")
-        scene, _, base, _ = studio.make_scene("sphere", name, light, resolution=160, face_mm=0.5)
+        scene, _, base, _ = studio.make_scene("sphere", name, small_light(light), resolution=160, face_mm=0.8)
         studio.render_photo(scene, folder / "rendered.exr", 16)
         export_job(scene, folder, image_path=folder / "rendered.exr", objects=[base], occluders=[])
         jobs[name] = load_job(folder)

@@ -2,7 +2,7 @@
 """The study of recognition: apart from what was learned on, its figures right, photographs asked with and without."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,8 @@ from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.verification import PLAIN
 from btfsep_engine.recognise.judgement import Judgement
+from scripts.cycles import materials as cycles_materials
+from scripts.cycles import shoot
 from scripts.studies import cues, photos, recognition
 from scripts.studies.makers import learn_recognition as learn
 
@@ -147,7 +149,11 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     shipped = open_library()
     library = replace(shipped, entries={name: shipped.entries[name] for name in THREE})
     shot = photos.shot(tmp_path / "photos", "sphere", THREE[1], "studio")
-    photos.take([shot], resolution=96, samples=4)
+    monkeypatch.setattr(cycles_materials, "MOST_FACES", 100_000)
+    shoot.shoot([asdict(shot)], resolution=96, samples=4)
+    pictures = {path: path.read_bytes() for path in (tmp_path / "photos").rglob("*.exr")}
+    photos.take([shot], resolution=96, samples=4)  # in a process of its own, where there is nothing left to do
+    assert pictures == {path: path.read_bytes() for path in (tmp_path / "photos").rglob("*.exr")} != {}
     settings = choose("draft", training_turns=1, training_pixels=800, training_directions=32)
     (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings)
     known, left_out = seen.known["names"], seen.left_out["names"]

@@ -146,9 +146,9 @@ def test_the_photo_of_a_depth_is_shifted(photographed, fake_engine, tmp_path):
 
 
 @pytest.fixture
-def posed(tmp_path):
+def posed(tmp_path, small_light):
     """A rendered monkey, its photo and the monkey in the panel's settings: the scene, the object."""
-    scene, _, base, _ = studio.make_scene("suzanne", "white", "courtyard", resolution=160)
+    scene, _, base, _ = studio.make_scene("suzanne", "white", small_light("courtyard"), resolution=160)
     addon_utils.enable("blender_btfsep", default_set=True)  # a new file switches it off
     studio.render_photo(scene, tmp_path / "photo.exr", 16)
     monkey = bpy.data.objects[base.name]

@@ -15,11 +15,11 @@ BELOW, HORIZON = 0.2, 0.6
 
 
 @pytest.fixture(scope="module")
-def a_scan(tmp_path_factory):
+def a_scan(tmp_path_factory, small_light):
     """A plate of a painted ball that was scanned under an overcast sky, and its folder."""
     (plate, *_) = [p for p in plate_sets.of_set("scanned") if p["scan"]["sky"] and p["thing"] == "painted"]
     plate |= {"object": "sphere", "table": None, "curve": "floats", "off": [0, 0], "scan": {"sky": [BELOW, HORIZON]}}
-    folder = tmp_path_factory.mktemp("scans")
+    plate["light"], folder = small_light("sunset"), tmp_path_factory.mktemp("scans")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(studio_plates, "RESOLUTION", 64)
         patch.setattr(studio_plates, "SAMPLES", 4)

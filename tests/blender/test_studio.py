@@ -70,7 +70,7 @@ def test_displacement_is_the_map_along_the_normal():
     base = objects.build("sphere")
     radius = np.linalg.norm(objects.vertex_positions(base.data), axis=1).mean()
     maps = tile()
-    thing = materials.displaced(base, "test", maps)
+    thing = materials.displaced(base, "test", maps, face_mm=0.5)
     mesh = thing.data
     assert len(mesh.polygons) > 150_000
     assert edge_counts(mesh).min() == edge_counts(mesh).max() == 2  # welded across the charts of the UV map
@@ -107,9 +107,11 @@ def test_periodic_look_up_is_that_of_a_texture():
     assert np.allclose(materials.smoothed(wave, sigma), wave * np.exp(-2 * (np.pi * sigma / 64) ** 2))
 
 
-def test_the_scene_is_a_fair_photograph(tmp_path):
+def test_the_scene_is_a_fair_photograph(tmp_path, small_light):
     """The object fills the frame; the photo shows the displaced object, the known one is not rendered."""
-    scene, camera, base, photo = studio.make_scene("blob", "x/test", "city", resolution=64, maps=tile())
+    scene, camera, base, photo = studio.make_scene(
+        "blob", "x/test", small_light("city"), resolution=64, maps=tile(), face_mm=0.5
+    )
     assert base.hide_render and not photo.hide_render
     picture = studio.render_photo(scene, tmp_path / "photo.exr", 4)
     assert picture.shape == (64, 64, 3) and np.isfinite(picture).all() and picture.max() > 0
@@ -165,8 +167,9 @@ def test_a_photograph_of_what_there_is_not_is_refused_before_any_is_taken(tmp_pa
     assert not any(tmp_path.iterdir())
 
 
-def test_a_texture_set_by_others_is_photographed_as_it_is(tmp_path):
+def test_a_texture_set_by_others_is_photographed_as_it_is(tmp_path, monkeypatch):
     """Cycles shows the set's own colour, and the job has the mesh's UVs in its tiles."""
+    monkeypatch.setattr(materials, "MOST_FACES", 100_000)
     sets = tmp_path / "sets" / "tile"
     sets.mkdir(parents=True)
     for name, value in (("color", (40, 160, 200)), ("height", (128,) * 3), ("roughness", (230,) * 3)):

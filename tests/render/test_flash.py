@@ -118,7 +118,7 @@ def test_no_flash_is_found_where_none_is(satin, lamp):
 
 
 def test_two_lamps_nearby_are_no_flash_between_them():
-    found = near_balls.estimated(near_balls.photographed(2.5)[0])
+    found = near_balls.found_at(2.5)[0]
     assert "flash" not in found.choice and found.lighting.suns[0].near is not None
 
 

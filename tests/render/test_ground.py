@@ -2,6 +2,7 @@
 """A table that the photo shows, as evidence: asked for by the job or the settings, its colour by its own pixels."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,18 +25,19 @@ from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, ball, job_of, looking_down, positive_light, scene_of, with_photo
 
 COLOUR = np.array([0.7, 0.3, 0.1])
+LIGHT = positive_light(2)
 DARK = Surface((0.05,) * 3, roughness=1.0, specular=0.0)  # a ball that sends next to nothing to the table
 
 
-def photographed(light, *, evidence: bool):
-    """The job of a dark ball on a table of `COLOUR` under a light (terms, 3), seen from above: direct light alone."""
+@cache
+def _photographed():
+    """The job of a dark ball on a table of `COLOUR` under `LIGHT`, seen from above: direct light alone."""
     plate = trimesh.creation.box([6, 6, 0.02]).apply_translation([0, 0, -1.02])
-    table = Occluder(as_mesh(plate, flat=True), None, evidence)
-    job = job_of([ball()], looking_down(), occluders=[table])
+    job = job_of([ball()], looking_down(), occluders=[Occluder(as_mesh(plate, flat=True), None)])
     job = replace(job, objects=tuple(replace(o, surface=DARK) for o in job.objects))
     scene, image = scene_of(job), np.zeros((96, 96, 3), np.float32)
     rays = fibonacci_sphere(4000)
-    sky = sh.series(light, rays) * (4 / 4000)
+    sky = sh.series(LIGHT, rays) * (4 / 4000)
     for number, albedo in ((0, np.full(3, 0.05)), (1, COLOUR)):
         rows, columns = np.nonzero(scene.view.mesh == number)
         origins, directions = job.camera.rays(columns + 0.5, rows + 0.5)
@@ -46,16 +48,27 @@ def photographed(light, *, evidence: bool):
     return with_photo(job, image)
 
 
+def photographed(*, evidence: bool):
+    """The same job, which asks for its table as evidence or does not."""
+    job = _photographed()
+    return replace(job, occluders=tuple(replace(o, evidence=evidence) for o in job.occluders))
+
+
 def estimated(job, **told):
     return estimate(scene_of(job), open_library(None), choose("draft", pixels=500, **told))
 
 
+@cache
+def plainly():
+    """The estimate of a job that does not ask for its table."""
+    return estimated(photographed(evidence=False))
+
+
 def test_what_is_not_known_of_the_table_its_pixels_say():
-    light = positive_light(2)
-    found = estimated(photographed(light, evidence=True))
+    found = estimated(photographed(evidence=True))
     assert found.choice["ground"].startswith("used as evidence")
     problem = found.model.problems[0]
-    ((colour, left),) = seen_colours(problem, seen_places(found.scene), light, found.settings).values()
+    ((colour, left),) = seen_colours(problem, seen_places(found.scene), LIGHT, found.settings).values()
     np.testing.assert_allclose(colour, COLOUR, rtol=0.03)
     scene = found.scene.with_colours({0: colour})
     assert np.array_equal(scene.occluder_albedos[0], colour) and not scene.has_unknown and found.scene.has_unknown
@@ -63,22 +76,19 @@ def test_what_is_not_known_of_the_table_its_pixels_say():
 
 
 def test_a_ground_of_many_colours_is_left_out():
-    job = photographed(positive_light(2), evidence=True)
+    job = photographed(evidence=True)
     image = job.photo.radiance * np.where(np.indices((96, 96)).sum(0)[..., None] // 24 % 2, 1, 0.2).astype(np.float32)
     image = np.where((scene_of(job).view.mesh == 1)[..., None], image, job.photo.radiance)
     found = estimated(replace(job, photo=replace(job.photo, radiance=image)))
     assert found.choice["ground"].startswith("not used as evidence: it is not of one colour")
     assert found.light.alone is None and found.fit.all_coefficients.shape == (100, 3)
-    ((_, left),) = seen_colours(
-        found.model.problems[0], seen_places(found.scene), positive_light(2), found.settings
-    ).values()
+    ((_, left),) = seen_colours(found.model.problems[0], seen_places(found.scene), LIGHT, found.settings).values()
     assert left > 2 * AGREE
 
 
 def test_it_is_asked_for_and_else_changes_nothing():
-    light = positive_light(2)
-    asked, not_asked = (photographed(light, evidence=e) for e in (True, False))
-    never, plain = estimated(asked, evidence="never"), estimated(not_asked)
+    asked, not_asked = (photographed(evidence=e) for e in (True, False))
+    never, plain = estimated(asked, evidence="never"), plainly()
     assert "ground" not in never.choice and "ground" not in plain.choice
     assert np.array_equal(never.fit.samples, plain.fit.samples) and not plain.scene.colours
     assert used_as_evidence(not_asked, choose(evidence="all")) == [0]
@@ -89,10 +99,17 @@ def by_itself(job, **told):
     return estimate(scene_of(job), open_library(None), choose("balanced", pixels=500, align="never", **told))
 
 
+@cache
+def without_table(told=None):
+    """The same by the ball alone; ``told`` : the table's surface, as the job has it."""
+    job = photographed(evidence=False)
+    return by_itself(replace(job, occluders=tuple(replace(o, surface=told) for o in job.occluders)), evidence="job")
+
+
 def test_a_plain_table_is_evidence_unasked_and_in_full_where_the_light_explains_all_of_it(monkeypatch):
-    job = photographed(positive_light(2), evidence=False)
+    job = photographed(evidence=False)
     monkeypatch.setattr(WithGround, "alike", lambda *_: 1e9)  # nobody asks
-    found, without = by_itself(job), by_itself(job, evidence="job")
+    found, without = by_itself(job), without_table()
     assert found.choice["ground"].endswith("% (its colour is free)") and found.light.alone is not None
     assert "ground" not in without.choice and without.light.alone is None
     assert np.array_equal(found.light.alone.all_coefficients, without.fit.all_coefficients)
@@ -102,7 +119,7 @@ def test_a_plain_table_is_evidence_unasked_and_in_full_where_the_light_explains_
 
 
 def test_of_what_nobody_asks_for_the_plain_one_that_is_seen_most_is_tried():
-    job = photographed(positive_light(2), evidence=False)
+    job = photographed(evidence=False)
     far = Occluder(as_mesh(trimesh.creation.box([0.1, 0.1, 0.1]).apply_translation([2, 0, -0.95])), None)
     (table,) = job.occluders
     both = replace(job, occluders=(far, table))
@@ -132,7 +149,7 @@ def _off(found, true) -> float:
 
 
 def test_a_table_that_shows_more_than_the_light_counts_for_less(monkeypatch):
-    job, true = striped(photographed(positive_light(2), evidence=False)), positive_light(2)[:9]
+    job, true = striped(photographed(evidence=False)), LIGHT[:9]
     found, without = by_itself(job), by_itself(job, evidence="job")
     monkeypatch.setattr(WithGround, "alike", lambda *_: 1.0)
     full = by_itself(job)
@@ -146,9 +163,9 @@ def test_a_table_that_shows_more_than_the_light_counts_for_less(monkeypatch):
 
 
 def test_a_table_that_speaks_against_the_objects_is_left_out(monkeypatch):
-    job = photographed(positive_light(2), evidence=False)
+    job = photographed(evidence=False)
     monkeypatch.setattr(ground, "WORSE", 0.0)
-    found, without = by_itself(job), by_itself(job, evidence="job")
+    found, without = by_itself(job), without_table()
     assert found.choice["ground"].startswith("not used as evidence: it speaks against the objects")
     assert np.array_equal(found.fit.all_coefficients, without.fit.all_coefficients) and found.light.alone is None
     assert not any("does not go with the objects" in said for said in found.scene.reporter.warnings)
@@ -158,13 +175,11 @@ def test_a_table_that_speaks_against_the_objects_is_left_out(monkeypatch):
 @pytest.mark.parametrize("glossy", [True, False])
 def test_whether_a_ground_is_glossy_the_photo_says_and_not_the_job(told, glossy):
     """A table that shows what its own response makes of the light: matte, or as satin as a new Blender material."""
-    job = photographed(positive_light(2), evidence=False)
-    job = replace(job, occluders=tuple(replace(o, surface=told) for o in job.occluders))
-    found = by_itself(job, evidence="job")
+    found = without_table(told)
     problems, light, settings = found.model.problems, found.light, found.settings
     (matte, satin, *_) = ground.grounds_of(problems, light.exposures, settings, [[0]])
     assert len(ground.looks_of(problems[0].scene, 0)) == 2 and matte.response.shape == satin.response.shape
-    sky = sh.series(positive_light(2), pixel_directions(*SKY).reshape(-1, 3))
+    sky = sh.series(LIGHT, pixel_directions(*SKY).reshape(-1, 3))
     sky = sky * np.repeat(pixel_solid_angles(*SKY), SKY[1])[:, None]
     shown = np.einsum("pnc,nc->pc", (satin if glossy else matte).response, sky)
     each = [replace(g, radiance=shown) for g in (matte, satin)]
@@ -173,7 +188,7 @@ def test_whether_a_ground_is_glossy_the_photo_says_and_not_the_job(told, glossy)
 
 
 def test_what_is_stated_is_as_much_as_a_table_that_is_left_out_speaks_for_another_light():
-    light = by_itself(photographed(positive_light(2), evidence=False), evidence="job").light
+    light = without_table().light
     x, stated = light.fit.shown, shown_error(light.fit)["order_2"]["median"]
     assert ground._disagreed(light, replace(light.fit, seen=1.7 * x)) == (light, "")  # its brightness is not known
     other = x.copy()
@@ -184,7 +199,7 @@ def test_what_is_stated_is_as_much_as_a_table_that_is_left_out_speaks_for_anothe
 
 
 def test_places_are_means_of_blocks_of_what_shows_the_table(monkeypatch):
-    job = photographed(positive_light(2), evidence=True)
+    job = photographed(evidence=True)
     scene = scene_of(job)
     points, radiance = places_of(scene, 0)
     assert 250 < len(points) < 900 and (points.position[:, 2] == pytest.approx(-1.01, abs=1e-6))
@@ -204,15 +219,15 @@ def test_light_of_any_strength_that_reaches_nothing_is_not_believed(monkeypatch)
         fit = beside(solver, *given, **more)
         return replace(fit, all_coefficients=4 * fit.all_coefficients)
 
-    plain = estimated(photographed(positive_light(2), evidence=False))
+    plain = plainly()
     monkeypatch.setattr(LightSolver, "beside_ground", run_away)
-    found = estimated(photographed(positive_light(2), evidence=True))
+    found = estimated(photographed(evidence=True))
     assert found.choice["ground"].startswith("not used as evidence: its light would be 4 times")
     assert np.array_equal(found.fit.all_coefficients, plain.fit.all_coefficients) and found.light.alone is None
 
 
 def test_a_light_farther_from_the_objects_own_than_was_expected_is_stated_wider(monkeypatch):
-    job = photographed(positive_light(2), evidence=False)
+    job = photographed(evidence=False)
     found = by_itself(job)
     assert found.choice["ground"].endswith("(its colour is free)")
     expected = shown_error(found.light.alone)["order_2"]["median"]

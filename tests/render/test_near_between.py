@@ -11,6 +11,7 @@ from btfsep_engine.btf.library import open_library
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.refine import interreflection, near_between
+from btfsep_engine.pipeline.refine.near_between import light_between_near_surfaces
 from btfsep_engine.pipeline.settings import choose
 from tests.render.near_balls import ALBEDO, off, photographed
 from tests.render.scenes import picture, scene_of, with_photo
@@ -37,35 +38,48 @@ def lit():
     return scene_of(with_photo(plain.job, picture(points, seen, size=len(photo)))), truth
 
 
-def test_what_light_from_afar_spoke_against_is_modelled_beside_lamps_nearby(lit, monkeypatch):
+@pytest.fixture(scope="module")
+def left_out(lit):
+    """The estimate in which its own light is left out, beside lamps nearby, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(interreflection, "contradicted", lambda *of: True)
+        patch.setattr(near_between, "own_light", lambda *of, **how: interreflection.OwnLight(False, 0.0))
+        return estimated(lit[0])
+
+
+def test_what_light_from_afar_spoke_against_is_modelled_beside_lamps_nearby(lit, left_out, monkeypatch):
     scene, truth = lit
     monkeypatch.setattr(interreflection, "contradicted", lambda *of: True)
     found = estimated(scene)
     assert found.light.near and found.model.bounces == 8
     assert found.choice["interreflections"].startswith("interreflections are modelled")
     assert "stands" in found.choice["near"] and found.model.problems[0].correction is not None
-    monkeypatch.setattr(near_between, "own_light", lambda *of, **how: interreflection.OwnLight(False, 0.0))
-    without = estimated(scene)
-    assert without.light.near and without.model.bounces == 1
-    assert without.choice["interreflections"] == interreflection.NOT_SO_BRIGHT
-    assert found.fit.evidence > without.fit.evidence and off(found, truth) < 0.8 * off(without, truth)
+    assert left_out.light.near and left_out.model.bounces == 1
+    assert left_out.choice["interreflections"] == interreflection.NOT_SO_BRIGHT
+    assert found.fit.evidence > left_out.fit.evidence and off(found, truth) < 0.8 * off(left_out, truth)
 
 
 @pytest.mark.parametrize(("near", "evidence"), [((), np.inf), (("a lamp",), -np.inf)])
-def test_it_stays_left_out_where_lamps_beside_it_explain_less_or_stand_far_away(lit, monkeypatch, near, evidence):
+def test_it_stays_left_out_where_lamps_beside_it_explain_less_or_stand_far_away(left_out, monkeypatch, near, evidence):
+    asked = []
+
     def found_beside_it(model, light):
         assert model.bounces == 8 and all(p.correction is None for p in model.problems)
+        asked.append(model)
         return model, SimpleNamespace(near=near, fit=SimpleNamespace(evidence=evidence)), {}
 
-    monkeypatch.setattr(interreflection, "contradicted", lambda *of: True)
     monkeypatch.setattr(near_between, "near_lamps", found_beside_it)
-    found = estimated(lit[0])
-    assert found.light.near and found.model.bounces == 1
-    assert found.choice["interreflections"] == interreflection.NOT_SO_BRIGHT
+    model, light, words = light_between_near_surfaces(left_out.model, left_out.light)
+    assert asked and model is left_out.model and light is left_out.light and not words
 
 
-@pytest.mark.parametrize("changes", [{"bounces": 1}, {"bounces": 8}, {"refine": "quick"}])
-def test_nothing_is_asked_where_it_was_said_or_no_lamp_is_near(lit, monkeypatch, changes):
-    asked = []
-    monkeypatch.setattr(near_between, "own_light", lambda *of, **how: asked.append(of))
-    assert bool(estimated(lit[0], **changes).light.near) == (changes.get("refine") is None) and not asked
+@pytest.mark.parametrize("bounces", [1, 8])
+def test_nothing_is_asked_where_it_was_said(left_out, monkeypatch, bounces):
+    monkeypatch.setattr(near_between, "own_light", None)
+    model = replace(left_out.model, settings=replace(SETTINGS, bounces=bounces), bounces=bounces)
+    assert left_out.light.near and light_between_near_surfaces(model, left_out.light) == (model, left_out.light, {})
+
+
+def test_nothing_is_asked_where_no_lamp_is_near(lit, monkeypatch):
+    monkeypatch.setattr(near_between, "own_light", None)
+    assert not estimated(lit[0], refine="quick").light.near

@@ -17,14 +17,13 @@ from btfsep_engine.light.files import Lighting, read_lighting, write_lighting
 from btfsep_engine.light.sun import Near, Sun, cap_around
 from btfsep_engine.pipeline.light_account import HALO, sky_radiance
 from btfsep_engine.pipeline.refine import key_lights, near
-from tests.render.near_balls import ALBEDO, WHERE, balls, estimated, off, photographed
+from tests.render.near_balls import ALBEDO, WHERE, balls, estimated, found_at, off, photographed
 from tests.render.scenes import job_of, looking_down, picture, scene_of, with_photo
 
 
 @pytest.mark.parametrize("distance", [2.5, 5.0])
 def test_a_lamp_nearby_is_found_with_its_distance(distance, monkeypatch):
-    scene, direction, centre, size, truth = photographed(distance)
-    found = estimated(scene)
+    found, (scene, direction, centre, size, truth) = found_at(distance)
     (sun,) = found.lighting.suns
     assert np.degrees(np.arccos(sun.direction @ direction)) < 5
     assert sun.near.low < distance * size < sun.near.high < 1.8 * sun.near.low

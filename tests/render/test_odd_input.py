@@ -179,17 +179,26 @@ def test_a_photo_with_black_channels(sphere_job_folder, lit):
     assert np.abs(found[:, dark]).max() < np.abs(found).max()
 
 
+@pytest.fixture(scope="module")
+def plain_light():
+    """The light of the photo as it is, once a test has found it."""
+    return []
+
+
 @pytest.mark.parametrize("value", [1e6, 1e20, 1e38])
 @pytest.mark.parametrize("channels", [0, slice(None)], ids=["red", "all"])
-def test_a_pixel_that_is_far_brighter_than_all_others_is_left_out(sphere_job_folder, capsys, value, channels):
+def test_a_pixel_that_is_far_brighter_than_all_others_is_left_out(
+    sphere_job_folder, plain_light, capsys, value, channels
+):
     folder, _ = sphere_job_folder
     pixels = photo_of(folder)
-    plain = estimated(folder, "--pixels", "0")
+    if not plain_light:
+        plain_light.append(estimated(folder, "--pixels", "0"))
     pixels[48, 48, channels] = value
     photographed(folder, pixels)
     found = estimated(folder, "--pixels", "0")
     assert "show something else" in capsys.readouterr().err
-    assert np.linalg.norm((found - plain)[:9]) < 0.05 * np.linalg.norm(plain[:9])
+    assert np.linalg.norm((found - plain_light[0])[:9]) < 0.05 * np.linalg.norm(plain_light[0][:9])
 
 
 def test_a_black_photo_is_refused(sphere_job_folder, capsys):

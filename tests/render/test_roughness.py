@@ -77,8 +77,14 @@ def test_of_an_object_with_an_image_of_its_colours_it_is_found_too():
     assert off_as_seen(found.lighting.coefficients, LIGHT) < 0.03
 
 
-def test_a_roughness_that_is_said_right_stays(photographed):
-    found = found_of(photographed(CLAY), CLAY)
+@pytest.fixture(scope="module")
+def said_right(photographed):
+    """The estimate of a thing of the roughness that its job says."""
+    return found_of(photographed(CLAY), CLAY)
+
+
+def test_a_roughness_that_is_said_right_stays(said_right):
+    found = said_right
     assert (
         not {roughness.ROUGHNESS, roughness.OTHERWISE} & set(found.choice)
         and found.materials[0].surface is None
@@ -107,10 +113,9 @@ def test_of_an_object_of_several_finishes_and_of_a_material_of_the_library_nothi
     found_of(job, replace(CLAY, roughness=0.5, finish=finish))
 
 
-def test_on_a_few_pixels_another_surface_is_lit_as_on_all(photographed):
+def test_on_a_few_pixels_another_surface_is_lit_as_on_all(said_right):
     """Light between surfaces aside, which stays what it was."""
-    found = found_of(photographed(CLAY), CLAY)
-    (problem,) = found.model.problems
+    (problem,) = said_right.model.problems
     other = homogeneous(replace(CLAY, roughness=0.3), GIVEN)
     lit, made = roughness._relit(problem, 0, other, SETTINGS), problem.of_materials([other], SETTINGS)
     np.testing.assert_allclose(lit.basis[0], made.basis[0], atol=1e-5)

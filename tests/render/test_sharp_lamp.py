@@ -25,10 +25,12 @@ from scripts.studies.measures import order2
 from tests.render.scenes import egg_and_pebble, job_of, looking_down, picture, scene_of, with_photo
 
 
-@pytest.fixture(autouse=True)
-def no_parts_with_edges(monkeypatch):
+@pytest.fixture(scope="module", autouse=True)
+def no_parts_with_edges():
     """Shadows and paints with edges explain some of this, too, and are asked elsewhere (`test_parted`)."""
-    monkeypatch.setattr(parted, "POOR", np.inf)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parted, "POOR", np.inf)
+        yield
 
 
 GLOSS = "wood/walnut-lacquered"
@@ -64,9 +66,15 @@ def found_in(scene, truth, settings=SETTINGS):
     return found, order2(found.fit.coefficients, truth)
 
 
-def test_a_sun_whose_highlight_is_clipped_is_found_as_sharp_as_it_is(prepared, monkeypatch):
+@pytest.fixture(scope="module")
+def clipped(prepared):
+    """The estimate of a photo of one sun whose highlight is clipped, its error, and the true light."""
     scene, truth = photographed(prepared, 4.0, limit=0.5)
-    found, error = found_in(scene, truth)
+    return *found_in(scene, truth), truth
+
+
+def test_a_sun_whose_highlight_is_clipped_is_found_as_sharp_as_it_is(prepared, clipped, monkeypatch):
+    found, error, truth = clipped
     assert "sharp" in found.choice and found.model.problems[0].correction is not None
     (lamp,) = found.light.suns
     assert np.degrees(np.arccos(lamp.direction @ TOWARDS)) < 2 and error < 0.12
@@ -75,11 +83,11 @@ def test_a_sun_whose_highlight_is_clipped_is_found_as_sharp_as_it_is(prepared, m
     assert "sharp" not in as_harmonics.choice and without > 1.3 * error
 
 
-def test_a_draft_does_not_look_for_lamps_that_are_sharper_and_says_so(prepared):
+def test_a_draft_does_not_look_for_lamps_that_are_sharper_and_says_so(prepared, clipped):
     scene, truth = photographed(prepared, 4.0, limit=0.5)
     quick, _ = found_in(scene, truth, replace(SETTINGS, refine="quick"))
     assert "sharp" not in quick.choice and "lamps sharper" in quick.choice["refine"]
-    assert "refine" not in found_in(scene, truth)[0].choice
+    assert "refine" not in clipped[0].choice
     assert choose("draft").refine == "quick" and choose("balanced").refine == "all"
 
 

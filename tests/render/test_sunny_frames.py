@@ -15,6 +15,7 @@ from btfsep_engine.job.load import load_job
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.sun import Sun
+from btfsep_engine.pipeline.following import Follower
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.progress import Reporter
 
@@ -31,9 +32,9 @@ def answer(capsys, *command) -> dict:
 
 @pytest.fixture
 def sunny(sphere_job_folder):
-    """A job of lacquered things, and six frames under a sky and a sun, which jumps before the fifth; noise of 1 %."""
+    """A job of lacquered things, and five frames under a sky and a sun, which jumps before the fourth; noise of 1 %."""
     folder, _ = sphere_job_folder
-    egg, pebble = (trimesh.creation.icosphere(5, 1.0) for _ in range(2))
+    egg, pebble = (trimesh.creation.icosphere(4, 1.0) for _ in range(2))
     egg.apply_scale([0.5, 0.7, 0.45])
     pebble.apply_scale([0.3, 0.25, 0.35]).apply_translation([0.55, 0.4, 0.0])
     both = trimesh.util.concatenate([egg, pebble])
@@ -44,8 +45,8 @@ def sunny(sphere_job_folder):
     sky[:4] = [[1.5], [0.3], [0.5], [-0.2]]
     below, random = scene.radiance(points, material, SHLighting(sky), directions=4096)[:, 0], np.random.default_rng(0)
     (folder / "frames").mkdir()
-    for i in range(6):
-        sun = Sun(TOWARDS if i < 4 else ELSEWHERE, np.full(3, 4.0), np.zeros(3))
+    for i in range(5):
+        sun = Sun(TOWARDS if i < 3 else ELSEWHERE, np.full(3, 4.0), np.zeros(3))
         image = np.zeros((96, 96, 3))
         image[tuple(points.pixels.T)] = below + scene.sun_radiance(points, material, sun)
         image += 0.01 * image.mean() * random.normal(size=image.shape)
@@ -53,11 +54,35 @@ def sunny(sphere_job_folder):
     return folder
 
 
-def test_a_sun_that_stands_is_followed_and_one_that_jumps_is_sought_anew(sunny, capsys):
+@pytest.fixture
+def searches(monkeypatch):
+    """([of all], [of each further frame]): how often a model is searched for, counted as it goes."""
+    count, further = [0], []
+    solve, follow = search.solve, Follower.estimate
+
+    def counted(*given, **how):
+        count[0] += 1
+        return solve(*given, **how)
+
+    def followed(follower, scene):
+        before = count[0]
+        found = follow(follower, scene)
+        further.append(count[0] - before)
+        return found
+
+    monkeypatch.setattr("btfsep_engine.fit.election.solve", counted)
+    monkeypatch.setattr(Follower, "estimate", followed)
+    return count, further
+
+
+def test_a_sun_that_stands_is_followed_and_one_that_jumps_is_sought_anew(sunny, capsys, searches):
+    """A frame that is followed is as a photo alone, and searches for no model."""
     frames = answer(capsys, "sequence", sunny, "--images", sunny / "frames" / "*.exr")["frames"]
     assert "sharp" in frames[0]["choice"]
-    assert [f["by"] for f in frames[1:4]] == ["light followed"] * 3 and frames[5]["by"] == "light followed"
-    assert frames[4]["by"] != "light followed"
+    followed = [f["by"] == "light followed" for f in frames]
+    assert followed[1:] == [True, True, False, True]
+    (every,), further = searches
+    assert [count == 0 for count in further] == followed[1:] and every > sum(further)
     for frame in frames[1:]:
         (sunny / "photo.exr").write_bytes((sunny / "frames" / frame["image"]).read_bytes())
         alone = answer(capsys, "estimate", sunny, "--no-report")
@@ -72,18 +97,3 @@ def test_a_sun_that_stands_is_followed_and_one_that_jumps_is_sought_anew(sunny, 
         assert sun.direction @ known.direction > np.cos(np.radians(0.2))
         np.testing.assert_allclose(sun.irradiance, known.irradiance, rtol=0.02)
         assert sun.share == pytest.approx(known.share, rel=0.02)
-
-
-def test_a_followed_frame_searches_for_no_model(sunny, capsys, monkeypatch):
-    searches, solve = [], search.solve
-
-    def counted(*given, **how):
-        searches.append(given)
-        return solve(*given, **how)
-
-    monkeypatch.setattr("btfsep_engine.fit.election.solve", counted)
-    command = ["sequence", sunny, "--images"]
-    answer(capsys, *command, sunny / "frames" / "0.exr")
-    first = len(searches)
-    frames = answer(capsys, *command, sunny / "frames" / "[0-3].exr")["frames"]
-    assert len(frames) == 4 and len(searches) == 2 * first > 0
