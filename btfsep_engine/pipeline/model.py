@@ -38,6 +38,8 @@ class Model:
     untried : why textures are not tried beside the mean ABRDFs, in words; None where they are
     otherwise : (Fit, probability) of lights that the photo may show as well (`refine.parted`)
     highlights : whether the photo shows some that neither the materials nor smooth light explain (`refine.in_front`)
+    shaded : a SolvedLight of these problems, and what was found beside it of lamps that some pixels do not see
+        (`refine.parted.with_shadows_sought`); None: none were sought
     departed : number of an object -> the Material near its own that stands for it (`refine.reflectance`)
     """
 
@@ -50,6 +52,7 @@ class Model:
     departed: dict = field(default_factory=dict)
     otherwise: tuple = ()
     highlights: bool = False
+    shaded: tuple | None = None
 
     @property
     def problems(self) -> list[Problem]:

@@ -145,7 +145,7 @@ def test_what_stands_apart_is_left_out_and_of_gloss_what_is_dark_or_of_a_colour_
     rng, level, gloss, monkeypatch
 ):
     """No highlight is darker than all around it: a dark thing need not be seen at two places, nor a violet one."""
-    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: False)  # which traces rays
+    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: None)  # which traces rays
     model, light = photographed(rng, patch, level, gloss=gloss)
     assert shining(model.problems[0])[0].all() == (gloss > 0)
     freed, answer, words = without_things_in_front(model, light)
@@ -177,7 +177,7 @@ def test_what_is_brighter_is_told_with_channels_that_count_alike(monkeypatch):
 @pytest.mark.parametrize("level", [4.0, 0.02])
 def test_what_may_be_a_highlight_is_left_out_with_the_light_of_all_pixels_as_the_other_half(rng, level, monkeypatch):
     """What is darker than the light explains is none."""
-    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: False)
+    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: None)
     model, light = photographed(rng, patch, level)
     freed, _, words = without_things_in_front(model, light)
     assert "robust" in words and freed.otherwise == (((light.fit, 0.5),) if level > 1 else ())
@@ -247,7 +247,7 @@ def test_what_ends_where_the_objects_light_does_not_is_a_thing_in_front():
 
 
 def test_of_what_the_mesh_has_elsewhere_nothing_is_left_out_and_the_other_light_is_the_other_half(rng, monkeypatch):
-    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: False)
+    monkeypatch.setattr(in_front, "lit_otherwise", lambda *_: None)
     model, light = photographed(rng, patch, 0.02)
     left_out = without_things_in_front(model, light)[1]
     monkeypatch.setattr(in_front, "as_the_objects", lambda *_: True)

@@ -12,7 +12,14 @@ from btfsep_engine.pipeline.estimation import Estimate, light_of
 from btfsep_engine.pipeline.following import Follower
 from btfsep_engine.pipeline.refine import parted
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
-from btfsep_engine.pipeline.refine.parted import asked, coloured_as_light, in_parts, leaves_less, lit_otherwise
+from btfsep_engine.pipeline.refine.parted import (
+    asked,
+    coloured_as_light,
+    in_parts,
+    leaves_less,
+    lit_otherwise,
+    with_shadows_sought,
+)
 from btfsep_engine.pipeline.refine.pieces import Pieces
 from btfsep_engine.pipeline.refine.pixels import Pixels
 from btfsep_engine.pipeline.refine.shaded import SHADOW
@@ -62,19 +69,33 @@ def apart(model):
     return spot(model.problems[0].pixels)
 
 
-def test_what_a_lamp_lights_through_a_gap_is_no_thing_in_front(through_a_gap):
+def test_what_a_lamp_lights_through_a_gap_is_no_thing_in_front(through_a_gap, monkeypatch):
+    """The refinement that comes next does not search for the lamp once more, and finds the same."""
     model, light = through_a_gap
     assert lit_otherwise(model, light, apart(model))
     same, as_before, words = without_things_in_front(model, light)
-    assert same is model and as_before is light and not words
-    _, found, words = in_parts(model, light)  # the refinement that comes next
+    assert same.looks is model.looks and as_before is light and not words
+    anew = in_parts(model, light)
+    monkeypatch.setattr(parted.Shadows, "found", None)
+    last, found, words = in_parts(same, light)
     assert SHADOW in words and "robust" not in words and degrees_off(found) < 6
+    np.testing.assert_array_equal(found.fit.coefficients, anew[1].fit.coefficients)
+    assert last.shaded is None
+
+
+def test_shadows_are_sought_anew_under_another_light(through_a_gap, monkeypatch):
+    model, light = through_a_gap
+    monkeypatch.setattr(parted.Shadows, "found", lambda search: [search.pixels.light])
+    once = with_shadows_sought(model, light)
+    assert with_shadows_sought(once, light) is once and once.shaded == (light, [light])
+    other = replace(light)
+    assert with_shadows_sought(once, other).shaded[0] is other
 
 
 def test_that_it_is_none_is_worth_the_lamp(through_a_gap, monkeypatch):
     """Left out, its pixels take all that is known of the lamp with them."""
     model, _ = through_a_gap
-    monkeypatch.setattr("btfsep_engine.pipeline.refine.in_front.lit_otherwise", lambda *_: False)
+    monkeypatch.setattr("btfsep_engine.pipeline.refine.in_front.lit_otherwise", lambda *_: None)
     left = light_of(model, None, (without_things_in_front, in_parts))
     assert "robust" in left.choice and SHADOW not in left.choice
 
@@ -101,7 +122,7 @@ def test_how_well_a_lamp_explains_is_asked_beside_one_colour(covered, monkeypatc
     for factor, lamp, expected in ((1, np.ones(3), True), (9, np.ones(3), False), (1, np.array([1, 0.1, 0.1]), False)):
         one = shaded_by(factor * rest, lamp)
         monkeypatch.setattr(parted.Shadows, "found", lambda _, one=one: [one])
-        assert lit_otherwise(model, light, some) is expected
+        assert (lit_otherwise(model, light, some) is not None) is expected
     monkeypatch.setattr(parted.Shadows, "found", lambda _: [])
     assert not lit_otherwise(model, light, some)
 

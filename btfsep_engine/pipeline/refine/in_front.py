@@ -197,7 +197,9 @@ def without_things_in_front(model, light):
             bright = as_more_light(model, answer, lost)
             if bright is not None and shine(model, light, bright):
                 return replace(model, highlights=True), light, {"highlights": HIGHLIGHTS}
-            if lit_otherwise(model, light, lost):
+            lit = lit_otherwise(model, light, lost)
+            if lit is not None:
+                model = lit
                 continue
             if as_the_objects(model, light, lost):
                 return with_others(model, [((freed, answer), EITHER)]), light, {OTHER_SHAPE: MISPLACED}

@@ -55,18 +55,29 @@ def shines(model) -> bool:
     return any(shining(p, beyond=HIGHLIGHTS)[0].any() for p in model.problems)
 
 
-def lit_otherwise(model, light, apart) -> bool:
+def with_shadows_sought(model, light):
+    """The model with the lamps that some pixels do not see under a light: the search takes long, and is made once."""
+    if model.shaded is not None and model.shaded[0] is light:
+        return model
+    return replace(model, shaded=(light, Shadows(Pixels(model, light)).found()))
+
+
+def lit_otherwise(model, light, apart):
     """Whether pixels that stand ``apart`` (p,) bool are lit as the others are not, and show the objects all the same.
 
-    A thing in front is not shaded as the objects would be: a lamp explains it no better than one colour does.
+    A thing in front is not shaded as the objects would be: a lamp explains it no better than one colour does. Returns
+    the model `with_shadows_sought`; None: they are not.
     """
     if not asked(model, light):
-        return False
+        return None
     pixels = Pixels(model, light)
     inner = apart & (pixels.around @ apart.astype(np.float64) > WITHIN)
-    found = Shadows(pixels).found() if inner.any() else []
+    if not inner.any():
+        return None
+    model = with_shadows_sought(model, light)
+    found = model.shaded[1]
     lit = bool(found) and coloured_as_light(found[0]) > 0 and found[0].left < SHADOW_LEAVES * light.fit.residual
-    return lit and not pixels.unlike_the_rest(inner, found[0].rest[inner])
+    return model if lit and not pixels.unlike_the_rest(inner, found[0].rest[inner]) else None
 
 
 def leaves_less(left, tried) -> bool:
@@ -90,7 +101,9 @@ def in_parts(model, light):
     with model.reporter.stage("fit"):
         pixels = Pixels(model, light)
         shadows, pieces = Shadows(pixels), Pieces(pixels, model.modelled)
-        shaded = shadows.found()
+        shaded = with_shadows_sought(model, light).shaded[1]
+        if model.shaded is not None:  # it is large, and asked for no more
+            model = replace(model, shaded=None)
         painted = None if shines(model) else pieces.found(one.seen for one in shaded[:1])
         of_shadows = [shadows.lights(model, one) for one in shaded]
         of_paint = [] if painted is None else [pieces.lights(model, painted)]
