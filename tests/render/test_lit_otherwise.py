@@ -22,7 +22,7 @@ from btfsep_engine.pipeline.refine.parted import (
 )
 from btfsep_engine.pipeline.refine.pieces import Pieces
 from btfsep_engine.pipeline.refine.pixels import Pixels
-from btfsep_engine.pipeline.refine.shaded import SHADOW
+from btfsep_engine.pipeline.refine.shaded import BEST, RINGS, SHADOW, Shadows, rings_about
 from tests.render.lit_things import TOWARDS, degrees_off, lit_things, off, photo_of, shaded, solved
 
 WARM = np.array([1.3, 1.0, 0.75])  # beside skylight: a sun that stands low
@@ -241,6 +241,51 @@ def test_no_paint_reflects_more_than_all_light(things):
 def in_the_dark(things):
     """The model of a photo with a shadow of what no job knows, and its light."""
     return solved(things, photo_of(things, shaded(things)))[:2]
+
+
+def test_rings_are_so_far_from_what_they_are_about_and_all_around_it():
+    around = rings_about(TOWARDS)
+    angles = np.arccos(around @ TOWARDS).reshape(len(RINGS), -1)
+    np.testing.assert_allclose(angles, np.repeat(RINGS[:, None], angles.shape[1], 1))
+    for ring in around.reshape(len(RINGS), -1, 3):
+        np.testing.assert_allclose(ring.mean(0), np.cos(np.arccos(ring[0] @ TOWARDS)) * TOWARDS, atol=1e-12)
+
+
+def test_a_lamp_is_looked_for_around_the_best_until_none_there_is_better(in_the_dark, monkeypatch):
+    """From a place from which no move is asked for, as where what sees it makes up for that."""
+    search = Shadows(Pixels(*in_the_dark))
+    best = search.found()[0]
+    first = search._seen_from(best, rings_about(rings_about(TOWARDS)[8])[8])
+    start = np.degrees(np.arccos(first.own.direction @ TOWARDS))
+    assert start > 40 and first.left > 2 * best.left
+    monkeypatch.setattr(search, "_onward", lambda one, _: one)
+    each = search._beside([first])
+    lefts = [one.left for one in each]
+    assert lefts == sorted(lefts) and lefts[0] < 0.7 * first.left
+    assert np.degrees(np.arccos(each[0].own.direction @ TOWARDS)) < start - 20
+
+
+@pytest.mark.parametrize(("misfit", "asked_around"), [(0.2, True), (0.1, False)])
+def test_around_a_lamp_that_promises_more_are_sought_and_no_more_kept_than_are_followed(
+    misfit, asked_around, monkeypatch
+):
+    light = SimpleNamespace(solver=None, fit=SimpleNamespace(residual=misfit))
+    search, added = Shadows(SimpleNamespace(light=light)), []
+
+    def lamp(direction, left):
+        return SimpleNamespace(own=SimpleNamespace(direction=direction), left=left)
+
+    def beside(each):
+        added.extend(lamp(direction, 0.101) for direction in rings_about(TOWARDS))
+        return each + added
+
+    stand_ins = {"_settled": lambda one: one, "_onward": lambda one, _: one, "_half_seen": lambda _: 0.0}
+    stand_ins |= {"_likely": lambda: [lamp(TOWARDS, 0.1)], "_beside": beside}
+    for name, stand_in in stand_ins.items():
+        monkeypatch.setattr(search, name, stand_in)
+    found = search.found()
+    assert bool(added) is asked_around and found[0].left == 0.1
+    assert len(found) == (BEST if asked_around else 1) < len(rings_about(TOWARDS))
 
 
 @pytest.mark.parametrize(("lamp", "is_shadow"), [(0.24, True), (0.18, False)])

@@ -319,7 +319,7 @@ def test_lamps_that_leave_more_over_or_are_one_or_are_half_seen_are_not_kept(mon
     tried = [
         one and SimpleNamespace(own=SimpleNamespace(direction=one[0]), left=one[1], half_seen=one[2]) for one in tried
     ]
-    search = Shadows(SimpleNamespace(light=SimpleNamespace(solver=None)))
+    search = Shadows(SimpleNamespace(light=SimpleNamespace(solver=None, fit=SimpleNamespace(residual=0.0))))
     stand_ins = {"_settled": lambda one: one, "_onward": lambda one, _: one, "_half_seen": lambda one: one.half_seen}
     for name, stand_in in (stand_ins | {"_likely": lambda: tried}).items():
         monkeypatch.setattr(search, name, stand_in)

@@ -27,6 +27,8 @@ LEAST = 0.03  # of the brightest beam's: one that lights less is none that casts
 BEST, ASIDE, FINER = 5, np.radians(24), 24  # of them; farther apart from each other than that; beams about each,
 AROUND = np.radians(6)  # so far away
 ROUNDS, MORE, WORTH = 3, 8, 0.99  # of all of them; of the best; of what is left over: another round leaves less
+RINGS = np.radians([15, 30])  # about the best of them: where else the lamp may stand,
+HELD, CLIMBS = 2, 3  # turns of which pixels see it there; rings about one that is better
 PROMISING = 1.5  # of what the best leaves over after the first rounds: others that leave more are given up
 AS_WELL, SAME = 1.25, np.radians(5)  # of what the best leaves over: others leave no more; nearer, two lamps are one
 # How far from seeing all of the lamp or nothing pixels may be away from edges: in shadows 0.01 to 0.06, of grey stains
@@ -70,6 +72,13 @@ def _close(one: Shaded, other: Shaded) -> bool:
     return bool(one.own.direction @ other.own.direction > np.cos(SAME))
 
 
+def rings_about(direction) -> np.ndarray:
+    """(n, 3), unit directions in `RINGS` about one (3,)."""
+    turns = np.pi / 3 * (np.arange(6) + np.arange(len(RINGS))[:, None] / 2)
+    aside = np.stack([np.cos(turns), np.sin(turns)], -1) @ across(direction)
+    return (np.cos(RINGS)[:, None, None] * direction + np.sin(RINGS)[:, None, None] * aside).reshape(-1, 3)
+
+
 def beams_of(problems, directions, some) -> np.ndarray:
     """Images of beams (n, 3) on ``some`` (p,) bool of all photographs' pixels: (some, n, 3)."""
     ends, out = np.cumsum([len(p.pixels) for p in problems])[:-1], []
@@ -92,12 +101,44 @@ class Shadows:
         tried = [one for one in map(self._settled, self._likely()) if one is not None]
         least = PROMISING * min((one.left for one in tried), default=np.inf)
         each = sorted((self._onward(one, MORE) for one in tried if one.left <= least), key=lambda one: one.left)
+        each = self._beside(each) if each and each[0].left < HOPEFUL * self.pixels.light.fit.residual else each
         kept: list[Shaded] = []
         for one in each:
             known = one.left < AS_WELL * each[0].left and not any(_close(one, other) for other in kept)
-            if known and self._half_seen(one) < HALF_SEEN:
+            if known and len(kept) < BEST and self._half_seen(one) < HALF_SEEN:
                 kept.append(one)
         return kept
+
+    def _beside(self, each: list[Shaded]) -> list[Shaded]:
+        """The lamps, sorted, and those around the best: as long as one of these leaves less over, that is the best.
+
+        Which pixels see a lamp is free, and makes up for much of where it stands: what a move asks for ends early.
+        """
+        for _ in range(CLIMBS):
+            best = each[0]
+            aside = [self._seen_from(best, direction) for direction in rings_about(best.own.direction)]
+            least = min(aside, key=lambda one: one.left)
+            each = sorted([*each, *aside], key=lambda one: one.left)
+            if least.left > WORTH * best.left:
+                break
+            each = sorted([self._onward(least, MORE), *each], key=lambda one: one.left)
+        return each
+
+    def _seen_from(self, at: Shaded, direction) -> Shaded:
+        """The lamp elsewhere, and what sees it then."""
+        own = image_from_afar(self.pixels.problems, direction)
+        for _ in range(HELD):
+            at = self._seen_anew(at, own, at.found.irradiances[0] * own.image)
+        return at
+
+    def _seen_anew(self, at: Shaded, own: OwnImage, image) -> Shaded:
+        """A lamp of which what sees it is found by its ``image`` (p, 3), with the light; ``own`` : of the lamp."""
+        (irradiance,) = at.found.irradiances
+        rest = self.pixels.b - self.solver.basis.predicted(at.light.x)
+        of_lamp = rest + irradiance * (at.own.image - at.own.excess)
+        scale = 1 / self.solver.basis.response**2
+        seen = share_of(of_lamp, image, self.pixels.known * scale, self.pixels.around)
+        return self._solved(own, seen, irradiance, at.light)
 
     def _likely(self):
         """Directions (3,) and which pixels (p,) see a lamp there, of those lamps that leave least over."""
@@ -152,13 +193,10 @@ class Shadows:
         scale = 1 / self.solver.basis.response**2
         for _ in range(rounds):
             (irradiance,), (lamp,) = at.found.irradiances, at.found.lamps
-            rest = self.pixels.b - self.solver.basis.predicted(at.light.x)
-            left, of_lamp = rest - irradiance * lamp.excess, rest + irradiance * (at.own.image - at.own.excess)
+            left = self.pixels.b - self.solver.basis.predicted(at.light.x) - irradiance * lamp.excess
             move = asked_move(left, irradiance * lamp.slopes, at.found.weights * scale)
             own = image_from_afar(self.pixels.problems, lamp.direction + move @ across(lamp.direction))
-            image = irradiance * (at.own.image + np.einsum("a,apc->pc", move, at.own.slopes))
-            seen = share_of(of_lamp, image, self.pixels.known * scale, self.pixels.around)
-            now = self._solved(own, seen, irradiance, at.light)
+            now = self._seen_anew(at, own, irradiance * (at.own.image + np.einsum("a,apc->pc", move, at.own.slopes)))
             if now.left > WORTH * at.left:
                 break
             at = now
