@@ -122,6 +122,34 @@ def test_two_lamps_nearby_are_no_flash_between_them():
     assert "flash" not in found.choice and found.lighting.suns[0].near is not None
 
 
+@pytest.mark.parametrize(
+    ("beside", "placed", "left", "more"),
+    [(0.25, True, 0.08, True), (0.25, True, 0.2, False), (0.25, False, 0.08, False), (0.09, True, 0.01, False)],
+)
+def test_what_a_flash_leaves_over_lamps_elsewhere_may_explain(flashed, beside, placed, left, more, monkeypatch):
+    """Then the photo has none."""
+    model, light = flashed[-1].model, flashed[-1].light
+
+    def with_misfit(misfit, **changes):
+        return replace(light, fit=SimpleNamespace(residual=misfit), **changes)
+
+    near_light = with_misfit(left, near=light.near if placed else ())
+    monkeypatch.setattr(flash, "near_lamps", lambda model, light: (model, near_light, {}))
+    assert flash.others_explain_more(model, light, with_misfit(beside)) is more
+
+
+def test_a_lamp_nearby_above_the_camera_is_no_flash(satin):
+    """Its image lies between a flash's and that of light from far away."""
+    pose, (job_object,) = satin.scene.job.camera.to_world, satin.scene.job.objects
+    radius = np.linalg.norm(job_object.mesh.vertices - satin.centre, axis=1).max()
+    away = pose[:3, 3] - satin.centre
+    turned = np.cos(np.radians(25)) * away / np.linalg.norm(away) + np.sin(np.radians(25)) * pose[:3, 1]
+    scene, truth = lit(satin, at(satin, satin.centre + 2.5 * radius * turned, 4.0))
+    found = found_in(scene)
+    assert "flash" not in found.choice and found.choice["near"].startswith("a lamp stands")
+    assert order2(found.fit.coefficients, truth[:9]) < 0.07
+
+
 @pytest.mark.parametrize("changed", ["unfired", "far", "inside", "parallel", "twice", "given"])
 def test_where_none_can_be_none_is_looked_for(satin, flashed, changed):
     scene, *_, found = flashed

@@ -18,7 +18,7 @@ from btfsep_engine.fit.sharp_lamp import SharpLight
 from btfsep_engine.light.sun import Near
 from btfsep_engine.pipeline.own_image import OwnImage, image_from_afar, image_from_nearby
 from btfsep_engine.pipeline.problem import Flash
-from btfsep_engine.pipeline.refine.near import LOOKS_NEAR, bright_lamps, looks_near, rest
+from btfsep_engine.pipeline.refine.near import LOOKS_NEAR, bright_lamps, looks_near, near_lamps, rest
 from btfsep_engine.pipeline.refine.near_places import NEAREST, Photographed, middle_of
 from btfsep_engine.pipeline.refine.sharp import (
     SAME,
@@ -50,6 +50,9 @@ TURNS = 2  # of how bright it is, and of what counts beside it
 # Of the misfit's square, what the nearness of lamps elsewhere would explain beside a flash, over what the flash does:
 # where softboxes or two lamps stand near, of which one between them imitates some, 0.27 to 2.7; under a flash to 0.21
 ELSEWHERE = 0.25
+# What is left over beside a flash, with which lamps elsewhere are placed, and what these leave of that if there is no
+# flash: of a lamp that stood aside, and between whose image and light from far away a flash was believed, 0.3
+MUCH, LESS = 0.1, 0.7
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,9 @@ def flash(model, light):
         free = model_beside(model, light, best.found)
         free = free.changed(lambda problem: replace(problem.under(own), correction=None))
         beside = refitted(free, light)
-    return (model, light, {}) if others_stand_near(free, beside, best.explained) else (free, beside, {})
+        if others_stand_near(free, beside, best.explained) or others_explain_more(model, light, beside):
+            return model, light, {}
+    return free, beside, {}
 
 
 def flash_settled(model, light):
@@ -163,6 +168,17 @@ def others_stand_near(model, light, explained: float) -> bool:
     nearness = sum(scene.nearness_of(lamps, scene.mounds(light.fit, lamps)))
     more = (1 - rest(scene, nearness)) * (1 - explained)
     return more > ELSEWHERE * explained and looks_near(scene, nearness) > LOOKS_NEAR
+
+
+def others_explain_more(model, light, beside) -> bool:
+    """Whether lamps nearby elsewhere leave far less over of a photo without a flash than the light ``beside`` one does.
+
+    Beside a flash that is none, what may be lamps elsewhere stands in places from which nothing looks near.
+    """
+    if beside.fit.residual < MUCH:
+        return False
+    placed = near_lamps(model, light)[1]
+    return bool(placed.near) and placed.fit.residual < LESS * beside.fit.residual
 
 
 def promises(pursuit: Pursuit, image: OwnImage) -> bool:
