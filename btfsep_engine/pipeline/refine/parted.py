@@ -29,10 +29,10 @@ MUCH, POOR = 0.05, 0.08  # misfit of patches, and of all that is left over, with
 # Of what is left over without: of stained plaster paint leaves 0.6, of balls whose shape comes from shading 0.4 to 0.7,
 # of 32 painted plates 0.2 to 0.7.
 SHADOW_LEAVES, PAINT_LEAVES = 0.5, 0.4
-# The same beside highlights, which leave much over of any light, and of what is left over whole patches: of shadows on
-# gloss and metal that have the lamp within 6 degrees 0.53 to 0.72 and 0.34 to 0.95, of 27 such plates without a shadow
-# 0.56 to 1.3 and 0.54 to 1.3 where any lamp explains something. And of what sharper or nearby lamps leave, which
-# imitate shadows: of seven true ones 0.3 to 0.76, of 11 things under softboxes 1.3 and more.
+# The same beside highlights, which leave much over of any light, and of what is left over whole patches: of five
+# shadows on gloss and metal that have the lamp within 6 degrees 0.53 to 0.72 and 0.34 to 0.95; of seven such plates
+# without a shadow, on which some lamp was found, 0.56 to 1.3 and 0.54 to 1.8: the one that passes errs less for it. And
+# of what sharper or nearby lamps leave, which imitate shadows: true ones up to 0.76, two under softboxes 1.3 and 4
 BESIDE_GLOSS, OF_PATCHES, OF_LAMPS = 0.75, 0.6, 0.8
 DECIDES = 8.0  # power of what is left over, inverse, by which other lamps are as probable
 # Of what paint leaves over: where a shadow leaves so much, either is as probable; and the power of it by which one is
