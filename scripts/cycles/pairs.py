@@ -17,7 +17,7 @@ from tqdm import tqdm
 from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
 from scripts.cycles import materials, objects, studio
-from scripts.cycles.plates import unlike
+from scripts.cycles.untold import unlike
 
 RESOLUTION, SAMPLES, FILL = 320, 96, 0.92
 APART = 0.6  # of an object's largest side, from the middle

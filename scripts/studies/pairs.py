@@ -4,10 +4,10 @@
 scripts/study pairs FOLDER --make        takes 24 photographs by Cycles, once
 scripts/study pairs FOLDER
 
-Two things side by side, each of a plain surface that its job says as a user sees it by eye (`plate_sets.by_eye`), under
-Blender's studio lights, turned; the second is as it is told, or painted in pieces, or mottled, of which the job has the
-mean. Ways: as it is; *all alike*, with every object counting alike, whatever is left over in it. The error is up to
-order 2, with one free scale; *over stated* is the error over the one that the estimate expects.
+Two things side by side, each of a plain surface that its job says as a user sees it by eye (`plate_things.by_eye`),
+under Blender's studio lights, turned; the second is as it is told, or painted in pieces, or mottled, of which the job
+has the mean. Ways: as it is; *all alike*, with every object counting alike, whatever is left over in it. The error is
+up to order 2, with one free scale; *over stated* is the error over the one that the estimate expects.
 """
 
 from pathlib import Path
@@ -20,7 +20,7 @@ from btfsep_engine.pipeline.refine.each_object import each_object_by_itself
 from btfsep_engine.storage.atomic import write_json
 from scripts.cycles import plain
 from scripts.cycles.lights import studio_lights
-from scripts.studies import parser, photos, plate_light, plate_sets, tables
+from scripts.studies import parser, photos, plate_light, plate_sets, plate_things, tables
 from scripts.studies.estimates import estimated, worth
 
 COUNT, SEED = 24, 301
@@ -37,7 +37,7 @@ def drawn(seed: int = SEED) -> list[dict]:
         second, things = SECOND[i % len(SECOND)], []
         for thing in random.choice(plate_sets.OBJECTS, 2, replace=False):
             surface = plain.of(str(random.choice(FINISHES)), str(random.choice(colours)))
-            told = plate_sets.by_eye(surface, random)
+            told = plate_things.by_eye(surface, random)
             things.append({"object": str(thing), "surface": surface, "told": told, "thing": None, "paint": None})
         if second != SECOND[0]:
             paint = plain.COLOURS[str(random.choice(colours))]

@@ -9,6 +9,8 @@ from scripts.cycles.lights import true_lighting
 
 CORNERS = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])  # of a softbox, in its edges from its middle
 PATCHES = 24  # of a softbox, a side: of its integral
+LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its other light, times what it is; lamps'
+# irradiance, times what that of the other light would be undimmed
 
 
 def of_box(box: dict, across_it) -> np.ndarray:
@@ -39,3 +41,9 @@ def truth(plate) -> np.ndarray:
         place = np.array(plate["flash"]["place"])
         x = x + sh.evaluate(9, place[None] / np.linalg.norm(place))[0][:, None] * plate["flash"]["irradiance"]
     return x + sum(box_light(box, 9) for box in plate.get("boxes", ()))
+
+
+def from_in_front(random) -> list[float]:
+    """A random direction (3,) above the ground, on the camera's side."""
+    azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
+    return [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]

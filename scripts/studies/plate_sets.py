@@ -5,7 +5,9 @@ import numpy as np
 
 from scripts.cycles import plain
 from scripts.cycles.lights import studio_lights, true_lighting
-from scripts.studies.plate_light import CORNERS, of_box
+from scripts.studies import plate_things as things
+from scripts.studies.plate_light import CORNERS, DIMMED, LAMPS, STRONG, from_in_front, of_box
+from scripts.studies.plate_things import OF_SURFACES, PAINT, by_eye
 
 SETS = {
     "first": 1,
@@ -50,17 +52,13 @@ SETS = {
     "remeshed": 223,
     "remeshed again": 224,
     "shadowed anew": 225,
+    "angular": 226,
+    "angular again": 227,
+    "finished": 228,
+    "finished again": 229,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
-OF_SURFACES = (0.35, 0.3, 0.25, 0.1)
-METALS = (
-    (0.55, 0.556, 0.554),
-    (0.97, 0.96, 0.91),
-    (1.0, 0.77, 0.34),
-    (0.95, 0.64, 0.54),
-)  # chrome, silver, gold, copper
-POLISHED = (0.0, 0.1, 0.2)  # roughness
 OF_TABLES = (0.5, 0.3)  # roughness, where they are glossy
 CURVES = ("srgb", "srgb", "agx", "floats")
 WITH_TABLE, WITH_SUN, SUNNY = 0.6, 0.4, 0.5  # shares of the plates; of the light by the sun
@@ -70,11 +68,6 @@ FILTERS = {
     "red": (1, 0.03, 0.02), "amber": (1, 0.45, 0.05), "green": (0.05, 1, 0.1), "cyan": (0.05, 0.8, 1),
     "blue": (0.03, 0.06, 1), "magenta": (1, 0.03, 0.8), "white": (1, 1, 1),
 }  # fmt: skip
-LAMPS, DIMMED, STRONG = 3, (0.03, 0.15), (1.0, 2.0)  # of a stage: at most; its other light, times what it is; lamps'
-# irradiance, times what that of the other light would be undimmed
-OF_OBJECTS = ("as said", "subsurface", "bumps", "mottled")
-OF_CAMERAS = ("clean", "vignette", "grain", "soft", "glare")
-PAINT, IN_THE_DARK = (0.3, 0.8), 0.5  # how much of a piece's colour is the paint's; share of plates with lamps alone
 COVERS = ("fingers", "leaves")  # what is before a part of the object
 PATTERNS, PATTERN = ("planks", "tiles", "checks", "marble", "speckles"), (0.02, 0.12)  # of tables; metres
 SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
@@ -89,12 +82,6 @@ ABOVE_LENS, FLASHED, INDOORS = (0.03, 0.15), (0.5, 8.0), (0.05, 0.5)
 # Of a paper sweep: metres behind the object's middle where it rises, radius of its bend; its colours
 BEHIND, BEND = (0.15, 0.5), (0.05, 0.2)
 PAPERS = ((0.8, 0.8, 0.79), (0.8, 0.8, 0.79), (0.4, 0.4, 0.4), (0.08, 0.08, 0.08), (0.65, 0.2, 0.2), (0.25, 0.4, 0.6))
-# Of scans: least roughness; their sky's radiances below and at the horizon over that above; share in the photo's light
-MATTE, BELOW, HORIZON, OWN_LIGHT = 0.5, (0.1, 0.5), (0.4, 1.0), 1 / 3
-# Of meshes as scans have them, in shares of the object's largest side: a face's edge; how far they are off at most, in
-# waves and by noise; how often they are smoothed; how many triangles are left of them, 0: all
-FACE, WAVES, NOISE, SMOOTHED, TRIANGLES = (0.006, 0.02), 0.006, 0.001, (0, 2, 8), (0, 3000, 10000)
-BY_EYE = {"shade": 0.15, "hue": 0.06, "roughness": 0.1}  # standard deviations: of logarithms, of the number itself
 
 
 def drawn(seed: int, lights=None) -> list[dict]:
@@ -130,30 +117,6 @@ def drawn(seed: int, lights=None) -> list[dict]:
     return out
 
 
-def several(plates: list[dict]) -> list[dict]:
-    """The plates with two more materials each."""
-    random, kinds = np.random.default_rng(SETS["several"]), list(plain.FINISHES)
-    out = []
-    for plate in plates:
-        more = []
-        colours = random.choice(list(plain.COLOURS), 2)
-        for colour, kind in zip(colours, random.choice(kinds, 2, p=OF_SURFACES), strict=True):
-            more.append(plain.of(kind, colour))
-        out.append(plate | {"more": more})
-    return out
-
-
-def mirroring(plates: list[dict], seed: int) -> list[dict]:
-    """The plates with polished metal, every second one of a ball."""
-    random, out = np.random.default_rng(seed), []
-    for i, plate in enumerate(plates):
-        colour, roughness = METALS[random.integers(len(METALS))], float(random.choice(POLISHED))
-        surface = {"colour": colour, "roughness": roughness, "metallic": 1}
-        kinds = [*plate["kinds"][:-1], f"roughness {roughness}", "an object" if i % 2 else "a ball"]
-        out.append(plate | {"object": plate["object"] if i % 2 else "sphere", "surface": surface, "kinds": kinds})
-    return out
-
-
 def on_gloss(plates: list[dict]) -> list[dict]:
     """The plates that have a table, on one that is glossy."""
     plates, n = [plate for plate in plates if plate["table"]], len(OF_TABLES)
@@ -173,23 +136,6 @@ def on_stage(plates: list[dict], seed: int) -> list[dict]:
         kinds = [*plate["kinds"], f"{count} lamp{'s' if count > 1 else ''}"]
         more = {"lamps": lamps, "dimmed": random.uniform(*DIMMED), "sun": None, "kinds": kinds}
         out.append(plate | more)
-    return out
-
-
-def unsaid(plates: list[dict], seed: int) -> list[dict]:
-    """The plates with an object and a camera that have more to them than their jobs say, which a user filled in by eye.
-
-    ``told`` is the surface that the job has. Of an object light may come from below its skin, it may have bumps that
-    its mesh has not, or be mottled; a camera may darken towards the corners, be noisy, out of focus, or have glare.
-    """
-    random, out = np.random.default_rng(seed), []
-    for plate in plates:
-        true = plate["surface"]
-        told = by_eye(true, random)
-        thing = str(random.choice(OF_OBJECTS if not true["metallic"] else [k for k in OF_OBJECTS if k != "subsurface"]))
-        camera, much = str(random.choice(OF_CAMERAS)), float(random.uniform())
-        more = {"told": told, "thing": thing, "camera": camera, "much": much}
-        out.append(plate | more | {"kinds": [*plate["kinds"], thing, camera]})
     return out
 
 
@@ -288,98 +234,29 @@ def on_paper(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
-def scanned(plates: list[dict], seed: int) -> list[dict]:
-    """The plates with scans: painted or mottled things, their textures with light in them; none of metal."""
-    random, out = np.random.default_rng(seed), []
-    for plate in plates:
-        own = plate["surface"] if not plate["surface"]["metallic"] else plain.of("satin", "clay")
-        own = own | {"roughness": max(own["roughness"], MATTE)}
-        others = [colour for colour in plain.COLOURS.values() if colour != own["colour"]]
-        depth, other = random.uniform(*PAINT), others[random.integers(len(others))]
-        paint = (1 - depth) * np.array(own["colour"]) + depth * np.array(other)
-        thing, sky = str(random.choice(("painted", "mottled"))), [random.uniform(*BELOW), random.uniform(*HORIZON)]
-        own_light = random.random() < OWN_LIGHT
-        more = {"surface": own, "paint": paint.tolist(), "thing": thing, "much": random.uniform()}
-        more["scan"] = {"sky": None if own_light else sky}
-        kinds = [*plate["kinds"][:-1], thing, "scanned in the photo's light" if own_light else "under an overcast sky"]
-        out.append(plate | more | {"kinds": kinds})
-    return out
-
-
-def remeshed(plates: list[dict], seed: int) -> list[dict]:
-    """The plates with meshes as scans have them: smoother, noisy, a little off and of fewer faces."""
-    random, out = np.random.default_rng(seed), []
-    for plate in plates:
-        mesh = {"face": float(np.exp(random.uniform(*np.log(FACE)))), "smoothed": int(random.choice(SMOOTHED))}
-        mesh |= {"waves": random.uniform(0, WAVES), "noise": random.uniform(0, NOISE)}
-        mesh |= {"triangles": int(random.choice(TRIANGLES)), "seed": plate["seed"]}
-        out.append(plate | {"mesh": mesh})
-    return out
-
-
-def by_eye(true: dict, random) -> dict:
-    """A surface as a user fills it in who looks at the photo."""
-    scale = np.exp(random.normal(0, BY_EYE["shade"]) + random.normal(0, BY_EYE["hue"], 3))
-    return {
-        "colour": tuple(np.clip(np.multiply(true["colour"], scale), 0, 1).tolist()),
-        "roughness": float(np.clip(true["roughness"] + random.normal(0, BY_EYE["roughness"]), 0, 1)),
-        "metallic": true["metallic"],
-    }
-
-
-def painted(plates: list[dict], seed: int) -> list[dict]:
-    """The plates with objects that are painted in pieces, of which jobs have the mean colour, by eye; none of metal.
-
-    Half of them stand in the dark, under one to three lamps.
-    """
-    random, out = np.random.default_rng(seed), []
-    for plate in plates:
-        own, finish = plate["surface"], plate["kinds"][-1]
-        if own["metallic"]:
-            own, finish = plain.of("satin", "clay"), "satin"
-        others = [colour for colour in plain.COLOURS.values() if colour != own["colour"]]
-        depth, other = random.uniform(*PAINT), others[random.integers(len(others))]
-        paint = (1 - depth) * np.array(own["colour"]) + depth * np.array(other)
-        mean = own | {"colour": (np.array(own["colour"]) + paint) / 2}
-        more = {"surface": own, "paint": paint.tolist(), "told": by_eye(mean, random), "thing": "painted"}
-        usual = np.sqrt(np.pi / 4) * true_lighting(plate["light"], 0).mean()
-        lamps = []
-        for _ in range(random.integers(1, LAMPS + 1)):
-            irradiance = random.uniform(*STRONG) * 2 * usual
-            lamps.append({"direction": from_in_front(random), "irradiance": [irradiance] * 3})
-        dark = random.random() < IN_THE_DARK
-        if dark:
-            more |= {"lamps": lamps, "dimmed": random.uniform(0, DIMMED[0]), "sun": None}
-        kinds = [*plate["kinds"][:-1], finish, f"{len(lamps)} in the dark" if dark else "natural light"]
-        out.append(plate | more | {"camera": "clean", "much": depth, "kinds": kinds})
-    return out
-
-
-def from_in_front(random) -> list[float]:
-    """A random direction (3,) above the ground, on the camera's side."""
-    azimuth, height = random.uniform(0, 2 * np.pi), random.uniform(0.1, 1.2)
-    return [np.cos(azimuth) * np.cos(height), -abs(np.sin(azimuth)) * np.cos(height), np.sin(height)]
-
-
 def of_set(name: str, lights=None) -> list[dict]:
     """The plates of a set by its name; ``lights`` as of `drawn`."""
     plates, seed = drawn(SETS[name], lights), SETS[name]
     made = {
-        "unsaid": unsaid,
-        "painted": painted,
+        "unsaid": things.unsaid,
+        "painted": things.painted,
         "stage": on_stage,
         "shadowed": shadowed,
         "covered": covered,
         "patterned": patterned,
         "softboxes": under_boxes,
-        "chrome": mirroring,
+        "chrome": things.mirroring,
+        "several": things.several,
+        "finished": things.finished,
         "cut": cut,
         "flash": flashed,
         "sweep": on_paper,
-        "scanned": scanned,
-        "remeshed": remeshed,
+        "scanned": things.scanned,
+        "remeshed": things.remeshed,
     }
     for kind, made_of in made.items():
         if name.startswith(kind):
             return made_of(plates, seed)
-    return {"several": several, "glossy tables": on_gloss}.get(name, list)(plates)
+    if name.startswith("angular"):
+        return things.of_flat_faces(plates)
+    return on_gloss(plates) if name == "glossy tables" else plates

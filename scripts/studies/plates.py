@@ -24,7 +24,8 @@ none (*not told*), and the photo may not be asked for it (*nor looked for*). Of 
 cuts the object; those of *flash* have a flash on the camera, indoors; those of *sweep* stand on paper that rises behind
 them, under softboxes. Those of *scanned* have a texture with the light in it that it was taken under, which may be left
 there (*not de-lit*), or not have been there (*without light in the texture*). The jobs of *remeshed* have meshes as
-scans are, smoother, noisy and a little off.
+scans are, smoother, noisy and a little off. Things of the sets *angular* are of few flat faces; those of *finished* are
+velvet, coated, brushed, waxen, frosted or dusty, and jobs say what a user sees by eye, and nothing of that.
 With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
 of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """

@@ -12,9 +12,9 @@ from blender_btfsep.scene.export import export_job
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
-from scripts.cycles import materials, objects, studio
+from scripts.cycles import angular, materials, objects, studio
 from scripts.cycles import plates as studio_plates
-from scripts.studies import cameras, measures, phones, plate_light, plate_sets, plates
+from scripts.studies import cameras, measures, phones, plate_light, plate_sets, plate_things, plates
 from scripts.studies.estimates import scene_of
 
 
@@ -124,15 +124,65 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch, small_light):
     plain = drawn[0] | {"thing": "as said", "camera": "clean", "curve": "floats", "much": 1.0, "off": [0, 0]}
     plain |= {"object": "sphere", "light": small_light("sunset")}
     pictures = {}
-    for name in plate_sets.OF_OBJECTS:
+    for name in plate_things.OF_OBJECTS:
         matte = plain["surface"] | {"roughness": 0.9, "metallic": 0}
         studio_plates.take(plain | {"thing": name, "surface": matte}, tmp_path / name)
         pictures[name] = images.read_linear(tmp_path / name / "linear.exr").pixels
         said = load_job(tmp_path / name / "job").objects[0].surface
         assert said.base_color == pytest.approx(plain["told"]["colour"], abs=1e-6)
         assert said.roughness == pytest.approx(plain["told"]["roughness"], abs=1e-6)
-    for name in plate_sets.OF_OBJECTS[1:]:
+    for name in plate_things.OF_OBJECTS[1:]:
         assert np.abs(pictures[name] / pictures["as said"] - 1).max() > 0.1, name
+
+
+def test_finishes_that_jobs_do_not_know(tmp_path, monkeypatch, small_light):
+    drawn = plate_sets.of_set("finished")
+    assert drawn == plate_sets.of_set("finished") != plate_sets.of_set("finished again")
+    assert {p["thing"] for p in drawn} == set(plate_things.OF_FINISHES)
+    assert all(p["surface"]["metallic"] for p in drawn if p["thing"] == "brushed")
+    assert not any(p["surface"]["metallic"] for p in drawn if p["thing"] in ("velvet", "wax", "frosted"))
+    monkeypatch.setattr(studio_plates, "RESOLUTION", 48)
+    monkeypatch.setattr(studio_plates, "SAMPLES", 16)
+    plain = drawn[0] | {"curve": "floats", "much": 1.0, "off": [0, 0], "table": None, "sun": None}
+    plain |= {"object": "sphere", "light": small_light("sunset"), "told": drawn[0]["surface"]}
+    pictures = {}
+    for metallic in (0, 1):
+        own = {"colour": (0.3, 0.1, 0.1), "roughness": 0.5, "metallic": metallic}
+        for name in ("as said", *(("brushed",) if metallic else plate_things.OF_FINISHES)):
+            studio_plates.take(plain | {"thing": name, "surface": own}, tmp_path / f"{name} {metallic}")
+            pictures[name] = images.read_linear(tmp_path / f"{name} {metallic}" / "linear.exr").pixels
+            said = load_job(tmp_path / f"{name} {metallic}" / "job").objects[0].surface
+            assert said.base_color == pytest.approx(plain["told"]["colour"], abs=1e-6)
+            if name != "as said":
+                assert np.abs(pictures[name] - pictures["as said"]).max() > 0.1 * pictures["as said"].max(), name
+    # dust lies on top, and nowhere else
+    up, down = (slice(0, 20), slice(30, 48))
+    first = tmp_path / "as said 0" / "linear.exr"
+    change = np.abs(pictures["dusty"] - images.read_linear(first).pixels).max(-1)
+    assert change[up].max() > 5 * np.median(change[down])
+
+
+@pytest.mark.parametrize("name", angular.NAMES)
+def test_things_of_few_flat_faces(name):
+    studio.clear()
+    mesh = angular.build(name, seed=3).data
+    assert np.ptp(objects.vertex_positions(mesh), axis=0).max() == pytest.approx(objects.LARGEST_SIDE)
+    normals = np.array([p.normal for p in mesh.polygons])
+    corners = np.array([mesh.corner_normals[i].vector for p in mesh.polygons for i in p.loop_indices])
+    own = np.repeat(normals, [p.loop_total for p in mesh.polygons], axis=0)
+    flat = (corners * own).sum(1)
+    assert flat.min() > np.cos(np.radians(5))  # no shading runs over a hard edge
+    if name != "tin":
+        assert flat.min() == pytest.approx(1, abs=1e-4)
+    middles = np.array([p.center for p in mesh.polygons])
+    if name in ("carton", "tin", "gem"):  # convex: faces look outwards
+        assert ((middles - middles.mean(0)) * normals).sum(1).min() > 0
+
+
+def test_sets_of_things_of_few_flat_faces():
+    drawn, usual = plate_sets.of_set("angular"), plate_sets.drawn(plate_sets.SETS["angular"])
+    assert {p["object"] for p in drawn} == set(angular.NAMES) == set(plate_things.FLAT)
+    assert [p | {"object": None, "kinds": None} for p in drawn] == [p | {"object": None, "kinds": None} for p in usual]
 
 
 def test_patterned_plates_stand_on_two_colours_and_jobs_have_the_mean(tmp_path, monkeypatch, small_light):
