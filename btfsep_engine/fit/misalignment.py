@@ -54,8 +54,8 @@ def silhouette_shift(photo, seen, *, frayed: bool = False) -> Shift | None:
     Parameters
     ----------
     photo : (h, w, 3) float, linear
-    seen : (h, w) bool, where known geometry stands before the background; holes in it are judged as outlines, so those
-        of a depth, which are missing data, have to be filled (rays through them meet `job.depth.closing_mesh`)
+    seen : (h, w) bool, where the objects stand before all else; holes in it are judged as outlines, so those of a
+        depth, which are missing data, have to be filled (rays through them meet `job.depth.closing_mesh`)
     frayed : whether the outline may have lost parts, as a depth's: the gain is that of the side that gains less
 
     Returns

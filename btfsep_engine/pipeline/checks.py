@@ -111,8 +111,11 @@ def veil_doubts(estimate) -> list[str]:
 
 
 def shift_doubt(scene) -> str | None:
-    """That the photo's outline does not lie where the geometry says."""
-    frayed, photo, seen = bool(unseen_meshes(scene.job)), scene.job.photo.radiance, scene.shows_job
+    """That the photo's outline does not lie where the geometry says.
+
+    The objects' alone: a table's edge runs across the picture, and shifted along it lies on itself.
+    """
+    frayed, photo, seen = bool(unseen_meshes(scene.job)), scene.job.photo.radiance, scene.shows_objects
     shift = kept.recalled("shift", [photo, seen, frayed], lambda: silhouette_shift(photo, seen, frayed=frayed))
     return alignment_doubt(shift)
 

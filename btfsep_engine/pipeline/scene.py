@@ -122,11 +122,9 @@ class PreparedScene:
         return kept.recalled("outlines", self.seen, lambda: outlines(self.view, self.job))
 
     @property
-    def shows_job(self) -> np.ndarray:
-        """(h, w) bool, the pixels that show geometry of the job."""
-        beside, first = self.job.occluders, len(self.job.objects)
-        supposed = [first + k for k, o in enumerate(beside) if o.supposed]
-        return (self.view.mesh >= 0) & ~np.isin(self.view.mesh, supposed)
+    def shows_objects(self) -> np.ndarray:
+        """(h, w) bool, the pixels that show an object."""
+        return (self.view.mesh >= 0) & (self.view.mesh < len(self.job.objects))
 
     @property
     def has_unknown(self) -> bool:

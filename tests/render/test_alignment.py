@@ -20,6 +20,7 @@ from btfsep_engine.errors import InputError
 from btfsep_engine.fit.pose import Frame
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
+from btfsep_engine.job.model import Occluder
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.pipeline.aligner import Aligner
 from btfsep_engine.pipeline.alignment import align, camera_keys, looks_off, with_camera
@@ -28,7 +29,7 @@ from btfsep_engine.pipeline.mending import doubted, mends
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.progress import Reporter
 from scripts.studies.stage import write_job
-from tests.render.scenes import edited, looking_down, off_as_seen, positive_light, scene_of
+from tests.render.scenes import as_mesh, edited, looking_down, off_as_seen, positive_light, scene_of
 
 
 def potato():
@@ -309,3 +310,18 @@ def test_shading_alone_moves_no_camera_whose_outlines_are_in_place(potatoes):
     found = align(scene)
     assert shift_doubt(scene) is None and mends(scene, found)
     assert not mends(scene, replace(found, gain=replace(found.gain, outline=0.01)))
+
+
+def test_a_tables_edge_says_nothing_of_where_the_objects_lie(tmp_path):
+    scene = photographed(tmp_path, potato(), size=160, focal=100.0)
+    slab = trimesh.creation.box([20, 20, 0.02]).apply_translation([0, 10, -2])  # its edge crosses the picture
+    scene = scene_of(replace(scene.job, occluders=(Occluder(as_mesh(slab, flat=True), None),)))
+    table = scene.view.mesh == 1
+    assert table[:, [0, -1]].any(0).all() and not table.all()
+    said = []
+    for right, down in ((6, 0), (0, 0), (0, 4)):  # of the whole photo; of the table's edge alone
+        photo = scene.job.photo.radiance.copy()
+        photo[np.roll(table, down, 0) & (scene.view.mesh != 0)] = 5.0
+        moved = replace(scene.job.photo, radiance=np.roll(photo, right, 1))
+        said.append(shift_doubt(scene_of(replace(scene.job, photo=moved))))
+    assert "6 to the right" in said[0] and said[1:] == [None, None]

@@ -181,7 +181,7 @@ def test_the_scene_goes_back_to_what_its_job_says(standing_ball):
     assert scene.occluder_albedos == []
     stands = on_ground(scene, choose())
     assert len(stands.occluder_albedos) == 1 and stands.seen != scene.seen and stands.tracer is not scene.tracer
-    assert (stands.shows_job == (scene.view.mesh >= 0)).all() and (stands.view.mesh == 1).any()
+    assert (stands.shows_objects == (scene.view.mesh >= 0)).all() and (stands.view.mesh == 1).any()
     assert (stands.regions[0] == scene.regions[0]).all()
     again = stands.as_in_job()
     assert again.job == replace(stands.job, occluders=()) and again.seen == scene.seen
