@@ -97,6 +97,11 @@ KNOWN = (
     ),
     Advice("where its surface says", "The photo shows {0} with a roughness of {2}; the light goes by that", "SELECT"),
     Advice(
+        "of which its surface says nothing",
+        "The photo shows {0} as cloth, or varnished, which Blender does not know; the light goes by that",
+        "SELECT",
+    ),
+    Advice(
         "or what is said is wrong",
         "The photo shows {0} in another colour than Blender has: the material is wrong, or the light",
         "SELECT",

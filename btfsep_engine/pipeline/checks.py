@@ -21,6 +21,7 @@ from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
 from btfsep_engine.pipeline.refine.in_front import OTHER_SHAPE
 from btfsep_engine.pipeline.refine.interreflection import open_share
+from btfsep_engine.pipeline.refine.layers import LAYERED
 from btfsep_engine.pipeline.refine.look_alike import LOOK_ALIKE
 from btfsep_engine.pipeline.refine.misshapen import UNEXPLAINED
 from btfsep_engine.pipeline.refine.roughness import OTHERWISE as ROUGH_OTHERWISE
@@ -73,8 +74,9 @@ def tones_doubts(estimate) -> list[str]:
 
 def shape_and_colour_doubts(estimate) -> list[str]:
     """What was said on the way of a ground (`standing`), light in textures (`delighting`), shadows (`refine.shaded`),
-    shapes (`refine.misshapen`, `refine.in_front`), surroundings (`refine.said_surface`), roughness and textures."""
-    keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHER_SHAPE, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LOOK_ALIKE
+    shapes (`refine.misshapen`, `refine.in_front`), surroundings (`refine.said_surface`), and of what the objects are
+    made of."""
+    keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHER_SHAPE, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LAYERED, LOOK_ALIKE
     return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 

@@ -27,6 +27,7 @@ from btfsep_engine.pipeline.refine.ground import ground
 from btfsep_engine.pipeline.refine.in_front import without_things_in_front
 from btfsep_engine.pipeline.refine.interreflection import light_between_surfaces
 from btfsep_engine.pipeline.refine.key_lights import key_lights
+from btfsep_engine.pipeline.refine.layers import layered
 from btfsep_engine.pipeline.refine.left_out import left_out
 from btfsep_engine.pipeline.refine.limb import limb_brightness
 from btfsep_engine.pipeline.refine.look_alike import look_alike
@@ -177,6 +178,7 @@ REFINEMENTS = (
     flash,
     finished,
     as_rough_as_seen,
+    layered,
     vivid_light,
     nearer_materials,
     shifted,
@@ -206,6 +208,7 @@ SLOW = (in_parts, without_things_in_front, flash, near_lamps, sharp_lamps, veile
 MORE = (
     finished,
     as_rough_as_seen,
+    layered,
     vivid_light,
     nearer_materials,
     shifted,

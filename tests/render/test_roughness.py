@@ -12,7 +12,7 @@ from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.materials import of_surface
-from btfsep_engine.pipeline.refine import roughness
+from btfsep_engine.pipeline.refine import given, roughness
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.homogeneous import homogeneous
 from tests.engine.half_sphere import even, lamp
@@ -117,7 +117,7 @@ def test_on_a_few_pixels_another_surface_is_lit_as_on_all(said_right):
     """Light between surfaces aside, which stays what it was."""
     (problem,) = said_right.model.problems
     other = homogeneous(replace(CLAY, roughness=0.3), GIVEN)
-    lit, made = roughness._relit(problem, 0, other, SETTINGS), problem.of_materials([other], SETTINGS)
+    lit, made = given.relit(problem, 0, other, SETTINGS), problem.of_materials([other], SETTINGS)
     np.testing.assert_allclose(lit.basis[0], made.basis[0], atol=1e-5)
     assert lit.materials == [other] and not np.allclose(lit.basis[0], problem.basis[0], atol=1e-3)
 
@@ -146,7 +146,7 @@ def test_evidence_alone_makes_nothing_rougher(as_said, monkeypatch):
         """Where all pixels give an answer that has much evidence, and leaves ``grown`` times as much over."""
         share = grown * light.share_left(model.problems)
         other = SimpleNamespace(fit=SimpleNamespace(evidence=light.fit.evidence + 1000), share_left=lambda _: share)
-        monkeypatch.setattr(roughness, "_on_all", lambda *_: (model, other))
+        monkeypatch.setattr(roughness, "on_all", lambda *_: (model, other))
         return roughness._rougher_or_smoother(model, light, 0, 0.8)
 
     assert taken(1.02) is None
@@ -160,7 +160,7 @@ def test_the_further_from_what_is_said_the_more_evidence_is_needed(as_said, monk
     def is_taken(rough: float, gained: float) -> bool:
         other = SimpleNamespace(fit=SimpleNamespace(evidence=light.fit.evidence + gained), share_left=lambda _: share)
         monkeypatch.setattr(roughness, "_hopeful", lambda *_: rough)
-        monkeypatch.setattr(roughness, "_on_all", lambda *_: (model, other))
+        monkeypatch.setattr(roughness, "on_all", lambda *_: (model, other))
         return roughness._rougher_or_smoother(model, light, 0, 0.8) is not None
 
     far = roughness.CLEARLY + 0.5 * (0.4 / roughness.USUAL) ** 2  # of a normal distribution about what is said

@@ -21,12 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from btfsep_engine.btf.surfaces import GIVEN
-from btfsep_engine.light.lightings import SHBasis
-from btfsep_engine.pipeline.materials import of_surface
-from btfsep_engine.pipeline.model import stand_ins
-from btfsep_engine.pipeline.refine.reflectance import FEW, fewer, field_alone, with_material
-from btfsep_engine.pipeline.together import fit_together
+from btfsep_engine.pipeline.refine.given import asked_of, gains_on_a_few, on_all
 
 TURNS = 3
 STEP, LEAST = 0.15, 0.1  # of a roughness; smoother ones are sharper than tables are
@@ -46,14 +41,9 @@ ROUGHNESS, OTHERWISE = (
 
 def as_rough_as_seen(model, light):
     """The refinement: the roughness that explains the photo best, of objects whose surface is given by numbers."""
-    settings = model.settings
-    by_kernel = model.problems[0].transport["by"] == "kernel"
-    if light.solver is None or settings.departures == "never" or not by_kernel:
-        return model, light, {}
-    given = [i for i in range(len(model.materials[0])) if _is_given(model, i)]
-    words, name_of_all, (first, *_) = [], ROUGHNESS, model.problems
+    words, name_of_all, first = [], ROUGHNESS, model.problems[0]
     with model.reporter.stage("reflectance"):
-        for i in sorted(given, key=lambda i: -len(first.points[i])):
+        for i in asked_of(model, light):
             said = rough = first.scene.job.objects[i].surface.roughness
             for _ in range(TURNS):
                 trial = _rougher_or_smoother(model, light, i, rough)
@@ -77,7 +67,7 @@ def _rougher_or_smoother(model, light, i: int, rough: float):
     better = _hopeful(model, light, i, rough)
     if better is None:
         return None
-    trial, answer = _on_all(model, light, i, replace(said, roughness=better))
+    trial, answer = on_all(model, light, i, replace(said, roughness=better))
     prior = _log_prior(better, said) - _log_prior(rough, said)
     needed = CLEARLY if rough == said.roughness else FURTHER
     if answer.fit.evidence + prior < light.fit.evidence + needed:
@@ -86,21 +76,6 @@ def _rougher_or_smoother(model, light, i: int, rough: float):
     if model.problems[0].flash is not None:  # its highlight is most of that, and known as well as normals are
         is_as_good &= answer.fit.residual < GROWN * light.fit.residual
     return (trial, answer, better) if is_as_good else None
-
-
-def _is_given(model, i: int) -> bool:
-    """Whether an object is what the numbers of its surface make, one roughness all over, and no mirror's stand-in."""
-    surface, materials = model.problems[0].scene.job.objects[i].surface, [each[i] for each in model.materials]
-    if surface is None or surface.finish is not None:
-        return False
-    return all(m.is_given and m.name == GIVEN and m.mirror is None for m in materials)
-
-
-def _material(model, i: int, surface):
-    """What stands for an object with another surface."""
-    scene = model.problems[0].scene
-    made = of_surface(replace(scene.job.objects[i], surface=surface), scene.job, model.settings)
-    return stand_ins([made], model.appearance)[0]
 
 
 def _log_prior(rough: float, said) -> float:
@@ -112,15 +87,11 @@ def _hopeful(model, light, i: int, rough: float) -> float | None:
 
     Steps go on as long as each is better than the one before.
     """
-    settings = replace(model.modelled, order=light.order)
     said = model.problems[0].scene.job.objects[i].surface
-    few = fewer(model.problems, FEW, settings.seed)
-    start = field_alone(few, light, settings)
+    gained = gains_on_a_few(model, light, i)
 
     def gain(other: float) -> float:
-        trial = [_relit(p, i, _material(model, i, replace(said, roughness=other)), settings) for p in few]
-        seen = field_alone(trial, light, settings, start=start)
-        return seen.evidence - start.evidence + _log_prior(other, said) - _log_prior(rough, said)
+        return gained(replace(said, roughness=other)) + _log_prior(other, said) - _log_prior(rough, said)
 
     best, most = None, HOPEFUL if rough == said.roughness else STILL_HOPEFUL
     is_gloss = rough < GLOSS and light.share_left(model.problems) < EXPLAINED
@@ -134,22 +105,3 @@ def _hopeful(model, light, i: int, rough: float) -> float | None:
 
 def _clipped(rough: float) -> float:
     return float(np.clip(rough, LEAST, 1.0))
-
-
-def _relit(problem, i: int, material, settings):
-    """A problem with another material for an object, light between surfaces as it was."""
-    points, was, lights = problem.points[i], problem.materials[i], SHBasis(settings.fit_order)
-    how = {"directions": problem.transport["directions"]}
-    straight, before = (problem.scene.radiance(points, m, lights, **how) for m in (material, was))
-    basis = [b + (straight - before) if j == i else b for j, b in enumerate(problem.basis)]
-    return problem.made_of([material if j == i else m for j, m in enumerate(problem.materials)], basis)
-
-
-def _on_all(model, light, i: int, surface):
-    """The model with another surface for an object, and its light."""
-    material, settings = _material(model, i, surface), replace(model.modelled, order=light.order)
-    problems = with_material(model.problems, i, material, settings)
-    answer = fit_together(problems, settings, beside=light.fit)
-    materials = tuple([replace(m, surface=surface) if j == i else m for j, m in enumerate(e)] for e in model.materials)
-    departed = model.departed | {i: material}
-    return replace(model, looks={model.appearance: problems}, materials=materials, departed=departed), answer
