@@ -34,7 +34,7 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.standing import on_ground, with_ground
 from btfsep_engine.progress import Reporter
-from btfsep_engine.storage.atomic import write_json
+from btfsep_engine.storage.atomic import check_folder, remove, write_json
 
 _DIGITS = re.compile(r"([0-9]+)")
 
@@ -202,6 +202,9 @@ def run_sequence(
         for stem in posed.keys() - {file.stem for file in files}:
             reporter.warn(f"{Path(poses).name}: it says a pose of '{stem}', and no frame is called so")
     out = Path(out) if out is not None else job.folder / "sequence"
+    check_folder(out)
+    if with_exr and out.resolve() in {file.resolve().parent for file in files if file.suffix.lower() == ".exr"}:
+        raise InputError("--out", "a light's FRAME.exr would take the place of the photo", "name another folder")
     solver = Frames(job, library, settings, material=material, poses=posed, reporter=reporter)
     said, lines = set(), []
 
@@ -222,6 +225,8 @@ def run_sequence(
         frame, count = smoothed([each for _, each in held], at, smooth)
         name = f"{Path(line['image']).stem}.json"
         with reporter.timed("writing"):
+            if not lines:  # of a run before: it would speak of other lights, should this one not come to its end
+                remove(out / "sequence.json")
             write_lighting(out / name, frame.lighting)
             if with_exr:
                 sky = frame.sky

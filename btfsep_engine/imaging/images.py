@@ -206,6 +206,12 @@ def write_exr(path, array, *, half: bool = False, compressed: bool = True) -> No
 
     One channel is named Y (shown as grey), three RGB, four RGBA. ``half`` stores 16-bit floats, ``compressed`` by ZIP.
     """
+    with atomic.replacing(path) as scratch:
+        fill_exr(scratch, array, half=half, compressed=compressed)
+
+
+def fill_exr(path, array, *, half: bool = False, compressed: bool = True) -> None:
+    """As `write_exr`, straight into the file ``path``: for what replaces several files at once. Raises OSError."""
     a = np.asarray(array, np.float16 if half else np.float32)
     if a.ndim == 2:
         a = a[..., None]
@@ -213,9 +219,9 @@ def write_exr(path, array, *, half: bool = False, compressed: bool = True) -> No
     channels = {name: np.ascontiguousarray(a[..., 0] if name == "Y" else a)}
     compression = OpenEXR.ZIP_COMPRESSION if compressed else OpenEXR.NO_COMPRESSION
     header = {"compression": compression, "type": OpenEXR.scanlineimage}
-    with atomic.replacing(path) as scratch, contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()):
         try:
-            OpenEXR.File(header, channels).write(str(scratch) if _is_text(scratch) else os.fsencode(scratch))
+            OpenEXR.File(header, channels).write(str(path) if _is_text(path) else os.fsencode(path))
         except RuntimeError as error:
             raise OSError(str(error)) from error
 
