@@ -46,6 +46,11 @@ def read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
             f"{name}: it says that it is to be turned (EXIF orientation {image.orientation}), which was not done: the "
             "camera has to be of the pixels as they are stored"
         )
+    if len(layers := images.layers(path)) > 1:
+        notes.append(
+            f"{name}: of {len(layers)} layers that could be the picture '{layers[0]}' was read, the first; the next is "
+            f"'{layers[1]}' (save the picture alone)"
+        )
     if image.profile is not None and not image.profile.followed:
         notes.append(f"{name}: {image.profile.name} could not be followed; its colours were taken for those of sRGB")
     finite = np.isfinite(image.pixels).all(-1)
