@@ -8,7 +8,9 @@ over time (`fit.over_time`).
 
 import re
 import time
+from collections import Counter
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +60,23 @@ def frame_files(pattern) -> list[Path]:
         if stem in stems[:i]:
             raise InputError(f"--images '{pattern}'", f"two frames are named '{stem}'", "match one kind of file only")
     return found
+
+
+def missing_frames(files) -> str:
+    """In words, which numbers are left out between those of the files (the last in each name) at their usual step."""
+    names = [_DIGITS.split(file.stem) for file in files]
+    if len(names) < 3 or {(*name[:-2], name[-1]) for name in names} != {(*names[0][:-2], names[0][-1])}:
+        return ""
+    numbers = sorted({int(name[-2]) for name in names})  # 7 and 07 are one
+    steps = list(pairwise(numbers)) or [(0, 0)]
+    often = Counter(b - a for a, b in steps)
+    usual = min(often, key=lambda step: (-often[step], step))
+    gaps = [range(a + usual, b, usual) for a, b in steps if b - a > usual]
+    count = sum(map(len, gaps))
+    if not count or 2 * often[usual] < len(steps):
+        return ""
+    more = f" and {count - 1} more" * (count > 1)
+    return f"there is no photo of frame {gaps[0][0]}{more} between {numbers[0]} and {numbers[-1]}; they get no light"
 
 
 @dataclass
@@ -195,6 +214,8 @@ def run_sequence(
         raise InputError("a sequence", "--order auto", "give one order for all frames")
     with reporter.stage("reading"):
         files = frame_files(frames)
+        if missing := missing_frames(files):
+            reporter.warn(f"--images: {missing}")
         posed = {} if poses is None else posed_jobs(poses, folder)
         job = load_job(folder, with_photo=False, colorspace=settings.colorspace, suns=settings.sun)
         for note in job.warnings:
@@ -216,7 +237,7 @@ def run_sequence(
                 kind = _DIGITS.sub("", warning)  # of a hundred frames each says the same, in other numbers
                 if kind not in said:
                     said.add(kind)
-                    reporter.warn(f"{file.name}: {warning}")
+                    reporter.warn(f"{file.name}: {warning.removeprefix(f'{file.name}: ')}")
             sky = np.float32(estimate.radiance(pixel_directions(*MAP_SIZE))) if with_exr else None
             yield line, Frame(estimate.lighting, sky)
 

@@ -282,3 +282,12 @@ def test_maps_of_lights_take_the_place_of_no_photo(sphere_job_folder, capsys):
     assert main([*run, "--exr", "--out", str(folder / "frames")]) == 2
     assert "would take the place of the photo" in capsys.readouterr().err
     assert (folder / "frames" / "1.exr").read_bytes() == photo
+
+
+def test_a_warning_names_its_frame_once(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    photographed(folder, {"1.exr": positive_light(2), "2.png": positive_light(2), "4.exr": positive_light(2)})
+    result = answer(capsys, "sequence", folder, "--images", folder / "frames" / "*", "--preset", "draft")
+    saturated = next(w for w in result["warnings"] if "saturated" in w)
+    assert saturated.count("2.png") == 1
+    assert "--images: there is no photo of frame 3 between 1 and 4; they get no light" in result["warnings"]
