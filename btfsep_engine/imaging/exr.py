@@ -3,6 +3,7 @@
 
 import contextlib
 import io
+import math
 from pathlib import Path
 
 import numpy as np
@@ -112,6 +113,12 @@ def guessed(path: Path) -> list[str]:
     if len(found) < 2 or not named[0] or _rank(named[0]) < len(WHOLE) or (len(parts) == 1 and not found[0][1]):
         return []
     return named
+
+
+def pixel_aspect(path: Path) -> float:
+    """How many times as wide as high the pixels are, as the file says; 1 where that is no ratio."""
+    told = float(_opened(path, header_only=True)[0].header.get("pixelAspectRatio", 1.0))
+    return told if 0 < told < math.inf else 1.0
 
 
 def placed(path: Path, header: dict, planes):

@@ -167,6 +167,12 @@ def layers(path) -> list[str]:
     return exr.guessed(path) if atomic.read_bytes(path).startswith(_EXR) else []
 
 
+def pixel_aspect(path) -> float:
+    """How many times as wide as high an EXR says that its pixels are; 1 of any other file."""
+    path = Path(path)
+    return exr.pixel_aspect(path) if atomic.read_bytes(path).startswith(_EXR) else 1.0
+
+
 def orientation(path) -> int:
     """How a file says that its pixels are to be turned (EXIF, 1 to 8). Raises InputError where it cannot be read."""
     return image_headers.orientation(atomic.read_bytes(Path(path)))

@@ -365,3 +365,16 @@ def test_a_file_says_whether_its_colours_are_coarse(tmp_path, name, how, coarse)
 def test_a_grey_jpeg_has_no_chroma(tmp_path):
     cv2.imwrite(str(tmp_path / "a.jpg"), np.full((16, 16), 90, np.uint8))
     assert images.read_linear(tmp_path / "a.jpg").coarse_chroma is False
+
+
+@pytest.mark.parametrize(
+    ("told", "fy", "warned"),
+    [(2.0, 5.0, True), (2.0, 10.0, False), (1.0, 10.0, False), (2.01, 10.0, False)],
+)
+def test_pixels_that_are_not_the_cameras_are_told(tmp_path, told, fy, warned):
+    header, notes = {"type": OpenEXR.scanlineimage, "pixelAspectRatio": told}, []
+    OpenEXR.File(header, {"RGB": np.ones((4, 5, 3), np.float32)}).write(str(tmp_path / "a.exr"))
+    photograph.read_photo(tmp_path / "a.exr", Camera(5, 4, 5.0, fy, 2.5, 2.0, np.eye(4)), notes=notes)
+    assert [f"2 times as wide as high, and those of the camera are {fy / 5:.3g} times" in n for n in notes] == [
+        True
+    ] * warned
