@@ -61,16 +61,17 @@ def run_estimate(
     answer = found_light(scene, library, settings, material=material, others=further)
     record, picture = out / "result.json", out / "report.png"
     written = write_light(out, answer, earlier=[record, picture])
-    lighting = str(written[0])
+    lighting, files = str(written[0]), {path.name: digest(path) for path in written}
+    # at once: should another run write here meanwhile, the record is not to vouch for what that wrote
     reporter.light(lighting)
     say_doubts(answer)
     if with_report:
         with reporter.stage("report"):
             report.write_estimate_report(picture, answer)
-        written.append(picture)
+        files[picture.name] = digest(picture)
     with reporter.stage("record"):
         key = estimate_key([job.digest for job in jobs], library, settings, material)
-        result = result_record(answer) | {"key": key, "files": {path.name: digest(path) for path in written}}
+        result = result_record(answer) | {"key": key, "files": files}
         result["seconds"]["total"] = round(time.perf_counter() - started, 4)
         write_json(record, result)
     return {**result, "out": str(out), "lighting": lighting}

@@ -120,6 +120,21 @@ def test_what_is_done_is_told_by_the_results_themselves(shots, monkeypatch, caps
     assert not finished("c")
 
 
+def test_a_record_does_not_vouch_for_a_light_that_another_run_wrote_meanwhile(shots, monkeypatch):
+    other, out = Path(shots / "c"), shots / "a" / "result"
+    assert main(["estimate", str(other), *OPTIONS, "--order", "1"]) == 0
+
+    def interrupted(path, answer):
+        for name in ("lighting.json", "lighting.exr"):
+            shutil.copy(other / "result" / name, out)
+        path.write_bytes(b"a picture")
+
+    monkeypatch.setattr("btfsep_engine.commands.report.write_estimate_report", interrupted)
+    assert main(["estimate", str(shots / "a"), *OPTIONS, "--report"]) == 0
+    told = {"material": OPTIONS[1], "with_report": True}
+    assert finished_result(shots / "a", out, open_library(), choose("draft", order=2), **told) is None
+
+
 def test_a_digest_without_loading_is_that_of_loading(shots):
     job = shots / "a"
     assert job_digest(job) == load_job(job).digest == job_digest(job / "job.json")
