@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bpy
 
+from .basics import atomic
 from .basics.errors import InputError
 from .engine import engine_settings
 from .engine.engine_process import BUG, INPUT_FAULT
@@ -33,6 +34,8 @@ def main(arguments) -> int:
     speech.json = options.json
     runs.run_state().warnings.clear()
     try:
+        if getattr(options, "save", None):
+            atomic.check_place(options.save)
         result = options.run(options) or {}
         if getattr(options, "save", None):
             result["saved"] = save_file(options.save)

@@ -28,6 +28,16 @@ def replacing(path):
         scratch.unlink(missing_ok=True)
 
 
+def check_place(path) -> None:
+    """Raises InputError where no file ``path`` could be written, whose folder need not exist yet: before long work."""
+    folder = Path(path).absolute().parent
+    while not os.path.exists(folder) and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        got = f"{folder} may not be written" if folder.is_dir() else f"{folder} is no folder"
+        raise InputError(f"cannot write {path}", got, "choose a folder that can be written")
+
+
 def write_bytes(path, data: bytes) -> None:
     """Writes ``data`` to ``path`` whole or not at all. Raises InputError."""
     with replacing(path) as scratch:

@@ -46,21 +46,30 @@ def _run(options, *, estimate, save) -> dict:
     twice = next((name for name in taken if taken.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"'{twice}.blend'", "two files have this name", "give them in two batches, with an --out each")
-    photos = frames.matching(str(Path(options.photos).absolute())) if options.photos else [None]
+    photos = frames.matching(str(Path(options.photos).absolute()), "--photos") if options.photos else [None]
     out, entries = Path(options.out).absolute(), []
-    for file in files:
-        for photo in photos:
-            name = "-".join(part.stem for part in (file, photo) if part is not None) or "light"
-            entry = {"file": str(file or bpy.data.filepath), "photo": str(photo or ""), "out": str(out / name)}
-            entries.append(entry | _one(options, file, photo, out / name, estimate, save))
-            _write(out, entries)
+    todo = [(file, photo, _name(file, photo)) for file in files for photo in photos]
+    names = [name for *_, name in todo]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"--out, folder '{twice}'", "two results would go there", "give the photos in two batches")
+    for file, photo, name in todo:
+        entry = {"file": str(file or bpy.data.filepath), "photo": str(photo or ""), "out": str(out / name)}
+        entries.append(entry | _one(options, file, photo, out / name, estimate, save))
+        _write(out, entries)
     failed = [entry for entry in entries if entry["error"]]
     terminal.say(f"{len(entries) - len(failed)} of {len(entries)} have their light; {out / SUMMARY} says which")
     return {"entries": entries, "exit_code": INPUT_FAULT if failed else 0}
 
 
+def _name(file, photo) -> str:
+    """What the folder of a result is called."""
+    return "-".join(part.stem for part in (file, photo) if part is not None) or "light"
+
+
 def _one(options, file, photo, folder: Path, estimate, save) -> dict:
-    if not options.again and (folder / "result.json").is_file():
+    wanted = ["result.json", *["lit.blend"] * options.save_lit]  # this one is saved last
+    if not options.again and all((folder / name).is_file() for name in wanted):
         terminal.say(f"{folder.name}: there already")
         return {"error": "", "done": "earlier"}
     try:

@@ -42,16 +42,17 @@ def family(path) -> list[Path]:
     return [found[number] for number in sorted(found)]
 
 
-def matching(pattern) -> list[Path]:
+def matching(pattern, option: str = "--images") -> list[Path]:
     """The files of a pattern like ``frames/*.exr``, or of a folder, in the engine's order: by their names and numbers.
 
+    ``option`` : by which it was given.
     Raises InputError when there are none.
     """
     path = Path(pattern)
     folder, name = (path, "*") if path.is_dir() else (path.parent, path.name)
     found = [p for p in folder.glob(name) if p.is_file() and p.suffix.lower() in SUFFIXES] if folder.is_dir() else []
     if not found:
-        raise InputError(f"--images '{pattern}'", "no image matches", "give a pattern in quotes, like 'frames/*.exr'")
+        raise InputError(f"{option} '{pattern}'", "no image matches", "give a pattern in quotes, like 'frames/*.exr'")
     return sorted(found, key=lambda p: [int(x) if i % 2 else x for i, x in enumerate(_DIGITS.split(p.name))])
 
 

@@ -3,6 +3,7 @@
 
 import re
 import stat
+import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -93,7 +94,7 @@ def read_source(
         found, height = linear.check_reciprocity(file), file.header.height_mm
         kind, material = f"{file.header.signature[1:]} file", replace(material, texel_mm=size)
     else:
-        if texel_mm is None and size_mm is None:
+        if texel_mm is None and size_mm is None and (source.is_dir() or zipfile.is_zipfile(source)):
             _texel_mm(1, None, None, 0)
         images = import_images(
             source,

@@ -103,7 +103,7 @@ def _check_numbers(size_mm, height_mm, f0, *, needs_height: bool) -> None:
         raise InputError("the size of the patch", f"{size_mm} mm", "give 0.1 to 10000 mm, what the maps span")
     if height_mm is None and needs_height:
         raise InputError(
-            "the height of the patch", "it is not given", "give the millimetres from black to white of the height map"
+            "the height of the patch", "it is not given", "give --height-mm: from black to white of the height map"
         )
     if height_mm is not None and not (np.isfinite(height_mm) and 0 <= height_mm <= size_mm):
         raise InputError("the height of the patch", f"{height_mm} mm", "give 0 mm to the size of the patch")

@@ -220,7 +220,13 @@ def chart(*, job, library_folder, reporter, **options):
 @click.argument("a", type=PATH)
 @click.argument("b", type=PATH)
 @click.option("--job", type=PATH, help="Also compare renderings of this job's objects.")
-@click.option("--order", type=int, default=4, show_default=True, help="Order to which environment maps are projected.")
+@click.option(
+    "--order",
+    type=click.IntRange(1, 64),
+    default=4,
+    show_default=True,
+    help="Order to which environment maps are projected.",
+)
 @LIBRARY
 @click.option("--material", help="The material of all objects of --job.")
 @click.option(

@@ -7,6 +7,7 @@ import platform
 from btfsep_engine import __version__
 from btfsep_engine.errors import InputError
 from btfsep_engine.render import backend
+from btfsep_engine.storage.atomic import check_folder
 from btfsep_engine.storage.cache import cache_folder
 
 
@@ -19,7 +20,7 @@ def examine(library_folder=None) -> dict:
         "btfsep": __version__,
         "python": f"{platform.python_version()} on {platform.platform()}",
         "processors": str(os.cpu_count()),
-        "cache": str(cache_folder()),
+        "cache": str(cache_folder()) + _not_kept(),
         "libLLVM": ", ".join(backend.candidates()) or "none found",
         "CUDA driver": "present" if backend.has_cuda_driver() else "none",
     }
@@ -40,3 +41,12 @@ def examine(library_folder=None) -> dict:
     except InputError as error:
         return {"ok": False, "facts": facts, "problem": f"{error.what} ({error.got})", "remedy": error.do}
     return {"ok": True, "facts": facts}
+
+
+def _not_kept() -> str:
+    """What is to be said of a cache that cannot be written, which no run complains of."""
+    try:
+        check_folder(cache_folder())
+    except InputError as error:
+        return f" ({error.got}: each run learns the materials anew; $BTFSEP_CACHE names another folder)"
+    return ""

@@ -7,6 +7,7 @@ Nothing here holds more of a job than its name and where its line stands, so a h
 import csv
 import io
 import json
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -37,7 +38,9 @@ class Journal:
         self._places, self._reporter, self._file, self._end = {}, reporter, None, 0
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("wb", buffering=0)
+            with suppress(OSError):  # another batch may be writing there: each has a file of its own, of one name
+                self.path.unlink()
+            self._file = self.path.open("w+b", buffering=0)
         except (OSError, ValueError) as error:
             self._give_up(error)
 
@@ -59,9 +62,8 @@ class Journal:
         """Writes the summary, in the order of the jobs' numbers; its path, or None where it could not be written."""
         if self._file is None:
             return None
-        self._file.close()
         try:
-            with self.path.open("rb") as journal:
+            with self._file as raw, io.BufferedReader(raw) as journal:
 
                 def entries():
                     for number in sorted(self._places):
@@ -69,11 +71,20 @@ class Journal:
                         yield json.loads(journal.readline())
 
                 write_summary(self.summary, entries(), **facts)
-            self.path.unlink()
+                own = self._is_there()
+            if own:
+                self.path.unlink()
         except (OSError, ValueError, InputError) as error:  # the journal stays: it can be joined
             self._give_up(error)
             return None
         return self.summary
+
+    def _is_there(self) -> bool:
+        """Whether the file of the journal's name is still this one."""
+        try:
+            return os.path.samestat(os.fstat(self._file.fileno()), self.path.stat())
+        except OSError:
+            return False
 
     def _give_up(self, error) -> None:
         self._reporter.warn(f"no summary in {self.summary}: {error}; the results are where they belong all the same")

@@ -94,6 +94,9 @@ def facts(result: dict, indent: str = "") -> str:
     for key, value in result.items():
         if isinstance(value, dict):
             lines += [f"{indent}{key}:", facts(value, indent + "    ")]
+        elif isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
+            rows = (", ".join(f"{name} {_number(v)}" for name, v in each.items()) for each in value)
+            lines += [f"{indent}{key}:", *(f"{indent}    {row}" for row in rows)]
         elif isinstance(value, list | tuple):
             lines.append(f"{indent}{key}: " + ", ".join(_number(v) for v in value))
         else:

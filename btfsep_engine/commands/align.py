@@ -80,6 +80,7 @@ def run_align(folder, *, out=None, reporter) -> dict:
     out = Path(out) if out is not None else job.folder / "aligned"
     if out.resolve() == job.folder.resolve():
         raise InputError("--out", "it is the job's own folder, whose job.json stays", "name another folder")
+    atomic.check_folder(out)
     with reporter.stage("alignment"):
         alignment = align(scene)
     with reporter.stage("writing"):

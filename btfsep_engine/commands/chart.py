@@ -8,7 +8,7 @@ from btfsep_engine.commands.record import versions
 from btfsep_engine.errors import InputError
 from btfsep_engine.light.files import read_any_lighting
 from btfsep_engine.pipeline.scene import read_scene
-from btfsep_engine.storage.atomic import write_json
+from btfsep_engine.storage.atomic import check_folder, write_json
 
 
 def run_chart(
@@ -42,6 +42,7 @@ def run_chart(
         raise InputError(f"--truth {truth}", f"order {sh.order_of(len(light))}", f"give order {ORDER} or more")
     scene = read_scene(folder, reporter)
     out = Path(out) if out is not None else scene.job.folder / "result"
+    check_folder(out)
     found = measure(
         scene, library, material=material, truth=light, repeats=repeats, paper_samples=paper_samples, quick=quick
     )

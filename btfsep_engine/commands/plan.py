@@ -21,7 +21,7 @@ from btfsep_engine.pipeline.problem import Problem
 from btfsep_engine.pipeline.refine.texture import texture_contrast
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
-from btfsep_engine.storage.atomic import write_json
+from btfsep_engine.storage.atomic import check_folder, write_json
 from btfsep_engine.threads import one_thread
 
 SHAPE_NOISE = 0.05  # misfit of an object without texture, over its photo: shape, noise, what the basis leaves out
@@ -59,6 +59,7 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
         materials = given_materials(job, library, settings, names=names)
         names = [m.name for m in materials]
     out = Path(out) if out is not None else job.folder / "plan"
+    check_folder(out)
     scene = PreparedScene(job, reporter)
     with reporter.stage("transport"):
         problem = view_problem(scene, materials, settings)

@@ -19,6 +19,7 @@ from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.materials import object_materials
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
+from btfsep_engine.storage.atomic import check_folder
 from btfsep_engine.threads import one_thread
 
 
@@ -73,6 +74,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
         suffix = Path(out).suffix.lower()
         if suffix not in (".exr", ".png"):
             raise InputError("--out", f"'{out}'", "name an .exr (linear) or a .png (for looking at)")
+        check_folder(Path(out).parent)
     scene, record = PreparedScene(job, reporter), earlier_estimate(job)
     chosen = record.get("settings")
     if isinstance(chosen, dict) and chosen.get("delight") == "never":

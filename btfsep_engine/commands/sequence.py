@@ -8,7 +8,9 @@ over time (`fit.over_time`).
 
 import re
 import time
+from collections import Counter
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +36,7 @@ from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import Settings
 from btfsep_engine.pipeline.standing import on_ground, with_ground
 from btfsep_engine.progress import Reporter
-from btfsep_engine.storage.atomic import write_json
+from btfsep_engine.storage.atomic import check_folder, remove, write_json
 
 _DIGITS = re.compile(r"([0-9]+)")
 
@@ -58,6 +60,23 @@ def frame_files(pattern) -> list[Path]:
         if stem in stems[:i]:
             raise InputError(f"--images '{pattern}'", f"two frames are named '{stem}'", "match one kind of file only")
     return found
+
+
+def missing_frames(files) -> str:
+    """In words, which numbers are left out between those of the files (the last in each name) at their usual step."""
+    names = [_DIGITS.split(file.stem) for file in files]
+    if len(names) < 3 or {(*name[:-2], name[-1]) for name in names} != {(*names[0][:-2], names[0][-1])}:
+        return ""
+    numbers = sorted({int(name[-2]) for name in names})  # 7 and 07 are one
+    steps = list(pairwise(numbers)) or [(0, 0)]
+    often = Counter(b - a for a, b in steps)
+    usual = min(often, key=lambda step: (-often[step], step))
+    gaps = [range(a + usual, b, usual) for a, b in steps if b - a > usual]
+    count = sum(map(len, gaps))
+    if not count or 2 * often[usual] < len(steps):
+        return ""
+    more = f" and {count - 1} more" * (count > 1)
+    return f"there is no photo of frame {gaps[0][0]}{more} between {numbers[0]} and {numbers[-1]}; they get no light"
 
 
 @dataclass
@@ -195,6 +214,8 @@ def run_sequence(
         raise InputError("a sequence", "--order auto", "give one order for all frames")
     with reporter.stage("reading"):
         files = frame_files(frames)
+        if missing := missing_frames(files):
+            reporter.warn(f"--images: {missing}")
         posed = {} if poses is None else posed_jobs(poses, folder)
         job = load_job(folder, with_photo=False, colorspace=settings.colorspace, suns=settings.sun)
         for note in job.warnings:
@@ -202,6 +223,9 @@ def run_sequence(
         for stem in posed.keys() - {file.stem for file in files}:
             reporter.warn(f"{Path(poses).name}: it says a pose of '{stem}', and no frame is called so")
     out = Path(out) if out is not None else job.folder / "sequence"
+    check_folder(out)
+    if with_exr and out.resolve() in {file.resolve().parent for file in files if file.suffix.lower() == ".exr"}:
+        raise InputError("--out", "a light's FRAME.exr would take the place of the photo", "name another folder")
     solver = Frames(job, library, settings, material=material, poses=posed, reporter=reporter)
     said, lines = set(), []
 
@@ -213,7 +237,7 @@ def run_sequence(
                 kind = _DIGITS.sub("", warning)  # of a hundred frames each says the same, in other numbers
                 if kind not in said:
                     said.add(kind)
-                    reporter.warn(f"{file.name}: {warning}")
+                    reporter.warn(f"{file.name}: {warning.removeprefix(f'{file.name}: ')}")
             sky = np.float32(estimate.radiance(pixel_directions(*MAP_SIZE))) if with_exr else None
             yield line, Frame(estimate.lighting, sky)
 
@@ -222,6 +246,8 @@ def run_sequence(
         frame, count = smoothed([each for _, each in held], at, smooth)
         name = f"{Path(line['image']).stem}.json"
         with reporter.timed("writing"):
+            if not lines:  # of a run before: it would speak of other lights, should this one not come to its end
+                remove(out / "sequence.json")
             write_lighting(out / name, frame.lighting)
             if with_exr:
                 sky = frame.sky

@@ -15,14 +15,12 @@ import cv2
 import numpy as np
 import OpenEXR
 
-from btfsep_engine import MAX_PIXELS
 from btfsep_engine.errors import InputError
-from btfsep_engine.imaging import blender_views, camera_curve, colour_profile, image_headers
+from btfsep_engine.imaging import blender_views, camera_curve, colour_profile, exr, image_headers
 from btfsep_engine.imaging.colour_profile import Profile
 from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
 from btfsep_engine.storage import atomic
 
-MAX_SIDE = 20000  # pixels; more than any camera has, and a guard against files that claim absurd sizes
 SATURATED = 0.999  # of the largest code of an integer format
 OPAQUE = 0.999
 COLORSPACES = ("auto", "srgb", "camera", "linear", *blender_views.VIEWS)
@@ -154,13 +152,25 @@ def declared_size(path) -> tuple[int, int] | None:
     if not data.startswith(_EXR):
         _refuse(path, data)
         return image_headers.size(data)
-    return _extent(_exr_windows(path)[0])
+    return exr.extent(exr.windows_of(path)[0])
 
 
 def data_size(path) -> tuple[int, int] | None:
     """(width, height) of the data window of an EXR; None: it is none. Raises InputError as :func:`declared_size`."""
     path = Path(path)
-    return _extent(_exr_windows(path)[1]) if atomic.read_bytes(path).startswith(_EXR) else None
+    return exr.extent(exr.windows_of(path)[1]) if atomic.read_bytes(path).startswith(_EXR) else None
+
+
+def layers(path) -> list[str]:
+    """Names of the layers that could be the picture of an EXR, that which is read first; [] where it is not open."""
+    path = Path(path)
+    return exr.guessed(path) if atomic.read_bytes(path).startswith(_EXR) else []
+
+
+def pixel_aspect(path) -> float:
+    """How many times as wide as high an EXR says that its pixels are; 1 of any other file."""
+    path = Path(path)
+    return exr.pixel_aspect(path) if atomic.read_bytes(path).startswith(_EXR) else 1.0
 
 
 def orientation(path) -> int:
@@ -190,14 +200,14 @@ def read_depth(path) -> np.ndarray:
     path = Path(path)
     if not atomic.read_bytes(path).startswith(_EXR):
         raise InputError(path.name, "this is not an OpenEXR file", "save the depth as EXR")
-    for channels, header in _exr_parts(path):
+    for channels, header in exr.parts_of(path):
         names = list(channels)
         wanted = [n for n in names if n.split(".")[-1].lower() in ("z", "depth")]
         wanted += [n for n in names if "depth" in n.lower()] + [n for n in ("V", "Y") if n in names]
         if not wanted and (len(names) == 1 or {"R", "G", "B"} <= set(names)):
             wanted = ["R"] if len(names) > 1 else names  # a depth saved as a grey picture
         if wanted:
-            return _placed(path, header, [channels[wanted[0]].pixels])[0][..., 0].astype(np.float32)
+            return exr.placed(path, header, [channels[wanted[0]].pixels])[0][..., 0].astype(np.float32)
     raise InputError(path.name, "no channel in it is a depth", "save the depth as channel Z or as the only one")
 
 
@@ -206,6 +216,12 @@ def write_exr(path, array, *, half: bool = False, compressed: bool = True) -> No
 
     One channel is named Y (shown as grey), three RGB, four RGBA. ``half`` stores 16-bit floats, ``compressed`` by ZIP.
     """
+    with atomic.replacing(path) as scratch:
+        fill_exr(scratch, array, half=half, compressed=compressed)
+
+
+def fill_exr(path, array, *, half: bool = False, compressed: bool = True) -> None:
+    """As `write_exr`, straight into the file ``path``: for what replaces several files at once. Raises OSError."""
     a = np.asarray(array, np.float16 if half else np.float32)
     if a.ndim == 2:
         a = a[..., None]
@@ -213,9 +229,9 @@ def write_exr(path, array, *, half: bool = False, compressed: bool = True) -> No
     channels = {name: np.ascontiguousarray(a[..., 0] if name == "Y" else a)}
     compression = OpenEXR.ZIP_COMPRESSION if compressed else OpenEXR.NO_COMPRESSION
     header = {"compression": compression, "type": OpenEXR.scanlineimage}
-    with atomic.replacing(path) as scratch, contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()):
         try:
-            OpenEXR.File(header, channels).write(str(scratch) if _is_text(scratch) else os.fsencode(scratch))
+            OpenEXR.File(header, channels).write(str(path) if exr.is_text(path) else os.fsencode(path))
         except RuntimeError as error:
             raise OSError(str(error)) from error
 
@@ -240,15 +256,6 @@ def write_png(path, array) -> None:
     atomic.write_bytes(path, data.tobytes())
 
 
-def _check_size(path: Path, width: int, height: int, max_pixels: int | None = None) -> None:
-    if width < 1 or height < 1:
-        raise InputError(path.name, f"the image has no pixels ({width} x {height})", "export it again")
-    most = MAX_PIXELS if max_pixels is None else min(max_pixels, MAX_PIXELS)
-    if max(width, height) > MAX_SIDE or width * height > most:
-        got = f"it claims {width} x {height} pixels; the limit is {MAX_SIDE} a side, {most} in all"
-        raise InputError(path.name, got, "make it smaller")
-
-
 def _refuse(path: Path, data: bytes) -> None:
     """InputError where a file is of a kind that is not read, or not rightly."""
     why = image_headers.refused(data)
@@ -262,13 +269,13 @@ def _stored(path: Path, max_pixels: int | None = None):
     """
     data = atomic.read_bytes(path)
     if data.startswith(_EXR):
-        stored, alpha, inside, header = _read_exr(path, max_pixels)
+        stored, alpha, inside, header = exr.read_colours(path, max_pixels)
         said = header.get("chromaticities")
         return stored, alpha, None, inside, data, None if said is None else colour_profile.of_chromaticities(said)
     _refuse(path, data)
     size = image_headers.size(data)
     if size is not None:
-        _check_size(path, *size, max_pixels)
+        exr.check_size(path, *size, max_pixels)
     elif max_pixels is not None:
         raise InputError(path.name, "it does not say its size as PNG, JPEG, TIFF, WebP or HDR do", _KINDS)
     stored, alpha, peak = _decode(path, image_headers.as_stored(data))
@@ -289,7 +296,7 @@ def _decode(path: Path, data: bytes):
             got += ", or its pixels are of a kind that is not read"
             do = "save it as RGB of 8 or 16 bits or 32-bit floats, without more channels than alpha"
         raise InputError(path.name, got, do)
-    _check_size(path, a.shape[1], a.shape[0])
+    exr.check_size(path, a.shape[1], a.shape[0])
     if a.dtype == np.float64:
         a = a.astype(np.float32)
     if a.dtype not in (np.uint8, np.uint16, np.float32):
@@ -302,88 +309,3 @@ def _decode(path: Path, data: bytes):
         alpha = a[..., -1].astype(np.float32) / (peak or 1)
     rgb = a[..., 2::-1] if a.shape[2] >= 3 else a[..., :1]
     return rgb, alpha, peak
-
-
-def _is_text(path: Path) -> bool:
-    """Whether a path is UTF-8; the names of files need not be."""
-    try:
-        return bool(str(path).encode())
-    except UnicodeEncodeError:
-        return False
-
-
-def _exr_parts(path: Path, max_pixels: int | None = None):
-    """The parts of an EXR as (channels by name, header), flat images only.
-
-    The library prints its complaints about damaged parts and leaves the part out; they are caught here.
-    """
-    count = len(_exr_windows(path, max_pixels)) // 2
-    parts = _exr_opened(path, separate_channels=True)
-    if len(parts) != count:
-        raise InputError(path.name, "the EXR is truncated or damaged", "export it again")
-    return [(part.channels, part.header) for part in parts if "deep" not in str(part.header.get("type", ""))]
-
-
-def _exr_windows(path: Path, max_pixels: int | None = None) -> list:
-    """The display and the data window of each part, (low, high) corners, by the headers alone; sizes are checked."""
-    parts = _exr_opened(path, header_only=True)
-    windows = [part.header[name] for part in parts for name in ("displayWindow", "dataWindow")]
-    for window in windows:
-        _check_size(path, *_extent(window), max_pixels)
-    return windows
-
-
-def _extent(window) -> tuple[int, int]:
-    """Width and height of a window, of its corners (low, high)."""
-    low, high = window
-    return tuple(int(h) - int(l) + 1 for l, h in zip(low, high, strict=True))
-
-
-def _exr_opened(path: Path, **how) -> list:
-    """The library's own parts; at least one."""
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            parts = OpenEXR.File(str(path) if _is_text(path) else io.BytesIO(path.read_bytes()), **how).parts
-    except (RuntimeError, ValueError, TypeError, KeyError, MemoryError) as error:
-        raise InputError(path.name, "the EXR is truncated or damaged", "export it again") from error
-    if not parts:
-        raise InputError(path.name, "the EXR is truncated or damaged", "export it again")
-    return parts
-
-
-def _read_exr(path: Path, max_pixels: int | None = None):
-    """(h, w, 1 or 3) floats, alpha or None, where the data are, and the header, of the first part with colours."""
-    for channels, header in _exr_parts(path, max_pixels):
-        names = set(channels)
-        layers = ["", *sorted((n[:-1] for n in names if n.endswith(".R")), key=lambda n: ("ombined" not in n, n))]
-        for layer in layers:
-            if {layer + c for c in "RGB"} <= names:
-                alpha = [layer + "A"] if layer + "A" in names else []
-                planes = [channels[layer + c].pixels for c in "RGB"] + [channels[a].pixels for a in alpha]
-                a, inside = _placed(path, header, planes)
-                return a[..., :3], a[..., 3] if alpha else None, inside, header
-        if "Y" in names:
-            if "RY" in names or "BY" in names:
-                raise InputError(path.name, "the EXR is coded as luminance and chroma", "save it as RGB")
-            a, inside = _placed(path, header, [channels[n].pixels for n in ("Y", "A") if n in names])
-            return a[..., :1], a[..., 1] if a.shape[2] == 2 else None, inside, header
-    raise InputError(path.name, "the EXR has no channels R, G, B or Y", "save the picture's colours in it")
-
-
-def _placed(path: Path, header: dict, planes):
-    """The planes as (h, w, n) float32 over the display window, and (h, w) bool: where the data window covers it."""
-    (x0, y0), (x1, y1) = header["displayWindow"]
-    (u0, v0), (u1, v1) = header["dataWindow"]
-    x0, y0, x1, y1, u0, v0, u1, v1 = (int(n) for n in (x0, y0, x1, y1, u0, v0, u1, v1))
-    shape = (v1 - v0 + 1, u1 - u0 + 1)
-    if any(p is None or p.shape != shape for p in planes):
-        raise InputError(path.name, "its channels have different sizes", "save it with full-size channels")
-    out = np.zeros((y1 - y0 + 1, x1 - x0 + 1, len(planes)), np.float32)
-    inside = np.zeros(out.shape[:2], bool)
-    left, right, top, bottom = max(x0, u0), min(x1, u1), max(y0, v0), min(y1, v1)
-    if left <= right and top <= bottom:
-        target = np.s_[top - y0 : bottom - y0 + 1, left - x0 : right - x0 + 1]
-        inside[target] = True
-        for i, plane in enumerate(planes):
-            out[(*target, i)] = plane[top - v0 : bottom - v0 + 1, left - u0 : right - u0 + 1]
-    return out, inside

@@ -163,7 +163,10 @@ class _Folder:
         path = self.folder / plain
         try:
             if not path.resolve().is_relative_to(self.root):
-                raise inside
+                if ".." in plain.split("/"):
+                    raise inside
+                got = f"'{relative}' is a link, or lies behind one, that leads out of the job folder"
+                raise InputError(what, got, "copy the file there: a job can be moved and packed as it is")
             found, folder = path.is_file(), path.is_dir()
         except (OSError, RuntimeError, ValueError):
             found = folder = False

@@ -10,6 +10,8 @@ from btfsep_engine.imaging import images
 from btfsep_engine.job.camera import Camera
 from btfsep_engine.job.model import Photo
 
+SAME_ASPECT = 0.02  # relative, up to which the pixels of photo and camera have one shape
+
 
 def no_photo(camera: Camera) -> Photo:
     """A black photograph of the camera's size, in the place of one that is not read."""
@@ -45,6 +47,17 @@ def read(path, name: str, coding, camera: Camera, notes: list) -> Photo:
         notes.append(
             f"{name}: it says that it is to be turned (EXIF orientation {image.orientation}), which was not done: the "
             "camera has to be of the pixels as they are stored"
+        )
+    if len(layers := images.layers(path)) > 1:
+        notes.append(
+            f"{name}: of {len(layers)} layers that could be the picture '{layers[0]}' was read, the first; the next is "
+            f"'{layers[1]}' (save the picture alone)"
+        )
+    aspect, own = images.pixel_aspect(path), camera.fy / camera.fx
+    if aspect != 1 and abs(aspect / own - 1) > SAME_ASPECT:
+        notes.append(
+            f"{name}: it says that its pixels are {aspect:.3g} times as wide as high, and those of the camera are "
+            f"{own:.3g} times (fy / fx); the camera's were taken"
         )
     if image.profile is not None and not image.profile.followed:
         notes.append(f"{name}: {image.profile.name} could not be followed; its colours were taken for those of sRGB")

@@ -47,6 +47,21 @@ def replacing(path, *, synced: bool = False):
             os.unlink(scratch)
 
 
+def check_folder(folder) -> None:
+    """Looks whether files can be put into ``folder``, which need not exist yet: to be said before long work.
+
+    Raises InputError: it or what it would lie in is a file, or may not be written.
+    """
+    place = Path(folder).absolute()
+    while not os.path.exists(place) and place != place.parent:
+        place = place.parent
+    problem = "" if place.is_dir() else f"{place} is no folder"
+    if not problem and not os.access(place, os.W_OK | os.X_OK):
+        problem = f"{place} may not be written"
+    if problem:
+        raise InputError(f"cannot write into {folder}", problem, "choose a folder that can be written")
+
+
 def _sync(path, flags: int) -> None:
     handle = os.open(path, flags)
     try:

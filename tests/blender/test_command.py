@@ -87,6 +87,10 @@ def test_faults_end_with_2_and_one_line(blend, fake_engine, tmp_path):
         assert done.returncode == 2, done.stderr
         assert words in done.stderr and "Traceback" not in done.stderr
     assert not (tmp_path / "never.blend").exists()
+    (tmp_path / "file").write_text("")
+    engine = fake_engine(lighting=LIGHTING, log=str(tmp_path / "log"))
+    done = blender(blend, "estimate", "--engine", engine, "--save", tmp_path / "file" / "lit.blend")
+    assert done.returncode == 2 and "is no folder" in done.stderr and not (tmp_path / "log").exists()  # before the work
 
 
 def test_a_bug_ends_with_1(blend, fake_engine):

@@ -91,6 +91,15 @@ def test_a_batch_of_files_and_photos(blend, fake_engine, tmp_path):  # noqa: F81
     (tmp_path / "log").unlink()
     done = blender(None, "batch", blend, *given)  # all of it is there
     assert done.returncode == 0 and "2 of 2 have their light" in done.stdout and not (tmp_path / "log").exists()
+    lit = tmp_path / "out" / "scene-two" / "lit.blend"
+    lit.unlink()  # as of a run that was stopped before it
+    done = blender(None, "batch", blend, *given)
+    assert done.returncode == 0 and lit.is_file() and "scene-one: there already" in done.stdout
+    shutil.copy(tmp_path / "photo.png", tmp_path / "photos" / "two.tif")
+    done = blender(None, "batch", blend, "--photos", tmp_path / "photos", "--out", tmp_path / "out")
+    assert done.returncode == 2 and "'scene-two'; two results would go there" in done.stderr
+    done = blender(None, "batch", blend, "--photos", tmp_path / "none" / "*.png", "--out", tmp_path / "out")
+    assert done.returncode == 2 and "--photos" in done.stderr and "--images" not in done.stderr
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "other-two" / "lit.blend"))
     assert world.is_ours(bpy.context.scene.world)
     for arguments, words in {

@@ -54,6 +54,18 @@ def test_the_older_file_stays_until_the_new_one_is_whole(name, tmp_path, monkeyp
     assert not list(tmp_path.glob(".writing-*"))
 
 
+def test_a_folder_that_cannot_be_written_is_found_without_a_trace(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("a")
+    atomic.check_folder(tmp_path / "not" / "there" / "yet")
+    for place in ("file", "file/below/it"):
+        with pytest.raises(InputError, match=rf"{place}; .*file is no folder; choose a folder"):
+            atomic.check_folder(tmp_path / place)
+    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path)
+    with pytest.raises(InputError, match="may not be written"):
+        atomic.check_folder(tmp_path / "not" / "there")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
 def test_an_error_while_writing_leaves_the_older_file(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("older")

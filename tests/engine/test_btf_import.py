@@ -225,3 +225,13 @@ def test_damaged_and_encrypted_zips(tmp_path):
         Members(tmp_path / "c.zip")
     with pytest.raises(InputError, match="no such file"):
         Members(tmp_path / "none.zip")
+
+
+def test_what_is_no_material_is_called_so_before_its_size_is_asked_for(tmp_path, utia):
+    mesh = tmp_path / "mesh.obj"
+    mesh.write_text("v 0 0 0\n")
+    for size in (None, 30.0):
+        with pytest.raises(InputError, match=r"neither a \.btf file, nor a zip, nor a folder"):
+            read_source(mesh, name="fabric/a", material_class="fabric", size_mm=size)
+    with pytest.raises(InputError, match="the source does not say it; give --size-mm"):
+        read_source(utia, name="fabric/a", material_class="fabric")

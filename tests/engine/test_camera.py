@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One model of the camera: its rays, and back its image positions, against OpenCV's."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from btfsep_engine.job.camera import Camera
+from btfsep_engine.job.schema import CameraSchema
 
 LENSES = {
     "none": (0.0, 0.0, 0.0, 0.0),
@@ -102,3 +105,18 @@ def test_usual_lenses_do_not_fold_the_picture_over(name):
 @pytest.mark.parametrize("lens", [(-0.9, 0, 0, 0), (0.1, -0.9, 0, 0), (0, 0, 0.9, 0)])
 def test_a_lens_that_folds_the_picture_over_is_known(lens):
     assert Camera(640, 480, 500.0, 500.0, 320.0, 240.0, np.eye(4), lens).folded
+
+
+def test_a_camera_of_opencv_is_converted_as_the_docs_say(rng):
+    text = (Path(__file__).parents[2] / "docs" / "conventions.md").read_text(encoding="utf-8")
+    recipe = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    matrix = np.array([[500.0, 0, 319.5], [0, 480, 229.5], [0, 0, 1]])
+    turn, shift = Rotation.from_euler("xyz", [160, 10, 40], degrees=True).as_matrix(), np.array([0.2, -0.1, 6.0])
+    given = {"np": np, "K": matrix, "R": turn, "t": shift, "width": 640, "height": 460}
+    exec(recipe, given)
+    camera = CameraSchema(**given["camera"])
+    to_world = np.array(camera.to_world)
+    own = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, to_world)
+    points = rng.uniform(-1, 1, (50, 3))
+    expected = cv2.projectPoints(points, cv2.Rodrigues(turn)[0], shift, matrix, None)[0][:, 0]
+    np.testing.assert_allclose(own.project(points), expected + 0.5, atol=1e-9)

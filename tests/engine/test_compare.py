@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from btfsep_engine import sh
-from btfsep_engine.cli import words
+from btfsep_engine.cli import main, words
 from btfsep_engine.conventions import fibonacci_sphere
 from btfsep_engine.fit import compare as c
 from btfsep_engine.light.files import Lighting, exactly
@@ -235,3 +235,11 @@ def test_a_light_without_a_direction_agrees_by_its_difference(light):
     assert found["agree"]
     assert found["degrees"] is None
     assert c.agreement(exactly(even), light) is None
+
+
+def test_the_measures_are_told_in_words_and_for_an_order_that_there_is(light, capsys):
+    said = words.compare(c.compare(light, light))
+    assert "coefficients:\n    order 1, relative_l2 0, relative_l2_free_scale 0, scale 1\n" in said and "{" not in said
+    for order in ("-1", "0", "65"):
+        assert main(["compare", "a.json", "b.json", "--order", order]) == 2
+        assert "--order" in capsys.readouterr().err

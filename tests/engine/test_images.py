@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every kind of image, written by OpenCV or OpenEXR, read by ours; and every way in which a file can be wrong."""
 
+import itertools
 import os
 import struct
 import subprocess
@@ -15,6 +16,8 @@ import pytest
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import image_headers, images
 from btfsep_engine.imaging.srgb import linear_to_srgb, srgb_to_linear
+from btfsep_engine.job import photograph
+from btfsep_engine.job.camera import Camera
 
 
 def srgb_curve(code):
@@ -138,6 +141,35 @@ def test_exr_layers_prefer_the_combined_one(tmp_path, rng):
     OpenEXR.File({"type": OpenEXR.scanlineimage}, planes).write(str(tmp_path / "a.exr"))
     np.testing.assert_array_equal(images.read_linear(tmp_path / "a.exr").pixels, a[..., 3:6])
     np.testing.assert_array_equal(images.read_depth(tmp_path / "a.exr"), a[..., 6])
+
+
+@pytest.mark.parametrize(
+    ("parts", "read", "said"),
+    [
+        ([("", ["albedo", "shaded"])], 0, ["albedo", "shaded"]),
+        ([("", ["albedo", "Beauty"])], 1, []),
+        ([("", ["beauty_pass", "View.Combined"])], 1, []),
+        ([("", ["", "spec"])], 0, []),
+        ([("", ["spec"])], 0, []),
+        ([("albedo", [""]), ("shaded", [""])], 0, ["albedo", "shaded"]),
+        ([("rgba_main", [""]), ("albedo", [""])], 0, []),
+    ],
+)
+def test_exr_layers_that_no_name_tells_apart_are_told(tmp_path, parts, read, said):
+    path, n = tmp_path / "a.exr", itertools.count()
+    made = []
+    for name, layers in parts:
+        planes = {}
+        for layer in layers:
+            value = np.full((4, 5), next(n), np.float32)
+            planes |= {f"{layer}.{c}".lstrip("."): value for c in "RGB"}
+        made.append(OpenEXR.Part({"type": OpenEXR.scanlineimage} | ({"name": name} if name else {}), planes))
+    OpenEXR.File(made).write(str(path))
+    assert (images.read_linear(path).pixels == read).all()
+    assert images.layers(path) == said
+    notes = []
+    photograph.read_photo(path, Camera(5, 4, 5.0, 5.0, 2.5, 2.0, np.eye(4)), notes=notes)
+    assert [f"'{name}'" in note for note in notes for name in said] == [True] * len(said)
 
 
 def test_exr_data_window_is_placed_in_the_display_window(tmp_path, rng):
@@ -333,3 +365,16 @@ def test_a_file_says_whether_its_colours_are_coarse(tmp_path, name, how, coarse)
 def test_a_grey_jpeg_has_no_chroma(tmp_path):
     cv2.imwrite(str(tmp_path / "a.jpg"), np.full((16, 16), 90, np.uint8))
     assert images.read_linear(tmp_path / "a.jpg").coarse_chroma is False
+
+
+@pytest.mark.parametrize(
+    ("told", "fy", "warned"),
+    [(2.0, 5.0, True), (2.0, 10.0, False), (1.0, 10.0, False), (2.01, 10.0, False)],
+)
+def test_pixels_that_are_not_the_cameras_are_told(tmp_path, told, fy, warned):
+    header, notes = {"type": OpenEXR.scanlineimage, "pixelAspectRatio": told}, []
+    OpenEXR.File(header, {"RGB": np.ones((4, 5, 3), np.float32)}).write(str(tmp_path / "a.exr"))
+    photograph.read_photo(tmp_path / "a.exr", Camera(5, 4, 5.0, fy, 2.5, 2.0, np.eye(4)), notes=notes)
+    assert [f"2 times as wide as high, and those of the camera are {fy / 5:.3g} times" in n for n in notes] == [
+        True
+    ] * warned

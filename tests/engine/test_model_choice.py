@@ -2,6 +2,7 @@
 """The simplest model within one standard error: appearance, order, and what is worth trying."""
 
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from btfsep_engine.btf.model import Lambertian, Tabulated
 from btfsep_engine.commands.record import determined_words
-from btfsep_engine.commands.sequence import frame_files
+from btfsep_engine.commands.sequence import frame_files, missing_frames
 from btfsep_engine.errors import InputError
 from btfsep_engine.pipeline.refine.order import cross_validated_order, determined_order
 from btfsep_engine.pipeline.refine.texture import held_against_each_other, texture_contrast, texture_may_help
@@ -111,3 +112,22 @@ def test_frames_come_in_the_order_of_their_numbers(tmp_path):
         frame_files(tmp_path / "f*")
     with pytest.raises(InputError, match="no image matches"):
         frame_files(tmp_path / "g*")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ("998 999 1000 1001", ""),
+        ("998 999 1001 1002", "there is no photo of frame 1000 between 998 and 1002"),
+        ("10 20 30 60 70", "there is no photo of frame 40 and 1 more between 10 and 70"),
+        ("1 2 3 900000000", "there is no photo of frame 4 and 899999995 more between 1 and 900000000"),
+        ("1 3 4", "there is no photo of frame 2 between 1 and 4"),
+        ("1 5 7 20", ""),
+        ("7 07 007", ""),
+        ("1 3", ""),
+    ],
+)
+def test_frames_that_are_missing_are_told(numbers, said):
+    files = [Path(f"v2_shot.{n}.exr") for n in numbers.split()]
+    assert missing_frames(files).partition(";")[0] == said
+    assert missing_frames([*files, Path("other.exr")]) == ""

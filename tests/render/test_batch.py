@@ -21,6 +21,7 @@ from btfsep_engine.cli import main
 from btfsep_engine.cli.batch import EstimateTask, estimate_job
 from btfsep_engine.cli.jobs import find_jobs, result_folders, shard_of
 from btfsep_engine.cli.lanes import run_here
+from btfsep_engine.cli.summary import Journal
 from btfsep_engine.commands.resume import finished_result
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
@@ -119,6 +120,21 @@ def test_what_is_done_is_told_by_the_results_themselves(shots, monkeypatch, caps
     assert not finished("c")
 
 
+def test_a_record_does_not_vouch_for_a_light_that_another_run_wrote_meanwhile(shots, monkeypatch):
+    other, out = Path(shots / "c"), shots / "a" / "result"
+    assert main(["estimate", str(other), *OPTIONS, "--order", "1"]) == 0
+
+    def interrupted(path, answer):
+        for name in ("lighting.json", "lighting.exr"):
+            shutil.copy(other / "result" / name, out)
+        path.write_bytes(b"a picture")
+
+    monkeypatch.setattr("btfsep_engine.commands.report.write_estimate_report", interrupted)
+    assert main(["estimate", str(shots / "a"), *OPTIONS, "--report"]) == 0
+    told = {"material": OPTIONS[1], "with_report": True}
+    assert finished_result(shots / "a", out, open_library(), choose("draft", order=2), **told) is None
+
+
 def test_a_digest_without_loading_is_that_of_loading(shots):
     job = shots / "a"
     assert job_digest(job) == load_job(job).digest == job_digest(job / "job.json")
@@ -177,6 +193,21 @@ def test_a_summary_that_cannot_be_written_is_said_and_nothing_else_stops(shots, 
     assert (shots / "a" / "result" / "result.json").exists()
     code, lines = run([shots / "a", "--summary", tmp_path / "batch.csv", *OPTIONS], capsys)
     assert code == 2 and "batch.json" in lines[-1]["message"]
+
+
+def test_two_batches_that_write_to_one_place_have_each_its_own_summary(tmp_path):
+    summary, reporter = tmp_path / "batch.json", Reporter()
+    (tmp_path / "batch.jsonl").write_text("of one that was killed")
+    first = Journal(summary, reporter)
+    first.add(0, {"job": "a", "status": "failed", "message": "no photo"})
+    second = Journal(summary, reporter)
+    second.add(0, {"job": "b", "status": "done", "message": ""})
+    second.add(1, {"job": "c", "status": "done", "message": ""})
+    first.add(1, {"job": "d", "status": "done", "message": ""})
+    for journal, names in ((first, "ad"), (second, "bc")):  # the last to end has the file
+        assert journal.close() == summary
+        assert "".join(e["job"] for e in json.loads(summary.read_text())["jobs"]) == names
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["batch.csv", "batch.json"] and not reporter.warnings
 
 
 def test_a_job_that_takes_too_long_fails_and_says_so(shots, capsys):

@@ -104,6 +104,22 @@ def test_a_run_that_stops_after_its_light_leaves_that_and_nothing_of_an_earlier_
     assert {p.name for p in (folder / "result").iterdir()} == {"lighting.json", "lighting.exr"}
 
 
+def test_a_disk_that_is_full_leaves_the_earlier_set_as_it_was(sphere_job_folder, capsys, monkeypatch):
+    folder, _ = sphere_job_folder
+    run = ["estimate", str(folder), *WHITE, "--order", "1", "--preset", "draft"]
+    assert main(run) == 0
+    before = {p.name: p.read_bytes() for p in (folder / "result").iterdir()}
+
+    class Full(images.OpenEXR.File):
+        def write(self, *_):
+            raise RuntimeError("No space left on device")
+
+    monkeypatch.setattr(images.OpenEXR, "File", Full)
+    assert main([*run, "--order", "2"]) == 2
+    assert "cannot write" in capsys.readouterr().err
+    assert {p.name: p.read_bytes() for p in (folder / "result").iterdir()} == before
+
+
 def test_presets_and_options_reach_the_run(sphere_job_folder, capsys, tmp_path):
     folder, _ = sphere_job_folder
     out = tmp_path / "elsewhere"
@@ -280,6 +296,22 @@ def test_a_folder_that_cannot_be_written_is_told(sphere_job_folder, capsys, tmp_
     assert main(["estimate", str(folder), *WHITE, "--no-report", "--out", str(blocked / "result")]) == 2
     assert "cannot write" in capsys.readouterr().err
     assert blocked.read_text() == "not a folder"
+
+
+@pytest.mark.parametrize("command", ["estimate", "align", "plan", "sequence", "relight", "chart"])
+def test_a_place_that_cannot_be_written_is_told_before_the_work(sphere_job_folder, capsys, tmp_path, command):
+    folder, _ = sphere_job_folder
+    (tmp_path / "file").write_text("not a folder")
+    out, more = str(tmp_path / "file" / "result"), [] if command == "align" else WHITE
+    if command == "sequence":
+        more = [*WHITE, "--images", str(folder / "*.exr")]
+    elif command == "relight":
+        write_lighting(folder / "light.json", exactly(np.ones((4, 3))))
+        out, more = f"{out}/picture.exr", [*WHITE, "--lighting", str(folder / "light.json")]
+    assert main([command, str(folder), *more, "--out", out, "--json"]) == 2
+    *before, last = json_lines(capsys.readouterr().out)
+    assert "cannot write into" in last["message"] and "is no folder" in last["message"]
+    assert {line.get("stage") for line in before} <= {"starting", "reading", "geometry"}
 
 
 def test_the_module_and_the_console_script_are_the_same_program():

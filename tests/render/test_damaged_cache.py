@@ -80,3 +80,10 @@ def test_every_kind_of_damage_is_mended_without_a_word(sphere_job_folder, capsys
             arrays = cache.read(path)
             cache.write(path, {n: change(a) if a.dtype.kind == "f" else np.zeros(3) for n, a in arrays.items()})
         np.testing.assert_allclose(estimated(), first, rtol=1e-5, atol=1e-6)
+
+
+def test_doctor_says_where_nothing_can_be_kept(capsys, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path / "file" / "cache"))
+    assert main(["doctor"]) == 0
+    assert "is no folder: each run learns the materials anew" in capsys.readouterr().out

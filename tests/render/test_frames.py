@@ -257,3 +257,37 @@ def test_things_and_camera_that_move_as_is_known_see_one_light(sphere_job_folder
         assert np.degrees(np.arccos(lamp.direction @ LAMP)) < 2
     still = answer(capsys, *command)
     assert min(f["residual"] for f in still["frames"]) > 3 * max(f["residual"] for f in result["frames"])
+
+
+def test_a_sequence_that_stops_leaves_no_record_of_other_lights(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    photographed(folder, {"1.exr": positive_light(2), "2.exr": lamp_light()})
+    run = ["sequence", str(folder), "--images", str(folder / "frames" / "*.exr"), "--preset", "draft"]
+    assert main(run) == 0
+    (folder / "frames" / "1.exr").rename(folder / "kept.exr")
+    (folder / "frames" / "1.exr").write_bytes(b"")
+    assert main(run) == 2  # before any light: what is there stays
+    assert (folder / "sequence" / "sequence.json").exists()
+    (folder / "kept.exr").replace(folder / "frames" / "1.exr")
+    (folder / "frames" / "2.exr").write_bytes(b"")
+    assert main(run) == 2
+    assert sorted(p.name for p in (folder / "sequence").iterdir()) == ["1.json", "2.json"]
+
+
+def test_maps_of_lights_take_the_place_of_no_photo(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    photographed(folder, {"1.exr": positive_light(2)})
+    photo = (folder / "frames" / "1.exr").read_bytes()
+    run = ["sequence", str(folder), "--images", str(folder / "frames" / "*.exr"), "--preset", "draft"]
+    assert main([*run, "--exr", "--out", str(folder / "frames")]) == 2
+    assert "would take the place of the photo" in capsys.readouterr().err
+    assert (folder / "frames" / "1.exr").read_bytes() == photo
+
+
+def test_a_warning_names_its_frame_once(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    photographed(folder, {"1.exr": positive_light(2), "2.png": positive_light(2), "4.exr": positive_light(2)})
+    result = answer(capsys, "sequence", folder, "--images", folder / "frames" / "*", "--preset", "draft")
+    saturated = next(w for w in result["warnings"] if "saturated" in w)
+    assert saturated.count("2.png") == 1
+    assert "--images: there is no photo of frame 3 between 1 and 4; they get no light" in result["warnings"]
