@@ -27,8 +27,8 @@ BEST_ORDER = "the highest of which the photo determines something; with least-sq
 DEPARTURES = "Rougher and glossier materials than an object's are tried where the photo asks for them"
 REFINE = (
     "What the photo may ask for beside the simplest model is looked at: all of it, or (quick) not what takes long and "
-    "seldom moves the light: lamps sharper than the harmonics, lamps nearby, things in front, haze; or (least) light "
-    "between surfaces alone"
+    "seldom moves the light: a ground under the objects, a flash, lamps sharper than the harmonics, lamps nearby, "
+    "things in front, shadows of what no job knows, haze; or (least) light between surfaces alone"
 )
 ESTIMATOR = "The most probable light of a field and lamps, all orders, or the paper's fit of orders up to --order"
 ALIGN = (
