@@ -18,6 +18,7 @@ OWN, MAPS, TEXT, USD = {".json", ".btfsep"}, {".exr", ".hdr"}, {".txt"}, {".usda
 SUMMED = 256  # rows of a map that is projected: enough for all orders that nodes have
 LEAST_RADIUS = 0.01  # of a lamp nearby in USD, of its distance: one without an area has no radiance
 USUAL_ORDER = 4  # of harmonics
+ROWS = 256  # of the map of harmonics
 MAP = "BTFsep map"
 DISC = 3.0  # pixels of a key light in a map, at least
 _LINE = re.compile(r"\(\s*(\S+)\s*,\s*(\S+)\s*,\s*(\S+?)\s*\)\s*;?\s*//\s*L(\d+?)(-?\d+)\b(.*)")
@@ -115,7 +116,7 @@ def project(radiance, order: int) -> np.ndarray:
 # ---------------------------------------------------------------------- what a World is now
 
 
-def of_world(scene, height: int = 256) -> tuple[np.ndarray, list]:
+def of_world(scene) -> tuple[np.ndarray, list]:
     """The light of ``scene``, whose World is ours, as it is set now: (height, 2 height, 3), and its lamps.
 
     The map is linear Rec.709 and without the lamps, each "direction", "irradiance" (Rec.709) and "size_degrees".
@@ -125,7 +126,7 @@ def of_world(scene, height: int = 256) -> tuple[np.ndarray, list]:
     if node is None:
         raise InputError("the World", "it is none of BTFsep's", "estimate a light or import one first")
     value = {socket.name: socket.default_value for socket in node.inputs}
-    image = sh_nodes.map_of(node.node_tree)
+    image, height = sh_nodes.map_of(node.node_tree), ROWS
     if image is not None:
         radiance = pixels.colours(image)[::-1].astype(np.float64)
         height = len(radiance)

@@ -61,9 +61,6 @@ class Tint:
         return np.exp(shifts @ CHROMA[:, 1:].T)
 
 
-KEPT = Tint(np.zeros(2), np.ones(3), np.zeros((2, 2)), 0.0)
-
-
 def tint_of(colour) -> np.ndarray:
     """(log R/B, log G/sqrt(R B)) of a colour (3,) > 0."""
     r, g, b = np.log(np.maximum(colour, 1e-6 * np.max(colour)))

@@ -40,7 +40,7 @@ class Contrast:
 
     Attributes
     ----------
-    deviation : (bands, 3), log2 units: of lightness, and of the colour differences of `descriptors.normalise`
+    deviation : (bands, 3), log2 units: of lightness, and of the colour differences of `descriptors.normalised`
     tails : (bands, 4), lightness at `SHARES`, in deviations
     correlation : (bands, 2), of lightness with each colour difference
     together : (bands - 1,), correlation of a band's magnitude of lightness with that of the next

@@ -69,7 +69,7 @@ class Descriptors:
 
     Attributes
     ----------
-    colour : (n, 27) float32, 3 x 3 samples of the colours of `normalise`
+    colour : (n, 27) float32, 3 x 3 samples of the colours of `normalised`
     sift : (n, 128) uint8, upright SIFT of their lightness, as OpenCV scales it
     contrast : (n,) float32, standard deviation of the lightness within the SIFT patch
     xy : (n, 2) float32, pixels of the whole image, centres of the patches
@@ -99,26 +99,23 @@ def joined(parts) -> Descriptors:
     return Descriptors(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
 
-def normalise(radiance, valid, *, settings=DEFAULT) -> np.ndarray:
+def normalised(colours, *, settings=DEFAULT) -> np.ndarray:
     """Colours with exposure and part of the light's colour taken out.
 
     Parameters
     ----------
-    radiance : (h, w, 3) float, linear Rec.709
-    valid : (h, w) bool, pixels that are finite and in the region
+    colours : (n, 3) float, linear Rec.709, finite, of the pixels of a region
 
     Returns
     -------
-    (h, w, 3) float32, 0 where not ``valid``. Log2 units: lightness, red - green, (red + green) / 2 - blue; or, as
-    ``settings.colours`` asks, display values 0 to 1: red, green, blue
+    (n, 3) float32. Log2 units: lightness, red - green, (red + green) / 2 - blue; or, as ``settings.colours`` asks,
+    display values 0 to 1: red, green, blue
+
+    Raises
+    ------
+    InputError
+        Where the region is black.
     """
-    out = np.zeros(radiance.shape, np.float32)
-    out[valid] = normalised(radiance[valid], settings=settings)
-    return out
-
-
-def normalised(colours, *, settings=DEFAULT) -> np.ndarray:
-    """As `normalise`, of the pixels alone: (n, 3) float32 of radiance (n, 3)."""
     colours = np.maximum(colours, 0)
     largest = float(colours.max(initial=0))
     if not largest > 0:

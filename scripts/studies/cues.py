@@ -163,7 +163,7 @@ def cues_of(
     return out
 
 
-def seen_in(folder: Path, shots) -> list[Photograph]:
+def seen_in(shots) -> list[Photograph]:
     """The photographs of ``shots`` (photos.Shot) that have been taken."""
     made = [Path(shot.folder) for shot in shots]
     return [Photograph(f, *f.name.split("_")) for f in made if (f / "job.json").exists()]

@@ -264,7 +264,7 @@ def main(arguments) -> int:
     every = wanted, shots(beside, SHOWN_PLAIN), shots(beside, SHOWN_MIRRORS)
     if given.take:
         photos.take(list(itertools.chain(*every)), resolution=RESOLUTION, samples=SAMPLES, denoise=True)
-    found, plain, mirrors = (cues.seen_in(given.folder, some) for some in every)
+    found, plain, mirrors = (cues.seen_in(some) for some in every)
     for some in (found, plain, mirrors):
         some.sort(key=lambda p: OBJECTS.index(p.object))  # an object's training is loaded once
     rows, answers_of = [], {}

@@ -155,7 +155,7 @@ def test_a_photograph_is_asked_with_and_without_its_material_and_kept(tmp_path, 
     photos.take([shot], resolution=96, samples=4)  # in a process of its own, where there is nothing left to do
     assert pictures == {path: path.read_bytes() for path in (tmp_path / "photos").rglob("*.exr")} != {}
     settings = choose("draft", training_turns=1, training_pixels=800, training_directions=32)
-    (seen,) = cues.cues_of(cues.seen_in(tmp_path, [shot]), library, settings)
+    (seen,) = cues.cues_of(cues.seen_in([shot]), library, settings)
     known, left_out = seen.known["names"], seen.left_out["names"]
     assert set(known) == {*THREE, "reference/white-diffuse", "reference/chrome", *PLAIN} == {*left_out, THREE[1]}
     assert all(len(values) == len(known) for values in seen.known["cues"].values())

@@ -16,7 +16,6 @@ PAIRS, WIDTH, HEIGHT = len(VIEWS) * len(LIGHTS), 5, 3
 COMMON = {"views": VIEWS, "lights": LIGHTS, "width": WIDTH, "height": HEIGHT}
 MODELS = (0, 1, 2, 3, 4, 9, 10, 11, 12)
 MEAN, MATRIX = (0.25, 0.5, 0.125), np.array([[0.5, 0.25, 0.125], [-0.5, 0.75, 0.5], [0.25, 0.25, -0.5]])
-CLOSE = {"<f2": 2e-3, "<f4": 1e-5, "<f8": 1e-5}
 
 
 def factors(rng, ks=(4, 3, 2), scale=0.6):

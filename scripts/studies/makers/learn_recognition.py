@@ -219,7 +219,7 @@ def main(arguments) -> int:
     wanted = shots(given.folder.resolve(), [WHITE, *library.entries])
     if given.take:
         photos.take(list(itertools.chain(*wanted)), resolution=RESOLUTION, samples=SAMPLES, denoise=True)
-    found = [cues.seen_in(given.folder, some) for some in wanted]
+    found = [cues.seen_in(some) for some in wanted]
     found += [photos.photographs_in(folder, objects=OBJECTS, lights=LIGHTS) for folder in given.others]
     seen = {flaw: [] for flaw in cues.FLAWS}
     for some in found:
