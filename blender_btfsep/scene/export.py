@@ -60,8 +60,7 @@ def export_job(
     mapping : how materials lie on the objects: "CHARTS" (computed by the engine), "UNWRAP" (Blender's angle-based
         unwrap, of a copy) or "OWN" (each object's UV map that is active for rendering)
     known_suns : Sun lamps whose direction is known; None for those that the scene names
-    curve : the photo's tone curve, "auto", "srgb", "camera", "linear", "agx" or "unknown"; a photo of floats is linear
-        anyway
+    curve : the photo's tone curve, one of `properties.CURVES`; a photo of floats is linear anyway
     warn : called with a sentence for each thing of the occluders or the lens that the job does not have
 
     Returns

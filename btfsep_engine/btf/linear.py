@@ -132,7 +132,8 @@ def converted(file: BtfFile, *, components: int, reporter: Reporter | None = Non
     """The file's values factorised anew, linear RGB, the cosine in them as stored: from the cache, or made now.
 
     A damaged or older cache file is replaced. Two processes may do it at once: both may decode, each file appears
-    whole, the last one stays. A cache that cannot be written is no error.
+    whole, the last one stays. A cache that cannot be written is no error. Raises InputError where the file has too many
+    texels to decode.
     """
     if file.texels > MAX_DECODED_TEXELS:
         raise InputError(str(file.path), f"{file.texels} texels are too many to decode", "give a smaller resampling")
@@ -165,7 +166,10 @@ def check_reciprocity(file: BtfFile) -> reciprocity.Reciprocity:
 
 
 def cosine_included(file: BtfFile, cosine: str = "header", *, reporter: Reporter | None = None) -> bool:
-    """Whether cos(theta_i) is taken to be in the data; ``cosine`` as in :func:`to_material_and_error`."""
+    """Whether cos(theta_i) is taken to be in the data; ``cosine`` as in :func:`to_material_and_error`.
+
+    Raises InputError where that is none of `COSINE`.
+    """
     if cosine not in COSINE:
         raise InputError(f"cosine '{cosine}'", "it is not one of the rules", "use " + ", ".join(COSINE))
     if cosine in ("included", "excluded"):

@@ -46,6 +46,11 @@ def run_plan(folder, library, settings: Settings, *, material=None, noise=None, 
     Returns
     -------
     dict, the content of plan.json and ``out``, ``picture``: paths
+
+    Raises
+    ------
+    InputError
+        Where an object has no material.
     """
     started = time.perf_counter()
     with reporter.stage("reading"):

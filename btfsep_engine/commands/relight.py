@@ -62,7 +62,7 @@ def run_relight(folder, library, settings: Settings, *, lighting, out, material=
     """Renders the job's objects under ``lighting`` (a file) into the image ``out``; the background is black.
 
     The material of each object is the one given, or the job's, or that of an earlier estimate, or recognised. Textures
-    that this was told to leave as they are (``delight``) stay so.
+    that this was told to leave as they are (``delight``) stay so. Raises InputError where ``out`` is no .exr or .png.
 
     Returns
     -------

@@ -206,6 +206,11 @@ def run_sequence(
     Returns
     -------
     dict, the content of sequence.json and ``out``
+
+    Raises
+    ------
+    InputError
+        With another estimator than "map", with order "auto", or where maps would take the place of the photos.
     """
     started = time.perf_counter()
     if settings.estimator != "map":

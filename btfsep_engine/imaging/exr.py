@@ -34,7 +34,7 @@ def is_text(path: Path) -> bool:
 
 
 def parts_of(path: Path, max_pixels: int | None = None):
-    """The parts of an EXR as (channels by name, header), flat images only.
+    """The parts of an EXR as (channels by name, header), flat images only. Raises InputError where it is damaged.
 
     The library prints its complaints about damaged parts and leaves the part out; they are caught here.
     """
@@ -73,7 +73,10 @@ def _opened(path: Path, **how) -> list:
 
 
 def read_colours(path: Path, max_pixels: int | None = None):
-    """(h, w, 1 or 3) floats, alpha or None, where the data are, and the header, of the first part with colours."""
+    """(h, w, 1 or 3) floats, alpha or None, where the data are, and the header, of the first part with colours.
+
+    Raises InputError where none has, or they are luminance and chroma.
+    """
     for channels, header in parts_of(path, max_pixels):
         names = set(channels)
         for layer in _layers(names)[:1]:
@@ -122,7 +125,10 @@ def pixel_aspect(path: Path) -> float:
 
 
 def placed(path: Path, header: dict, planes):
-    """The planes as (h, w, n) float32 over the display window, and (h, w) bool: where the data window covers it."""
+    """The planes as (h, w, n) float32 over the display window, and (h, w) bool: where the data window covers it.
+
+    Raises InputError where they are of different sizes.
+    """
     (x0, y0), (x1, y1) = header["displayWindow"]
     (u0, v0), (u1, v1) = header["dataWindow"]
     x0, y0, x1, y1, u0, v0, u1, v1 = (int(n) for n in (x0, y0, x1, y1, u0, v0, u1, v1))

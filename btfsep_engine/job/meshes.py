@@ -41,7 +41,7 @@ def load_mesh(path, *, to_world=None, name: str | None = None) -> tuple[Triangle
 
 
 def parse(name: str, data: bytes) -> Polygons:
-    """Polygons of the bytes of a PLY or OBJ, told apart by what is in them."""
+    """Polygons of the bytes of a PLY or OBJ, told apart by what is in them. Raises InputError of others."""
     if data[:3] == b"ply" and data[3:4] in (b"\n", b"\r"):
         return read_ply(name, data)
     if b"\0" in data[: 2**20] or not re.search(rb"(?:^|[\r\n])[ \t]*v[ \t]", data):

@@ -44,7 +44,7 @@ def training_lights(rotations: int = 4) -> EnvironmentMaps:
     in degrees ("noon_grass@90"). Maps k of successive turns are offset a little against each other, so that no
     two maps have their turns in step.
 
-    Gives EnvironmentMaps (rotations * number of maps, 64, 128, 3) float32.
+    Gives EnvironmentMaps (rotations * number of maps, 64, 128, 3) float32. Raises InputError where there are none.
     """
     files = sorted(FOLDER.glob("*.exr"))
     if not files:
