@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the tests with a renderer share."""
 
+import numpy as np
 import pytest
 import trimesh
 
 from btfsep_engine.imaging import images
+from btfsep_engine.pipeline.refine import parted
 from scripts.studies.stage import shaded_ball, write_job
 from tests.render.scenes import as_mesh, looking_down, positive_light
 
@@ -25,3 +27,11 @@ def sphere_job_folder(tmp_path):
     write_job(tmp_path, trimesh.creation.icosphere(5), camera, mesh="sphere.ply", metres=0.05, name="ball")
     images.write_exr(tmp_path / "photo.exr", shaded_ball(camera, x))
     return tmp_path, x
+
+
+@pytest.fixture(scope="module")
+def no_parts_with_edges():
+    """Shadows and paints with edges explain some of this, too, and are asked elsewhere (`test_parted`)."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parted, "POOR", np.inf)
+        yield

@@ -10,16 +10,11 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.basis import basis_images
-from btfsep_engine.pipeline.refine import parted
 from btfsep_engine.pipeline.scene import PreparedScene
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import as_mesh, job_of, looking_down, picture, positive_light, scene_of, with_photo
 
-
-@pytest.fixture(autouse=True)
-def no_parts_with_edges(monkeypatch):
-    """Shadows and paints with edges explain some of this, too, and are asked elsewhere (`test_parted`)."""
-    monkeypatch.setattr(parted, "POOR", np.inf)
+pytestmark = pytest.mark.usefixtures("no_parts_with_edges")
 
 
 def photographed(shift: int) -> PreparedScene:

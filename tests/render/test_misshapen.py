@@ -12,7 +12,7 @@ from btfsep_engine.btf.surfaces import GIVEN, Surface
 from btfsep_engine.fit.stated import expected_error, widened
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import estimation
-from btfsep_engine.pipeline.refine import limb, parted
+from btfsep_engine.pipeline.refine import limb
 from btfsep_engine.pipeline.refine.misshapen import MUCH, OF_ALL, UNEXPLAINED, WIDEST, lean, misshapen, patch_misfit
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.homogeneous import homogeneous
@@ -27,13 +27,7 @@ from tests.render.scenes import (
     with_photo,
 )
 
-
-@pytest.fixture(autouse=True)
-def no_parts_with_edges(monkeypatch):
-    """Shadows and paints with edges explain some of this, too, and are asked elsewhere (`test_parted`)."""
-    monkeypatch.setattr(parted, "POOR", np.inf)
-
-
+pytestmark = pytest.mark.usefixtures("no_parts_with_edges")
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", bounces=1, directions=256, key_light="never")
 

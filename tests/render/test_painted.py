@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.pipeline.estimation import REFINEMENTS, estimate
 from btfsep_engine.pipeline.problem import Problem
-from btfsep_engine.pipeline.refine import painted, parted
+from btfsep_engine.pipeline.refine import painted
 from btfsep_engine.pipeline.refine.painted import painted_surfaces, pieces
 from btfsep_engine.pipeline.settings import choose
 from tests.render.scenes import (
@@ -25,13 +25,7 @@ from tests.render.scenes import (
     with_photo,
 )
 
-
-@pytest.fixture(autouse=True)
-def no_parts_with_edges(monkeypatch):
-    """Shadows and paints with edges explain some of this, too, and are asked elsewhere (`test_parted`)."""
-    monkeypatch.setattr(parted, "POOR", np.inf)
-
-
+pytestmark = pytest.mark.usefixtures("no_parts_with_edges")
 WHITE = "reference/white-diffuse"
 SETTINGS = choose("draft", refine="all", bounces=1, directions=1024)
 VARIES, ACROSS = 0.35, 7  # of the logarithm of the albedo; pixels

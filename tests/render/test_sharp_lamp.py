@@ -17,22 +17,14 @@ from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.light.sun import Sun
 from btfsep_engine.pipeline.estimation import estimate
 from btfsep_engine.pipeline.model import Model, view_problem
-from btfsep_engine.pipeline.refine import parted, sharp
+from btfsep_engine.pipeline.refine import sharp
 from btfsep_engine.pipeline.refine.lamp_search import LampSearch
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.pipeline.together import SolvedLight, fit_together
 from scripts.studies.measures import order2
 from tests.render.scenes import egg_and_pebble, job_of, looking_down, picture, scene_of, with_photo
 
-
-@pytest.fixture(scope="module", autouse=True)
-def no_parts_with_edges():
-    """Shadows and paints with edges explain some of this, too, and are asked elsewhere (`test_parted`)."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parted, "POOR", np.inf)
-        yield
-
-
+pytestmark = pytest.mark.usefixtures("no_parts_with_edges")
 GLOSS = "wood/walnut-lacquered"
 SETTINGS = choose("draft", refine="all", bounces=1, directions=512)
 TOWARDS = np.array([-0.45, 0.3, 0.84]) / np.linalg.norm([-0.45, 0.3, 0.84])
