@@ -105,7 +105,7 @@ def judged(utility, none: float, strangeness) -> Judged:
 @lru_cache(maxsize=1)
 def judgements() -> dict[str, Judgement]:
     """The shipped table: {"verified": with all cues, "spoilt" and "grainy": the same of photos that are so
-    (`contrast.judged_as`), "explained": what is worth a rendering, "votes": by the classifier alone}.
+    (`finest.judged_as`), "explained": what is worth a rendering, "votes": by the classifier alone}.
     """
     table = json.loads(TABLE.read_text())["models"]
     return {

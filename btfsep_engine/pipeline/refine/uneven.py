@@ -23,7 +23,7 @@ from btfsep_engine.pipeline.doubts import THRESHOLDS
 from btfsep_engine.pipeline.refine.highlights import shining
 from btfsep_engine.pipeline.together import all_weights, followed
 
-HIGHLIGHTS = 0.055  # as `in_front.GLOSSY`: roughness 0.3
+HIGHLIGHTS = 0.055  # as `highlights.GLOSSY`: roughness 0.3
 CLEARLY = 5.0  # of the logarithm of the evidence
 UNEVEN = (
     "what is left over goes with the brightness, as of a texture, or of an albedo that varies: what is dark counts for "
