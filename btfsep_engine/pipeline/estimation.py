@@ -81,6 +81,7 @@ class Estimate:
 
     Attributes
     ----------
+    model, light : as refined
     choice : what was chosen, and why in words
     alternatives : the lights of all materials that the objects may have, where recognition leaves several
     otherwise : (Fit, probability) of the photo with a phone's tones undone farther or less (`pipeline.phone`)

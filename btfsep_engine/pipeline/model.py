@@ -60,7 +60,7 @@ class Model:
         return self.looks[self.appearance]
 
     @property
-    def mirrors(self) -> bool:
+    def all_mirror(self) -> bool:
         """Whether all objects mirror: their pictures were put together, and have neither paint nor others' shadows."""
         return bool(self.materials) and all(m.mirror is not None for each in self.materials for m in each)
 

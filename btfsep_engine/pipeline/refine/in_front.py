@@ -178,7 +178,7 @@ def with_shadows_kept(model, light, lost, freed):
 def without_things_in_front(model, light):
     """The refinement: pixels that the light does not explain are left out, where all else is then explained."""
     settled = any(problem.left_out is not None for problem in model.problems)
-    if light.solver is None or settled or light.fit.residual < POOR or model.mirrors:
+    if light.solver is None or settled or light.fit.residual < POOR or model.all_mirror:
         return model, light, {}
     with model.reporter.stage("fit"):
         ordered, tried = replace(model.settings, order=light.order), []

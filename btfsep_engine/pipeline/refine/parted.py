@@ -43,7 +43,7 @@ WITHIN = 0.999  # share of what is around a pixel that has to stand apart for it
 
 def asked(model, light) -> bool:
     """Whether parts of the objects are looked for: whole ones are not explained, lamps are not given, none is found."""
-    if light.solver is None or light.solver.given or light.fit.residual < POOR or model.mirrors:
+    if light.solver is None or light.solver.given or light.fit.residual < POOR or model.all_mirror:
         return False
     if any(p.correction is not None or p.paint is not None for p in model.problems):
         return False
