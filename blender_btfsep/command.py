@@ -71,34 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     everything = argparse.ArgumentParser(add_help=False)
     everything.add_argument("--json", action="store_true", help="one JSON object a line, for programs")
 
-    job = argparse.ArgumentParser(add_help=False, parents=[everything])
-    job.add_argument("--frame", type=int, help="frame of the scene (default: the file's)")
-    job.add_argument(
-        "--mask", action="append", metavar="[OBJECT=]FILE", help="where the object may be used; may be given for each"
-    )
-    mappings = [name.lower() for name, *_ in MAPPINGS]
-    job.add_argument("--mapping", choices=mappings, help="how materials lie on the objects (default: the panel's)")
-    job.add_argument("--scene", help="name of the scene (default: the active one)")
-    job.add_argument("--image", help="the photo (default: the panel's)")
-    job.add_argument("--camera", help="name of the camera object (default: the panel's, then the scene's)")
-    job.add_argument(
-        "--object", "--objects", dest="objects", nargs="+", metavar="NAME", help="objects to fit (default: the panel's)"
-    )
-    occluders = [name.lower() for name, *_ in OCCLUDERS]
-    job.add_argument("--occluders", choices=occluders, help="what else casts shadows (default: the panel's)")
-    job.add_argument("--depth", metavar="FILE.exr", help="z-depth instead of objects (default: the panel's)")
-    job.add_argument("--exposure", type=float, metavar="EV", help="stops applied to the photo (default: the panel's)")
-    curves = [name for name, *_ in CURVES]
-    job.add_argument("--curve", choices=curves, help="how the photo codes the light (default: the panel's)")
-    job.add_argument(
-        "--known-sun",
-        dest="known_suns",
-        nargs="*",
-        metavar="NAME",
-        help="Sun lamps whose direction is known; none named: none (default: the panel's)",
-    )
-    job.add_argument("--job", help="folder for the job (default: one that is removed afterwards)")
-
+    job = _job_options(everything)
     one = argparse.ArgumentParser(add_help=False)
     one.add_argument(
         "--upright", action="store_true", help="turn the photo as its file asks for (default: as it is stored)"
@@ -153,6 +126,38 @@ def _parser() -> argparse.ArgumentParser:
     batch.add_command(commands, [job, one, engine, fit, sun], estimate=estimate_scene, save=save_file)
     measure_command.add_command(commands, [everything])
     return parser
+
+
+def _job_options(everything) -> argparse.ArgumentParser:
+    """What may be said otherwise than the panel has it, for a parent."""
+    job = argparse.ArgumentParser(add_help=False, parents=[everything])
+    job.add_argument("--frame", type=int, help="frame of the scene (default: the file's)")
+    job.add_argument(
+        "--mask", action="append", metavar="[OBJECT=]FILE", help="where the object may be used; may be given for each"
+    )
+    mappings = [name.lower() for name, *_ in MAPPINGS]
+    job.add_argument("--mapping", choices=mappings, help="how materials lie on the objects (default: the panel's)")
+    job.add_argument("--scene", help="name of the scene (default: the active one)")
+    job.add_argument("--image", help="the photo (default: the panel's)")
+    job.add_argument("--camera", help="name of the camera object (default: the panel's, then the scene's)")
+    job.add_argument(
+        "--object", "--objects", dest="objects", nargs="+", metavar="NAME", help="objects to fit (default: the panel's)"
+    )
+    occluders = [name.lower() for name, *_ in OCCLUDERS]
+    job.add_argument("--occluders", choices=occluders, help="what else casts shadows (default: the panel's)")
+    job.add_argument("--depth", metavar="FILE.exr", help="z-depth instead of objects (default: the panel's)")
+    job.add_argument("--exposure", type=float, metavar="EV", help="stops applied to the photo (default: the panel's)")
+    curves = [name for name, *_ in CURVES]
+    job.add_argument("--curve", choices=curves, help="how the photo codes the light (default: the panel's)")
+    job.add_argument(
+        "--known-sun",
+        dest="known_suns",
+        nargs="*",
+        metavar="NAME",
+        help="Sun lamps whose direction is known; none named: none (default: the panel's)",
+    )
+    job.add_argument("--job", help="folder for the job (default: one that is removed afterwards)")
+    return job
 
 
 def _estimate(options) -> dict:
