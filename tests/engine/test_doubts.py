@@ -101,7 +101,7 @@ def test_of_a_few_flat_faces_shading_says_nothing_of_the_material(rng):
     boxes = np.eye(3)[np.abs(n).argmax(1)] * np.sign(np.take_along_axis(n, np.abs(n).argmax(1)[:, None], 1))
     found = diagnose(solver, solver.solve(b), b, blocks=blocks, normal=n, **how)
     of_boxes = diagnose(solver, solver.solve(b), b, blocks=blocks, normal=boxes, **how)
-    assert found["diffuse"].chi2 > 1 and of_boxes["diffuse"].chi2 == 0 and not of_boxes["diffuse"].size.any()
+    assert found["diffuse"].chi2 > 0 and of_boxes["diffuse"].chi2 == 0 and not of_boxes["diffuse"].size.any()
     assert of_boxes["near"].chi2 == found["near"].chi2 > 0
     assert has_few_faces(boxes) and not has_few_faces(n)
 
