@@ -14,7 +14,7 @@ independent witnesses). g says how large the mistake is, chi^2 whether it is the
   a lamp at the distance d of an object of radius R brightens its near side by the factor 1 + 2 R / d.
 - ``blocked``: light in places that see less of the sky than a flat one does. Positive where reflections are missing.
 - ``diffuse``: what a matte surface would show under the estimated light. A material with a wrong balance of matte and
-  gloss leaves it over.
+  gloss leaves it over. Not asked of things of a few flat faces: whatever is wrong on these looks like shading.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,8 @@ import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.linear_algebra import product
+
+FEW_FACES, APART = 30, 8.0  # of smooth things hundreds are seen; 1 over the difference of their normals
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,11 @@ def hypotheses(predicted, x, *, position, normal, open_share) -> dict[str, np.nd
     }
 
 
+def has_few_faces(normal) -> bool:
+    """Whether points with normals (p, 3) look in a few directions alone, as those of boxes do."""
+    return len(np.unique(np.round(np.asarray(normal) * APART).astype(int), axis=0)) < FEW_FACES
+
+
 def diagnose(solver, fit, radiance, *, blocks, position, normal, open_share) -> dict[str, Effect]:
     """The effect of every hypothesis on one photograph's fit.
 
@@ -99,7 +106,8 @@ def diagnose(solver, fit, radiance, *, blocks, position, normal, open_share) -> 
     predicted = solver.basis.predicted(fit.shown)  # the smoother is the fit's derivative, not the fit
     left, weight = radiance - predicted, 1 / solver.basis.response
     columns = hypotheses(predicted, fit.shown, position=position, normal=normal, open_share=open_share)
-    return {
+    effects = {
         name: effect(left * weight, np.stack([left_of(c) * weight for c in each]), blocks)
         for name, each in columns.items()
     }
+    return effects | ({"diffuse": Effect(np.zeros(1), 0.0)} if has_few_faces(normal) else {})

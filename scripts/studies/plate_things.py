@@ -150,7 +150,7 @@ def finished(plates: list[dict], seed: int) -> list[dict]:
     """The plates with things of a finish that jobs know nothing of, or dusty on top; the rest of it by eye."""
     random, out, kinds = np.random.default_rng(seed), [], OF_FINISHES
     for i, plate in enumerate(plates):
-        kind, own, finish = kinds[i % len(kinds)], plate["surface"], plate["kinds"][-1]
+        kind, own, finish = kinds[(i + i // len(kinds)) % len(kinds)], plate["surface"], plate["kinds"][-1]
         if (kind == "brushed") != bool(own["metallic"]) and kind not in ("coat", "dusty"):
             finish = "metal" if kind == "brushed" else "satin"
             own = plain.of(finish, random.choice(list(plain.COLOURS)))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion
 
-from btfsep_engine.fit.diagnose import diagnose
+from btfsep_engine.fit.diagnose import diagnose, has_few_faces
 from btfsep_engine.fit.log_normal import LightSolver
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.pipeline.doubts import THRESHOLDS, alignment_doubt, clamped_share, structure_doubts
@@ -89,6 +89,21 @@ def test_missing_reflections_are_seen_and_missing_light_is_none(rng):
     assert not any("not modelled" in text for text in said)  # as much as is lost in narrow gaps
     found, said = effects(rng, lambda b, place, opened: b * (1 - 0.4 * (1 - opened))[:, None])
     assert found["blocked"].size[0] < 0 and not any("not modelled" in text for text in said)
+
+
+def test_of_a_few_flat_faces_shading_says_nothing_of_the_material(rng):
+    """Whatever is wrong on three faces looks like shading: as if lit by a lamp, say."""
+    basis, n, blocks = half_sphere(rng)
+    b = shown(basis, side_light(), rng, 0.01)
+    b = b + 0.3 * b.mean() * np.maximum(n @ [0.8, 0.0, 0.6], 0)[:, None] ** 4
+    solver = LightSolver(basis, normals=n, order=2)
+    how = {"position": n, "open_share": np.ones(len(n))}
+    boxes = np.eye(3)[np.abs(n).argmax(1)] * np.sign(np.take_along_axis(n, np.abs(n).argmax(1)[:, None], 1))
+    found = diagnose(solver, solver.solve(b), b, blocks=blocks, normal=n, **how)
+    of_boxes = diagnose(solver, solver.solve(b), b, blocks=blocks, normal=boxes, **how)
+    assert found["diffuse"].chi2 > 0 and of_boxes["diffuse"].chi2 == 0 and not of_boxes["diffuse"].size.any()
+    assert of_boxes["near"].chi2 == found["near"].chi2 > 0
+    assert has_few_faces(boxes) and not has_few_faces(n)
 
 
 @pytest.mark.parametrize("slope", [0.5, 1.0, 2.0, 3.0])

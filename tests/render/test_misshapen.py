@@ -13,7 +13,16 @@ from btfsep_engine.fit.stated import expected_error, widened
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import estimation
 from btfsep_engine.pipeline.refine import limb
-from btfsep_engine.pipeline.refine.misshapen import MUCH, OF_ALL, UNEXPLAINED, WIDEST, lean, misshapen, patch_misfit
+from btfsep_engine.pipeline.refine.misshapen import (
+    ERROR,
+    MUCH,
+    OF_ALL,
+    UNEXPLAINED,
+    WIDEST,
+    lean,
+    misshapen,
+    patch_misfit,
+)
 from btfsep_engine.pipeline.settings import choose
 from btfsep_engine.render.homogeneous import homogeneous
 from tests.render.scenes import (
@@ -152,3 +161,22 @@ def test_of_what_differs_from_place_to_place_much_may_be_left_over(good, monkeyp
     of_library = replace(alike, name="leather/brown-grain")
     each = [wider(good, monkeypatch, misfit=0.5 * MUCH, left=0.5, material=m) for m in (alike, of_image, of_library)]
     assert each[0] > 1 and each[1:] == [1, 1]
+
+
+def test_what_is_left_over_of_matte_things_says_more(good, monkeypatch):
+    """Of gloss much of the photo is left over as a rule, of matte things some hundredths."""
+    matte, wider_by = Surface((0.5, 0.4, 0.3), roughness=0.6), []
+    others = [replace(matte, **change) for change in ({"roughness": 0.25}, {"metallic": 1.0})]
+    for surface, left in ((matte, 0.055), *((each, 0.065) for each in (matte, *others))):
+        monkeypatch.setattr(f"{misshapen.__module__}.surface_of", lambda *_, surface=surface: surface)
+        material = homogeneous(surface, GIVEN)
+        wider_by.append(wider(good, monkeypatch, misfit=0.5 * MUCH, left=left, material=material))
+    assert wider_by[1] > 1 and wider_by[0] == wider_by[2] == wider_by[3] == 1
+
+
+def test_ranges_grow_by_what_is_stated_of_the_light_that_reaches_the_photo(good, monkeypatch):
+    """Of light from below a table next to nothing is known, whatever is left over."""
+    whole = wider(good, monkeypatch, misfit=1.1 * MUCH)
+    known = {"order_2": {"median": 1.1 * MUCH * ERROR / 2}}
+    monkeypatch.setattr(f"{misshapen.__module__}.shown_error", lambda _: known)
+    assert wider(good, monkeypatch, misfit=1.1 * MUCH) == pytest.approx(2, rel=1e-6) != whole

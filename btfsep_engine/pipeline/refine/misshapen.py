@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from btfsep_engine.btf.surfaces import GIVEN
-from btfsep_engine.fit.stated import expected_error, widened
+from btfsep_engine.fit.stated import expected_error, shown_error, widened
+from btfsep_engine.pipeline.refine.given import surface_of
 from btfsep_engine.pipeline.together import counts
 
 PATCHES = 8  # along the longer side of an object in the picture
@@ -30,7 +31,7 @@ OF_ALL = 0.7
 # The same of matte things, of which light explains all but some hundredths: there what is left over is of something
 # that the model has not, as light that goes through, dust or fuzz. Of 15 such plates with 0.05 and more the error is
 # 2.6 times as much in the median.
-OF_MATTE, MUCH_OF_MATTE, MATTE = 2.0, 0.06, 0.45
+OF_MATTE, MUCH_OF_MATTE, MATTE = 2.0, 0.06, 0.3
 WORTH, WIDEST = 1.25, 4.0  # times what the fit states
 UNEXPLAINED = "unexplained"  # its name among what is chosen
 OTHERWISE, SHADED = "brighter or darker than the light makes them", "the normals that shade them"
@@ -71,9 +72,9 @@ def alike_all_over(problems) -> bool:
     return all(m.name == GIVEN and not m.has_texture for p in problems for m in p.materials)
 
 
-def matte(problems) -> bool:
+def matte(model) -> bool:
     """Whether all objects of `alike_all_over` are rougher than what has a gloss, and no metal."""
-    surfaces = [m.surface for p in problems for m in p.materials]
+    surfaces = [surface_of(model, i) for i in range(len(model.materials[0]))]
     return all(s is not None and not s.metallic and s.roughness >= MATTE for s in surfaces)
 
 
@@ -85,11 +86,12 @@ def misshapen(model, light):
     shape = ERROR * misfit * (misfit >= MUCH), f"whole parts of the objects are {100 * misfit:.0f} % {OTHERWISE}", SHAPE
     coarse = OF_LEAN * angle, f"the mesh is coarse: its faces lean {np.degrees(angle):.0f}° from {SHADED}", FINER
     named = ", ".join(dict.fromkeys(f"object '{o.name}'" for p in model.problems for o in p.scene.job.objects))
-    times, much = (OF_MATTE, MUCH_OF_MATTE) if left and matte(model.problems) else (OF_ALL, MUCH)
+    times, much = (OF_MATTE, MUCH_OF_MATTE) if left and matte(model) else (OF_ALL, MUCH)
     surface = times * left * (left >= much), f"the light leaves over {100 * left:.0f} % of {named}, {ALIKE}", SURFACE
     error, what, why = max(shape, coarse, surface)
-    stated = expected_error(light.fit.all_coefficients, light.fit.samples)["order_2"]["median"]
-    factor = min(error / max(stated, 1e-9), WIDEST)
+    # of light that does not reach the photo, as from below a table, next to nothing is known whatever is left over
+    stated = shown_error(light.fit) or expected_error(light.fit.all_coefficients, light.fit.samples)
+    factor = min(error / max(stated["order_2"]["median"], 1e-9), WIDEST)
     if factor < WORTH:
         return model, light, {}
     words = f"{what}; what is known of the light is stated {factor:.1f} times as wide; {why}"
