@@ -313,5 +313,5 @@ def test_a_roughness_beside_a_flash_has_to_explain_what_counts(residual, taken, 
     fit = SimpleNamespace(evidence=found.fit.evidence + 100, residual=residual * found.fit.residual)
     answer = SimpleNamespace(fit=fit, share_left=lambda problems: 0.0)
     monkeypatch.setattr(roughness, "_hopeful", lambda *of: 0.5)
-    monkeypatch.setattr(roughness, "_on_all", lambda *of: (found.model, answer))
+    monkeypatch.setattr(roughness, "on_all", lambda *of: (found.model, answer))
     assert (roughness._rougher_or_smoother(found.model, found.light, 0, 0.4) is not None) == taken
