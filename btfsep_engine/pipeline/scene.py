@@ -123,8 +123,9 @@ class PreparedScene:
 
     @property
     def shows_objects(self) -> np.ndarray:
-        """(h, w) bool, the pixels that show an object."""
-        return (self.view.mesh >= 0) & (self.view.mesh < len(self.job.objects))
+        """(h, w) bool, the pixels that show an object, or what closes the holes of its depth."""
+        first, beside = len(self.job.objects), len(self.job.occluders)
+        return (self.view.mesh >= 0) & ((self.view.mesh < first) | (self.view.mesh >= first + beside))
 
     @property
     def has_unknown(self) -> bool:

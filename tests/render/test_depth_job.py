@@ -11,7 +11,7 @@ from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.fit.misalignment import silhouette_shift
 from btfsep_engine.imaging import images
 from btfsep_engine.job.depth import closing_mesh, mesh_from_depth
-from btfsep_engine.job.model import JobObject
+from btfsep_engine.job.model import JobObject, Occluder
 from btfsep_engine.light.files import read_lighting
 from btfsep_engine.light.lightings import SHBasis
 from btfsep_engine.pipeline.basis import basis_images
@@ -76,12 +76,17 @@ def test_holes_in_a_depth_are_no_outlines():
     surface = JobObject("surface", mesh_from_depth(depth, whole.job.camera))
     closed = replace(surface, unseen=closing_mesh(depth, whole.job.camera))
     one_sided, closed = (scene_of(replace(whole.job, objects=(o,))) for o in (surface, closed))
-    doubt = alignment_doubt(silhouette_shift(photo, one_sided.view.mesh >= 0))
+    doubt = alignment_doubt(silhouette_shift(photo, one_sided.shows_objects))
     assert doubt is not None and "4 to the left" in doubt  # were the holes' edges outlines
-    assert alignment_doubt(silhouette_shift(photo, closed.view.mesh >= 0)) is None
+    assert alignment_doubt(silhouette_shift(photo, closed.shows_objects)) is None
     assert (closed.view.mesh == 0).sum() < 0.9 * (whole.view.mesh == 0).sum()  # and yet nothing is seen in them
     plain = np.where(z_depth(whole) > 0, 0.5, 0.05)[..., None] * np.ones(3)
-    assert "4 pixels down" in alignment_doubt(silhouette_shift(np.roll(plain, 4, 0), closed.view.mesh >= 0))
+    assert "4 pixels down" in alignment_doubt(silhouette_shift(np.roll(plain, 4, 0), closed.shows_objects))
+    # beside a table the holes are closed as well, and the table is no object
+    slab = trimesh.creation.box([20, 20, 0.02]).apply_translation([0, 0, -3])
+    beside = scene_of(replace(closed.job, occluders=(Occluder(as_mesh(slab, flat=True), None),)))
+    assert set(np.unique(beside.view.mesh)) >= {0, 1, 2}
+    assert (beside.shows_objects == np.isin(beside.view.mesh, [0, 2])).all()
 
 
 def test_the_result_says_what_is_taken_for_true(sphere_job_folder, capsys):
