@@ -4,41 +4,19 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from btfsep_engine.btf.library import open_library
-from btfsep_engine.btf.surfaces import GIVEN, Surface
-from btfsep_engine.light.lightings import SHLighting
-from btfsep_engine.pipeline.estimation import estimate
+from btfsep_engine.btf.surfaces import Surface
 from btfsep_engine.pipeline.refine import layers
-from btfsep_engine.pipeline.settings import choose
-from btfsep_engine.render.homogeneous import homogeneous
-from tests.engine.half_sphere import even, lamp
-from tests.render.scenes import egg_and_pebble, job_of, looking_down, off_as_seen, picture, scene_of, with_photo
+from tests.render.given_things import LIGHT, found_of, photo_maker
+from tests.render.scenes import off_as_seen
 
-SETTINGS = choose("draft", bounces=1)
 CLAY = Surface((0.3, 0.1, 0.08), roughness=0.8)
-SOFT = np.repeat(np.exp(-0.02 * np.arange(10) ** 2), 2 * np.arange(10) + 1)[:, None]
-LIGHT = even((0.5,) * 3) + lamp(np.array([0.6, -0.2, 0.77]) / np.linalg.norm([0.6, -0.2, 0.77]), (3.0,) * 3) * SOFT
 
 
 @pytest.fixture(scope="module")
 def photographed():
-    """A photo maker: a surface -> the job of an egg and a pebble of it, with a camera's noise."""
-    scene = scene_of(job_of([egg_and_pebble()], looking_down()))
-    points = scene.points(0, region=scene.view.mesh == 0, textured=False)
-
-    def made(surface: Surface):
-        values = scene.radiance(points, homogeneous(surface, GIVEN), SHLighting(LIGHT), directions=4096)[:, 0]
-        return with_photo(scene.job, picture(points, values, noise=0.02))
-
-    return made
-
-
-def found_of(job, surface: Surface, **changes):
-    told = replace(job, objects=(replace(job.objects[0], surface=surface),))
-    return estimate(scene_of(told), open_library(None), replace(SETTINGS, **changes))
+    return photo_maker()
 
 
 @pytest.fixture(autouse=True)

@@ -5,7 +5,7 @@ Who takes a colour from a photo seldom knows more of a cloth than that it is mat
 light where they are seen aslant (Principled's sheen; Zeltner, Burley and Chiang 2022), so that the whole rim is bright,
 and light imitates that by lamps behind the object. And varnish has highlights that what is below has not. Where the
 light leaves much over of an object that is said to be matte, and one of these explains the photo clearly better, it is
-taken. (What has a gloss of its own hides both: of six velvets and coats with gloss, none gained anything.)
+taken. (What has a gloss of its own hides both: of six such things told their velvet or coat, one erred a sixth less.)
 """
 
 from dataclasses import replace
