@@ -4,12 +4,23 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from btfsep_engine.btf.surfaces import Surface
+from btfsep_engine.light.lightings import SHLighting
+from btfsep_engine.pipeline.materials import of_surface
 from btfsep_engine.pipeline.refine import layers
-from tests.render.given_things import LIGHT, found_of, photo_maker
-from tests.render.scenes import off_as_seen
+from tests.render.given_things import LIGHT, SETTINGS, found_of, photo_maker
+from tests.render.scenes import (
+    egg_and_pebble,
+    job_of,
+    looking_down,
+    off_as_seen,
+    picture,
+    scene_of,
+    with_photo,
+)
 
 CLAY = Surface((0.3, 0.1, 0.08), roughness=0.8)
 
@@ -40,6 +51,25 @@ def test_cloth_that_is_said_to_be_matte_has_its_fuzz_found_and_the_light_with_it
     wrong, right, best = (off_as_seen(each.lighting.coefficients, LIGHT) for each in (left, found, told))
     assert right < 0.5 * wrong and right < best + 0.05
     assert layers.LAYERED not in told.choice  # it has one already
+
+
+def test_of_an_object_with_an_image_of_its_colours_it_is_found_too(monkeypatch):
+    monkeypatch.setattr(layers, "LEFT", 0.0)
+    mesh = egg_and_pebble(3)
+    mesh = replace(mesh, corner_uv=((mesh.vertices[:, :2] + 1) / 2.2)[mesh.faces])
+    stripes = np.where(np.arange(64)[:, None] % 2, 1.0, 0.7) * np.array(CLAY.base_color)
+    striped = replace(CLAY, image=np.broadcast_to(stripes, (64, 64, 3)).astype(np.float32))
+    for velvet in (False, True):
+        made = replace(striped, sheen=(1.0,) * 3, sheen_roughness=0.3) if velvet else striped
+        job = job_of([mesh], looking_down())
+        job = replace(job, objects=(replace(job.objects[0], surface=made, uv="mesh"),))
+        scene = scene_of(job)
+        points = scene.points(0, region=scene.view.mesh == 0, textured=True)
+        material = of_surface(job.objects[0], job, SETTINGS)
+        values = scene.radiance(points, material, SHLighting(LIGHT), directions=4096)[:, 0]
+        found = found_of(with_photo(job, picture(points, values, noise=0.02)), striped)
+        assert (layers.LAYERED in found.choice) is velvet
+        assert off_as_seen(found.lighting.coefficients, LIGHT) < 0.03
 
 
 def test_matte_things_without_a_layer_keep_to_what_is_said(photographed, monkeypatch):

@@ -29,8 +29,8 @@ OF_LEAN = 0.8  # the error that is stated at least, over the faces' lean in radi
 # a tenth and more, the error is 0.8 times as much in the median, of one in ten more than 1.7 times.
 OF_ALL = 0.7
 # The same of matte things, of which light explains all but some hundredths: there what is left over is of something
-# that the model has not, as light that goes through, dust or fuzz. Of the 8 of 43 plates
-# that are widened by it, the error was 1.5 times what was stated in the median.
+# that the model has not, as light that goes through, dust or fuzz. Of 43 plates eight are widened by it, which erred
+# 1.5 times what they stated in the median.
 OF_MATTE, MUCH_OF_MATTE, MATTE = 2.0, 0.06, 0.3
 WORTH, WIDEST = 1.25, 4.0  # times what the fit states
 UNEXPLAINED = "unexplained"  # its name among what is chosen
