@@ -92,10 +92,13 @@ def write_world(scene, result: dict, files, start, *, apply: bool, interpolation
         animation.apply_sequence(scene, lights, clamp=scene.btfsep.clamp, interpolation=interpolation)
         kept_light.forget(scene)
     worst = max(found, key=lambda f: f["residual"])
-    return (
+    words = (
         f"{len(lights)} lights, frames {lights[0][0]} to {lights[-1][0]}\n"
         f"{worst['image']} fits worst: {100 * worst['residual']:.0f}% of it is not explained"
     )
+    if failed := [f["image"] for f in result.get("failed", ())]:
+        words += f"\n{len(failed)} photo{'s' if len(failed) > 1 else ''} without a light, first {failed[0]}"
+    return words
 
 
 class BTFSEP_OT_estimate_sequence(NeedsScene, runs.EngineOperator, bpy.types.Operator):

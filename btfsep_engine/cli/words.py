@@ -155,6 +155,7 @@ def sequence(result: dict) -> str:
     """What a sequence gave."""
     lines = [f"{o['name']}: {o['material']}" for o in result["objects"]]
     lines += [f"{f['image']}: residual {f['residual']:.3f}, {f['determined']}" for f in result["frames"]]
+    lines += [f"{f['image']}: no light; {f['message']}" for f in result.get("failed", ())]
     found = Counter(f["by"] for f in result["frames"])
     lines.append(
         f"{len(result['frames'])} lights of order {result['order']} "

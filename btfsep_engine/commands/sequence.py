@@ -131,6 +131,7 @@ class Frames:
                     reporter.warn(doubt)
             self._said = reporter.warnings[said:]
         except InputError as error:
+            self._forget()
             raise InputError(f"{file.name}: {error.what}", error.got, error.do) from error
         seconds = time.perf_counter() - begun
         fit = estimate.fit
@@ -147,6 +148,12 @@ class Frames:
             "warnings": list(reporter.warnings),
             "milliseconds": round(1000 * seconds, 2),
         }
+
+    def _forget(self) -> None:
+        """Leaves nothing of a photo that cannot be used to the next one: the scene is looked at anew."""
+        self._scene = None
+        if self._follower is None:
+            self.first, self._stands = None, False
 
     def _move_to(self, pose) -> None:
         """Puts camera and objects where a JobSchema says; None: where the job does."""
@@ -193,6 +200,8 @@ def run_sequence(
 ) -> dict:
     """The whole command: writes FRAME.json for each frame (and FRAME.exr), and sequence.json.
 
+    A photo that cannot be read or used gets no light, which is said; the others do.
+
     Parameters
     ----------
     folder : job folder; its own image need not be there
@@ -210,7 +219,8 @@ def run_sequence(
     Raises
     ------
     InputError
-        With another estimator than "map", with order "auto", or where maps would take the place of the photos.
+        With another estimator than "map", with order "auto", where maps would take the place of the photos, or where no
+        photo gets a light.
     """
     started = time.perf_counter()
     if settings.estimator != "map":
@@ -232,17 +242,29 @@ def run_sequence(
     if with_exr and out.resolve() in {file.resolve().parent for file in files if file.suffix.lower() == ".exr"}:
         raise InputError("--out", "a light's FRAME.exr would take the place of the photo", "name another folder")
     solver = Frames(job, library, settings, material=material, poses=posed, reporter=reporter)
-    said, lines = set(), []
+    said, lines, failed = set(), [], []
+
+    def say(sentence: str, name: str) -> None:
+        kind = _DIGITS.sub("", sentence)  # of a hundred frames each says the same, in other numbers
+        if kind not in said:
+            said.add(kind)
+            reporter.warn(f"{name}: {sentence}")
 
     def solved():
-        """(line, Frame) of each file."""
+        """(line, Frame) of each file that gets a light."""
         for file in files:
-            estimate, line = solver.estimate(file)
+            try:
+                estimate, line = solver.estimate(file)
+            except InputError as error:
+                failed.append({"image": file.name, "message": str(error)})
+                if len(failed) == len(files):
+                    raise
+                for suffix in (".json", ".exr") if with_exr else (".json",):  # of a run before
+                    remove((out / file.stem).with_suffix(suffix))
+                say(f"{str(error).removeprefix(f'{file.name}: ')}; it gets no light", file.name)
+                continue
             for warning in line["warnings"]:
-                kind = _DIGITS.sub("", warning)  # of a hundred frames each says the same, in other numbers
-                if kind not in said:
-                    said.add(kind)
-                    reporter.warn(f"{file.name}: {warning.removeprefix(f'{file.name}: ')}")
+                say(warning.removeprefix(f"{file.name}: "), file.name)
             sky = np.float32(estimate.radiance(pixel_directions(*MAP_SIZE))) if with_exr else None
             yield line, Frame(estimate.lighting, sky)
 
@@ -258,7 +280,7 @@ def run_sequence(
                 sky = frame.sky
                 write_lighting_exr((out / name).with_suffix(".exr"), frame.lighting, radiance=lambda _, sky=sky: sky)
         lines.append({**line, "lighting": name, "smoothed_over": count})
-        reporter.progress("photos", len(lines) / len(files), line["image"])
+        reporter.progress("photos", (len(lines) + len(failed)) / len(files), line["image"])
     took = [line["milliseconds"] for line in lines]
     result = {
         "format": "btfsep-sequence",
@@ -267,6 +289,7 @@ def run_sequence(
         "order": settings.order,
         "smooth": smooth,
         "frames": lines,
+        **({"failed": failed} if failed else {}),
         "median_milliseconds_per_further_frame": round(float(np.median(took[1:] or took)), 2),
         **run_record(settings, reporter),
     }

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Lights of a sequence as keyframes: at the frame of a photo, Blender evaluates and renders the light of that photo."""
 
+import json
+
 import bpy
 import numpy as np
 import pytest
@@ -9,10 +11,11 @@ from blender_btfsep.basics.errors import InputError
 from blender_btfsep.light import animation, world
 from blender_btfsep.light.sh_nodes import CLAMP, CLAMP_GAIN, GROUP_NAME, coefficient_name
 from blender_btfsep.photo import frames
+from blender_btfsep.window import sequence_run
 from btfsep_engine import sh
 from btfsep_engine.light.positivity import positive_share
 from scripts.cycles import studio
-from tests.blender.lit import lighting, look_around, positive_coefficients, random_coefficients, white_ball
+from tests.blender.lit import LIGHTING, lighting, look_around, positive_coefficients, random_coefficients, white_ball
 
 FRAMES = (3, 4, 9)
 
@@ -114,6 +117,19 @@ def test_sequences_that_make_no_sense_change_nothing(scene):
     with pytest.raises(InputError, match="orders"):
         animation.apply_sequence(scene, [*sequence(1, (1,)), *sequence(2, (2,))])
     assert scene.world == mine and len(bpy.data.worlds) == 1
+
+
+def test_a_photo_without_a_light_leaves_its_frame_to_those_about_it(addon, scene, tmp_path):
+    files = [tmp_path / f"shot.{number:04d}.exr" for number in FRAMES]
+    lights = dict(sequence())
+    for number in (3, 9):
+        (tmp_path / f"shot.{number:04d}.json").write_text(json.dumps(LIGHTING | lights[number]))
+    found = [{"image": f"shot.{n:04d}.exr", "lighting": f"shot.{n:04d}.json", "residual": 0.1} for n in (3, 9)]
+    result = {"out": str(tmp_path), "frames": found, "failed": [{"image": "shot.0004.exr", "message": "damaged"}]}
+    words = sequence_run.write_world(scene, result, files, None, apply=True, interpolation="LINEAR")
+    assert "2 lights, frames 3 to 9" in words and "1 photo without a light, first shot.0004.exr" in words
+    before, after = (np.array(lights[number]["coefficients"]) for number in (3, 9))
+    assert np.allclose(evaluated(scene, 4)[0], before + (after - before) / 6, atol=1e-5)
 
 
 def test_files_and_their_frames(tmp_path):

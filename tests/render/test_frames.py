@@ -13,9 +13,11 @@ from btfsep_engine.btf.departures import departures
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.model import Lambertian
 from btfsep_engine.cli import main
+from btfsep_engine.commands import sequence
+from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
-from btfsep_engine.light.files import read_lighting
+from btfsep_engine.light.files import read_lighting, write_lighting
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline import following
 from btfsep_engine.pipeline.estimation import estimate
@@ -259,19 +261,48 @@ def test_things_and_camera_that_move_as_is_known_see_one_light(sphere_job_folder
     assert min(f["residual"] for f in still["frames"]) > 3 * max(f["residual"] for f in result["frames"])
 
 
-def test_a_sequence_that_stops_leaves_no_record_of_other_lights(sphere_job_folder, capsys):
+def test_a_sequence_that_stops_leaves_no_record_of_other_lights(sphere_job_folder, capsys, monkeypatch):
     folder, _ = sphere_job_folder
     photographed(folder, {"1.exr": positive_light(2), "2.exr": lamp_light()})
     run = ["sequence", str(folder), "--images", str(folder / "frames" / "*.exr"), "--preset", "draft"]
     assert main(run) == 0
-    (folder / "frames" / "1.exr").rename(folder / "kept.exr")
-    (folder / "frames" / "1.exr").write_bytes(b"")
-    assert main(run) == 2  # before any light: what is there stays
-    assert (folder / "sequence" / "sequence.json").exists()
-    (folder / "kept.exr").replace(folder / "frames" / "1.exr")
-    (folder / "frames" / "2.exr").write_bytes(b"")
-    assert main(run) == 2
+    written = []
+
+    def full(path, light):
+        written.append(path)
+        if len(written) == 2:
+            raise InputError(str(path), "no space left on device", "free some space")
+        write_lighting(path, light)
+
+    monkeypatch.setattr(sequence, "write_lighting", full)
+    assert main(run) == 2 and len(written) == 2
     assert sorted(p.name for p in (folder / "sequence").iterdir()) == ["1.json", "2.json"]
+
+
+def test_photos_that_cannot_be_used_get_no_light_and_the_others_do(sphere_job_folder, capsys):
+    folder, _ = sphere_job_folder
+    photographed(folder, {f"{i}.exr": positive_light(2, seed=i) for i in (2, 3, 4, 6)})
+    frames, black = folder / "frames", np.zeros((96, 96, 3), np.float32)
+    command = "sequence", folder, "--images", frames / "*.exr"
+    whole = answer(capsys, *command)
+    assert "failed" not in whole and len(whole["frames"]) == 4
+    alone = {f["image"]: (folder / "sequence" / f["lighting"]).read_bytes() for f in whole["frames"]}
+    images.write_exr(frames / "1.exr", black)  # a fade from black
+    (frames / "3.exr").write_bytes(b"")
+    images.write_exr(frames / "5.exr", np.full_like(black, np.nan))
+    result = answer(capsys, *command)
+    assert [f["image"] for f in result["frames"]] == ["2.exr", "4.exr", "6.exr"]
+    assert [f["image"] for f in result["failed"]] == ["1.exr", "3.exr", "5.exr"]
+    assert all(f["image"] in f["message"] for f in result["failed"])
+    said = [w for w in result["warnings"] if w.endswith("it gets no light")]
+    assert [w.split(":")[0] for w in said] == ["1.exr", "3.exr", "5.exr"]
+    # what is left of an earlier run would pass for its light
+    assert sorted(p.name for p in (folder / "sequence").iterdir()) == ["2.json", "4.json", "6.json", "sequence.json"]
+    assert (folder / "sequence" / "2.json").read_bytes() == alone["2.exr"]  # as if it had been the first
+    for name in ("2.exr", "4.exr", "6.exr"):
+        (frames / name).write_bytes(b"")
+    assert main([*map(str, command), *QUICK]) == 2
+    assert "6.exr" in capsys.readouterr().err
 
 
 def test_maps_of_lights_take_the_place_of_no_photo(sphere_job_folder, capsys):
