@@ -19,7 +19,7 @@ from blender_btfsep.scene import own_surface
 from blender_btfsep.scene.export import export_job
 from btfsep_engine.imaging import images
 from btfsep_engine.imaging.srgb import linear_to_srgb
-from scripts.cycles import angular, materials, objects, scans, studio
+from scripts.cycles import angular, materials, neighbours, objects, scans, studio
 from scripts.cycles.untold import through, unlike
 
 RESOLUTION, SAMPLES, FILL, TABLE = 256, 64, 0.7, 1.2  # pixels; a pixel; of the frame; metres
@@ -83,8 +83,10 @@ def take(plate, folder: Path) -> None:
     if "cover" in plate:
         studio.add_cover(**plate["cover"])
     positions = objects.vertex_positions(thing.data)
+    middle = (positions.min(0) + positions.max(0)) / 2
+    if "neighbour" in plate:
+        neighbours.add(middle, plate["neighbour"]["quads"], plate["neighbour"]["colour"])
     for box in plate.get("boxes", ()):
-        middle = (positions.min(0) + positions.max(0)) / 2
         studio.add_box(middle + np.array(box["corners"]), box["radiance"])
     table, roughness = [], plate.get("table_roughness")
     if "sweep" in plate:
@@ -103,6 +105,8 @@ def take(plate, folder: Path) -> None:
         studio.add_flash(np.array(plate["flash"]["place"]), plate["flash"]["irradiance"])
     studio.denoise(scene)
     linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)
+    if "neighbour" in plate:
+        neighbours.photograph_around(scene, middle, [thing, *table], folder / neighbours.NAME)
     if "told" in plate:
         linear = through(linear, plate["camera"], plate["much"], plate["seed"]).astype(np.float32)
         images.write_exr(folder / "linear.exr", linear)

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The true light of the plates of `scripts.studies.plate_sets`."""
 
+from pathlib import Path
+
 import numpy as np
 
 from btfsep_engine import sh
 from btfsep_engine.conventions import across
+from btfsep_engine.light.maps import read_map
 from scripts.cycles.lights import true_lighting
 
 CORNERS = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])  # of a softbox, in its edges from its middle
@@ -29,12 +32,27 @@ def box_light(box: dict, order: int) -> np.ndarray:
     return light[:, None] * box["radiance"]
 
 
-def truth(plate) -> np.ndarray:
-    """The light's coefficients (100, 3)."""
+def hides(neighbour: dict, direction) -> bool:
+    """Whether what stands beside the object is between its middle and what lies in ``direction`` (3,)."""
+    for quad in np.array(neighbour["quads"]):
+        sides = quad[1] - quad[0], quad[3] - quad[0]
+        along, up, away = np.linalg.solve(np.stack([*sides, -np.array(direction)], -1), -quad[0])
+        if away > 0 and 0 < along < 1 and 0 < up < 1:
+            return True
+    return False
+
+
+def truth(plate, folder: Path | None = None) -> np.ndarray:
+    """The light's coefficients (100, 3); ``folder`` : the set's, of plates with neighbours."""
     c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
-    x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+    suns = [plate["sun"]] * bool(plate["sun"])
+    if "neighbour" in plate:
+        x = sh.project_map(read_map(folder / plate["name"] / "around.exr"), 9)
+        suns = [sun for sun in suns if not hides(plate["neighbour"], sun["direction"])]
+    else:
+        x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
     x = x * plate.get("dimmed", 1)
-    for lamp in [plate["sun"]] * bool(plate["sun"]) + plate.get("lamps", []):
+    for lamp in suns + plate.get("lamps", []):
         beam = sh.evaluate(9, np.array([lamp["direction"]]))[0]
         x = x + beam[:, None] * lamp["irradiance"]
     if "flash" in plate:

@@ -56,6 +56,8 @@ SETS = {
     "angular again": 227,
     "finished": 228,
     "finished again": 229,
+    "neighbours": 230,
+    "neighbours again": 231,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
 COUNT = 32
 OBJECTS = ("suzanne", "blob", "knot", "vase", "pebble", "cushion")
@@ -76,11 +78,16 @@ SHADES = ("edge", "leaves")  # what keeps the sun from a part of the object
 BOXES, AWAY, EDGE, WARM, FILL = 3, (0.3, 1.2), (0.2, 0.7), 0.15, (0.2, 0.8)
 ROOM = (0.03, 0.3)  # their plates' other light, times what it is
 BEYOND, LARGE = (0.1, 0.45), (0.8, 1.1)  # of what the picture's edge cuts: share of its extent beyond it; of the frame
+SIZE = 0.15  # metres, an object's largest side
 CAMERA, CAMERA_AWAY = np.array([0.45, -1.0, 0.42]) / np.linalg.norm([0.45, -1.0, 0.42]), 0.5  # about; metres
 # Of a flash on the camera: metres above the lens; its irradiance over that of the other light; that, times what it is
 ABOVE_LENS, FLASHED, INDOORS = (0.03, 0.15), (0.5, 8.0), (0.05, 0.5)
 # Of a paper sweep: metres behind the object's middle where it rises, radius of its bend; its colours
 BEHIND, BEND = (0.15, 0.5), (0.05, 0.2)
+# Of what stands beside it and no job knows: metres to a wall, and between a thing and the object's outermost; widths of
+# things, their tops over the object's middle; half a wall's edge; degrees from the camera's
+# azimuth, at least, of walls and of things
+TO_WALL, BETWEEN, WIDE, TOP, HALF_WALL, FROM_CAMERA = (0.12, 0.5), (0.01, 0.08), (0.06, 0.2), (0.0, 0.25), 0.8, (95, 60)
 PAPERS = ((0.8, 0.8, 0.79), (0.8, 0.8, 0.79), (0.4, 0.4, 0.4), (0.08, 0.08, 0.08), (0.65, 0.2, 0.2), (0.25, 0.4, 0.6))
 
 
@@ -234,6 +241,39 @@ def on_paper(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def of_column(place, turn: float, halves, top: float) -> np.ndarray:
+    """Upright faces and top (5, 4, 3) of a box about ``place`` (2,), from deep below; ``halves`` (2,) : half sides."""
+    c, s = np.cos(turn), np.sin(turn)
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    floor = np.asarray(place) + (signs * halves) @ np.array([[c, s], [-s, c]])
+    low, high = (np.column_stack([floor, np.full(4, z)]) for z in (-HALF_WALL, top))
+    sides = [(low[i], low[(i + 1) % 4], high[(i + 1) % 4], high[i]) for i in range(4)]
+    return np.array([*sides, tuple(high)])
+
+
+def beside(plates: list[dict], seed: int) -> list[dict]:
+    """The plates with a wall or a thing beside the object that no job knows."""
+    random, out, colours = np.random.default_rng(seed), [], list(plain.COLOURS.values())
+    camera = np.arctan2(CAMERA[1], CAMERA[0])
+    for i, plate in enumerate(plates):
+        kind, turn = i % 2, random.uniform()
+        away = np.radians(FROM_CAMERA[kind] + turn * (360 - 2 * FROM_CAMERA[kind]))
+        towards = np.array([np.cos(camera + away), np.sin(camera + away)])
+        if kind:
+            halves = np.exp(random.uniform(*np.log(WIDE), 2)) / 2
+            distance = 0.6 * SIZE + np.linalg.norm(halves) + np.exp(random.uniform(*np.log(BETWEEN)))
+            quads = of_column(distance * towards, random.uniform(0, np.pi), halves, random.uniform(*TOP))
+        else:
+            distance, across = np.exp(random.uniform(*np.log(TO_WALL))), np.array([-towards[1], towards[0]])
+            floor = [distance * towards + sign * HALF_WALL * across for sign in (-1, 1)]
+            low, high = ([(*at, z) for at in floor] for z in (-HALF_WALL, HALF_WALL))
+            quads = np.array([(low[0], low[1], high[1], high[0])])
+        neighbour = {"quads": quads.tolist(), "colour": colours[random.integers(len(colours))]}
+        kinds = [*plate["kinds"], ("beside a wall", "beside a thing")[kind]]
+        out.append(plate | {"neighbour": neighbour, "kinds": kinds})
+    return out
+
+
 def of_set(name: str, lights=None) -> list[dict]:
     """The plates of a set by its name; ``lights`` as of `drawn`."""
     plates, seed = drawn(SETS[name], lights), SETS[name]
@@ -253,6 +293,7 @@ def of_set(name: str, lights=None) -> list[dict]:
         "sweep": on_paper,
         "scanned": things.scanned,
         "remeshed": things.remeshed,
+        "neighbours": beside,
     }
     for kind, made_of in made.items():
         if name.startswith(kind):

@@ -119,9 +119,12 @@ def with_table(job, way: str):
     return replace(job, occluders=tables)
 
 
-def worth_of(plate, found) -> dict:
-    """What an Estimate of a plate is worth: `estimates.worth`, of one on a table that of the light from above."""
-    true = truth(plate)
+def worth_of(plate, found, folder: Path | None = None) -> dict:
+    """What an Estimate of a plate is worth: `estimates.worth`, of one on a table that of the light from above.
+
+    ``folder`` : as of `plate_light.truth`
+    """
+    true = truth(plate, folder)
     row = worth(found, true, free_scale=True)
     row["of all light"] = row["order2"]
     if plate["table"]:
@@ -130,11 +133,11 @@ def worth_of(plate, found) -> dict:
     return row
 
 
-def judged(plate, job, **told) -> dict:
-    """What the estimate of a plate's job is worth; ``told`` : settings."""
+def judged(plate, job, folder: Path | None = None, **told) -> dict:
+    """What the estimate of a plate's job is worth; ``told`` : settings; ``folder`` : as of `plate_light.truth`."""
     scene = scene_of(job)
     found = estimated(scene, **told)
-    row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth_of(plate, found)
+    row = {"name": plate["name"], "kinds": plate["kinds"], "choice": found.choice} | worth_of(plate, found, folder)
     row["over"] = row["order2"] / row["stated2"]
     row["curve doubted"] = any("tone curve is doubtful" in said for said in scene.reporter.warnings)
     return row
@@ -163,7 +166,7 @@ def told(plate, folder: Path, way: str) -> tuple:
 def study(plate, folder: Path, way: str) -> dict:
     """One estimate."""
     job, settings = told(plate, folder, way)
-    return {"way": way} | judged(plate, job, **settings)
+    return {"way": way} | judged(plate, job, folder, **settings)
 
 
 def shown(plate, folder: Path, ways) -> list:

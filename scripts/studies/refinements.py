@@ -96,7 +96,7 @@ def of_plate(plate, folder: Path, only) -> list[dict]:
     return study(
         f"{folder.name} {plate['name']}",
         lambda: scene_of(folder / plate["name"] / "job"),
-        lambda found: plates.worth_of(plate, found),
+        lambda found: plates.worth_of(plate, found, folder),
         only,
     )
 

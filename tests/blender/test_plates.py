@@ -12,7 +12,7 @@ from blender_btfsep.scene.export import export_job
 from btfsep_engine.errors import InputError
 from btfsep_engine.imaging import images
 from btfsep_engine.job.load import load_job
-from scripts.cycles import angular, materials, objects, studio
+from scripts.cycles import angular, materials, neighbours, objects, studio
 from scripts.cycles import plates as studio_plates
 from scripts.studies import cameras, measures, phones, plate_light, plate_sets, plate_things, plates
 from scripts.studies.estimates import scene_of
@@ -327,3 +327,35 @@ def test_a_paper_sweep_rises_behind_the_object():
     from_camera = -np.array(studio.VIEW_FROM[:2])
     turned = np.array(sweep.matrix_world)[:2, 1]
     np.testing.assert_allclose(turned, from_camera / np.linalg.norm(from_camera), atol=1e-6)
+
+
+def test_what_stands_beside_an_object_is_in_the_light_around_it(tmp_path, monkeypatch, small_light):
+    """A map from the middle is the true light where nothing stands there; a wall has its colour, and hides a sun."""
+    monkeypatch.setattr(neighbours, "AROUND", (64, 32))
+    monkeypatch.setattr(neighbours, "SAMPLES", 64)
+    monkeypatch.setattr(studio_plates, "RESOLUTION", 32)
+    monkeypatch.setattr(studio_plates, "SAMPLES", 1)
+    drawn = plate_sets.of_set("neighbours")
+    assert drawn == plate_sets.of_set("neighbours") != plate_sets.of_set("neighbours again")
+    assert [len(plate["neighbour"]["quads"]) for plate in drawn] == [1, 5] * (plate_sets.COUNT // 2)
+    for plate in drawn:  # no camera is inside of it, nor is it before the object
+        assert not plate_light.hides(plate["neighbour"], plate_sets.CAMERA)
+    plate = {**drawn[0], "object": "sphere", "table": (0.5, 0.5, 0.5), "curve": "floats", "off": [0, 0]}
+    plate |= {"light": small_light("sunset"), "turn": 70.0, "sun": None, "name": "00"}
+    far = 100 * np.array([(0, 1, -1), (0, 1, 1), (0, 2, 1), (0, 2, -1)])  # along +Y, and seen edge on from the middle
+    studio_plates.take(plate | {"neighbour": {"quads": [far.tolist()], "colour": (0.5, 0.5, 0.5)}}, tmp_path / "00")
+    assert (tmp_path / "00" / "linear.exr").exists()
+    around = plate_light.truth(plate, tmp_path)[:16]
+    alone = plate_light.truth({k: v for k, v in plate.items() if k != "neighbour"})[:16]
+    assert np.linalg.norm(around - alone) < 0.06 * np.linalg.norm(alone)
+    wall = 0.3 * np.array([(1, -4, -4), (1, 4, -4), (1, 4, 4), (1, -4, 4)])  # towards +X
+    sunny = plate | {"neighbour": {"quads": [wall.tolist()], "colour": (0.0, 0.6, 0.0)}, "name": "01"}
+    studio_plates.take(sunny, tmp_path / "01")
+    seen = images.read_linear(tmp_path / "01" / "around.exr").pixels
+    middle = seen[16, 32]  # +X
+    assert middle[1] > 0.01 and max(middle[0], middle[2]) < 1e-5
+    irradiance = [5.0, 5.0, 5.0]
+    towards, away = ({"direction": [x, 0.0, 0.6], "irradiance": irradiance} for x in (0.8, -0.8))
+    none, hidden, there = (plate_light.truth(sunny | {"sun": sun}, tmp_path) for sun in (None, towards, away))
+    np.testing.assert_array_equal(hidden, none)
+    np.testing.assert_allclose((there - none)[0] * np.sqrt(4 * np.pi), irradiance)
