@@ -185,6 +185,79 @@ class Frames:
         return self._follower.estimate(self._follower.scene_of(self._scene, photo, reporter))
 
 
+class Results:
+    """What is left of a sequence in a folder, frame by frame, and what is said of it.
+
+    Parameters
+    ----------
+    out : the folder; with_exr : whether lights are written as maps, too; count : of all photos; reporter : of the run
+
+    Attributes
+    ----------
+    lines, failed : of ``sequence.json``
+    """
+
+    def __init__(self, out: Path, *, with_exr: bool, count: int, reporter):
+        self.out, self.with_exr, self._count, self._reporter = out, with_exr, count, reporter
+        self.lines, self.failed, self._said = [], [], set()
+
+    def solved(self, files, solver: Frames):
+        """(line, Frame) of each file that gets a light. Raises InputError where none does."""
+        for file in files:
+            try:
+                estimate, line = solver.estimate(file)
+            except InputError as error:
+                self._lost(file, error)
+                continue
+            for warning in line["warnings"]:
+                self._say(warning, file)
+            sky = np.float32(estimate.radiance(pixel_directions(*MAP_SIZE))) if self.with_exr else None
+            yield line, Frame(estimate.lighting, sky)
+
+    def _say(self, sentence: str, file: Path) -> None:
+        kind = _DIGITS.sub("", sentence)  # of a hundred frames each says the same, in other numbers
+        if kind not in self._said:
+            self._said.add(kind)
+            self._reporter.warn(f"{file.name}: {sentence.removeprefix(f'{file.name}: ')}")
+
+    def _lost(self, file: Path, error: InputError) -> None:
+        self.failed.append({"image": file.name, "message": str(error)})
+        if len(self.failed) == self._count:
+            raise error
+        self._begin()
+        remove(self.out / f"{file.stem}.json", *([self.out / f"{file.stem}.exr"] if self.with_exr else []))
+        self._say(f"{error}; it gets no light", file)
+
+    def _begin(self) -> None:
+        """Takes away the record of a run before: it would speak of other lights, should this one end early."""
+        remove(self.out / "sequence.json")
+
+    def write(self, line: dict, frame: Frame, smoothed_over: int) -> None:
+        """Writes a light; ``line`` : of ``sequence.json``, as far as it is known."""
+        name, stem = line["image"], Path(line["image"]).stem
+        with self._reporter.timed("writing"):
+            if not self.lines:
+                self._begin()
+            write_lighting(self.out / f"{stem}.json", frame.lighting)
+            if self.with_exr:
+                write_lighting_exr(self.out / f"{stem}.exr", frame.lighting, radiance=lambda _: frame.sky)
+        self.lines.append({**line, "lighting": f"{stem}.json", "smoothed_over": smoothed_over})
+        self._reporter.progress("photos", (len(self.lines) + len(self.failed)) / self._count, name)
+
+
+def told(folder, files, settings: Settings, *, poses, reporter) -> tuple[Job, dict]:
+    """The job without a photo, and the poses of its frames; what speaks against them is said."""
+    if missing := missing_frames(files):
+        reporter.warn(f"--images: {missing}")
+    posed = {} if poses is None else posed_jobs(poses, folder)
+    job = load_job(folder, with_photo=False, colorspace=settings.colorspace, suns=settings.sun)
+    for note in job.warnings:
+        reporter.warn(note)
+    for stem in posed.keys() - {file.stem for file in files}:
+        reporter.warn(f"{Path(poses).name}: it says a pose of '{stem}', and no frame is called so")
+    return job, posed
+
+
 def run_sequence(
     folder,
     library,
@@ -229,67 +302,25 @@ def run_sequence(
         raise InputError("a sequence", "--order auto", "give one order for all frames")
     with reporter.stage("reading"):
         files = frame_files(frames)
-        if missing := missing_frames(files):
-            reporter.warn(f"--images: {missing}")
-        posed = {} if poses is None else posed_jobs(poses, folder)
-        job = load_job(folder, with_photo=False, colorspace=settings.colorspace, suns=settings.sun)
-        for note in job.warnings:
-            reporter.warn(note)
-        for stem in posed.keys() - {file.stem for file in files}:
-            reporter.warn(f"{Path(poses).name}: it says a pose of '{stem}', and no frame is called so")
+        job, posed = told(folder, files, settings, poses=poses, reporter=reporter)
     out = Path(out) if out is not None else job.folder / "sequence"
     check_folder(out)
     if with_exr and out.resolve() in {file.resolve().parent for file in files if file.suffix.lower() == ".exr"}:
         raise InputError("--out", "a light's FRAME.exr would take the place of the photo", "name another folder")
     solver = Frames(job, library, settings, material=material, poses=posed, reporter=reporter)
-    said, lines, failed = set(), [], []
-
-    def say(sentence: str, name: str) -> None:
-        kind = _DIGITS.sub("", sentence)  # of a hundred frames each says the same, in other numbers
-        if kind not in said:
-            said.add(kind)
-            reporter.warn(f"{name}: {sentence}")
-
-    def solved():
-        """(line, Frame) of each file that gets a light."""
-        for file in files:
-            try:
-                estimate, line = solver.estimate(file)
-            except InputError as error:
-                failed.append({"image": file.name, "message": str(error)})
-                if len(failed) == len(files):
-                    raise
-                for suffix in (".json", ".exr") if with_exr else (".json",):  # of a run before
-                    remove((out / file.stem).with_suffix(suffix))
-                say(f"{str(error).removeprefix(f'{file.name}: ')}; it gets no light", file.name)
-                continue
-            for warning in line["warnings"]:
-                say(warning.removeprefix(f"{file.name}: "), file.name)
-            sky = np.float32(estimate.radiance(pixel_directions(*MAP_SIZE))) if with_exr else None
-            yield line, Frame(estimate.lighting, sky)
-
-    for held, at in windows(solved(), smooth):
-        line, _ = held[at]
+    results = Results(out, with_exr=with_exr, count=len(files), reporter=reporter)
+    for held, at in windows(results.solved(files, solver), smooth):
         frame, count = smoothed([each for _, each in held], at, smooth)
-        name = f"{Path(line['image']).stem}.json"
-        with reporter.timed("writing"):
-            if not lines:  # of a run before: it would speak of other lights, should this one not come to its end
-                remove(out / "sequence.json")
-            write_lighting(out / name, frame.lighting)
-            if with_exr:
-                sky = frame.sky
-                write_lighting_exr((out / name).with_suffix(".exr"), frame.lighting, radiance=lambda _, sky=sky: sky)
-        lines.append({**line, "lighting": name, "smoothed_over": count})
-        reporter.progress("photos", (len(lines) + len(failed)) / len(files), line["image"])
-    took = [line["milliseconds"] for line in lines]
+        results.write(held[at][0], frame, count)
+    took = [line["milliseconds"] for line in results.lines]
     result = {
         "format": "btfsep-sequence",
         "version": 1,
         "objects": [{"name": o.name, **m.record} for o, m in zip(job.objects, solver.first.materials, strict=True)],
         "order": settings.order,
         "smooth": smooth,
-        "frames": lines,
-        **({"failed": failed} if failed else {}),
+        "frames": results.lines,
+        **({"failed": results.failed} if results.failed else {}),
         "median_milliseconds_per_further_frame": round(float(np.median(took[1:] or took)), 2),
         **run_record(settings, reporter),
     }

@@ -290,19 +290,25 @@ def test_photos_that_cannot_be_used_get_no_light_and_the_others_do(sphere_job_fo
     images.write_exr(frames / "1.exr", black)  # a fade from black
     (frames / "3.exr").write_bytes(b"")
     images.write_exr(frames / "5.exr", np.full_like(black, np.nan))
+    others = folder / "sequence" / "take.json"  # of a name with dots no part is another's
+    others.write_text("{}")
+    (frames / "take.7.exr").write_bytes(b"")
+    (folder / "sequence" / "take.7.json").write_text("{}")
     result = answer(capsys, *command)
     assert [f["image"] for f in result["frames"]] == ["2.exr", "4.exr", "6.exr"]
-    assert [f["image"] for f in result["failed"]] == ["1.exr", "3.exr", "5.exr"]
+    assert [f["image"] for f in result["failed"]] == ["1.exr", "3.exr", "5.exr", "take.7.exr"]
     assert all(f["image"] in f["message"] for f in result["failed"])
     said = [w for w in result["warnings"] if w.endswith("it gets no light")]
-    assert [w.split(":")[0] for w in said] == ["1.exr", "3.exr", "5.exr"]
+    assert [w.split(":")[0] for w in said] == [f["image"] for f in result["failed"]]
     # what is left of an earlier run would pass for its light
-    assert sorted(p.name for p in (folder / "sequence").iterdir()) == ["2.json", "4.json", "6.json", "sequence.json"]
+    left = ["2.json", "4.json", "6.json", "sequence.json", "take.json"]
+    assert sorted(p.name for p in (folder / "sequence").iterdir()) == left
     assert (folder / "sequence" / "2.json").read_bytes() == alone["2.exr"]  # as if it had been the first
     for name in ("2.exr", "4.exr", "6.exr"):
         (frames / name).write_bytes(b"")
     assert main([*map(str, command), *QUICK]) == 2
-    assert "6.exr" in capsys.readouterr().err
+    assert not (folder / "sequence" / "sequence.json").exists()  # it would speak of lights that are gone
+    assert "take.7.exr" in capsys.readouterr().err
 
 
 def test_maps_of_lights_take_the_place_of_no_photo(sphere_job_folder, capsys):
