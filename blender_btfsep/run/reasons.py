@@ -5,7 +5,7 @@ from mathutils import Vector
 
 from ..photo import camera as pinhole
 from ..photo import photo, upright
-from ..scene import meshes
+from ..scene import meshes, own_surface
 from . import runs
 
 
@@ -120,6 +120,11 @@ def _of_entry(name: str, entry, view_layer, settings) -> str:
         known = [material.name for material in runs.run_state().library]
         if known and entry.material not in known:
             return f"The library has no material '{entry.material}', which '{name}' is to be of"
+    if own_surface.chosen(entry) == own_surface.BLENDER:
+        gone = own_surface.missing_image(thing)
+        if gone is not None:
+            cure = "find it (File > External Data), or give the object's Colour"
+            return f"The file of image '{gone.name}', of which '{name}' is made, is not there: {cure}"
     mask = entry.mask
     if mask is not None and all(settings.image.size) and tuple(mask.size) != tuple(settings.image.size):
         return f"The mask of '{name}' has another size than the photo: take it away, and press + in its place"

@@ -7,12 +7,15 @@ from mathutils.bvhtree import BVHTree
 
 from ..basics import pixels
 from ..basics.colour import to_rec709
+from ..photo import photo
 from .bake import source_of
 
 DEFAULT = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0, "metallic": 0.0, "specular": 0.0}  # Cycles', of no material
 LAYERS = {"coat": 0.0, "coat_roughness": 0.03, "sheen": [0.0, 0.0, 0.0], "sheen_roughness": 0.5}  # of Principled
 BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
 RELIEF = {"NORMAL_MAP", "BUMP"}
+OF_FILES = {"FILE", "SEQUENCE", "MOVIE", "TILED"}  # sources of images
+GONE = "the file of image '{}' is not there"
 CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"}
 SENDS = 1.0  # radiance of what is a lamp: as much as the whitest things send under a sky of brightness one
 SHINING = "material '{}' shines: its light is found as the World's, and a render that shows both has it twice"
@@ -131,9 +134,46 @@ def _numbers(material, warn, otherwise: str = NOT_KNOWN) -> dict | None:
         return None
     base = _colour(colour)
     if base is None:
-        warn(f"the colour of {what} is neither a number nor an image; {otherwise}")
+        gone = missing_images(material)
+        warn(f"{GONE.format(gone[0].name) if gone else _unread(what)}; {otherwise}")
         return None
     return {"base_color": np.clip(base, 0, 1), "roughness": float(np.clip(roughness, 0, 1)), **more}
+
+
+def _unread(what: str) -> str:
+    return f"the colour of {what} is neither a number nor an image"
+
+
+def missing_images(material) -> list:
+    """The images that a material (or None) takes from files that are not there, which Blender renders pink.
+
+    Not those of normals and bumps, which nothing here follows. For a panel, too: no image is read.
+    """
+    output = material.node_tree.get_output_node("CYCLES") if material and material.use_nodes else None
+    found = _images_before(output.inputs["Surface"], set()) if output else ()
+    return [image for image in found if _is_missing(image)]
+
+
+def _images_before(socket, seen: set) -> list:
+    """The images of all nodes before an input; ``seen`` : (tree, name) of nodes that were looked at."""
+    source = source_of(socket)
+    node = source and source.node
+    if node is None or node.type in RELIEF or (node.id_data, node.name) in seen:
+        return []
+    seen.add((node.id_data, node.name))
+    found = [node.image] if node.type == "TEX_IMAGE" and node.image else []
+    inner = node.node_tree.nodes if node.type == "GROUP" and node.node_tree else ()
+    ends = [each for each in inner if each.type == "GROUP_OUTPUT" and each.is_active_output]
+    return found + [image for each in (node, *ends) for i in each.inputs for image in _images_before(i, seen)]
+
+
+def _is_missing(image) -> bool:
+    if image.source not in OF_FILES or image.packed_files or image.is_dirty:
+        return False
+    path = photo.file_of(image)
+    if path is not None and image.source == "TILED":
+        path = path.with_name(path.name.replace("<UDIM>", str(image.tiles[0].number)))
+    return path is None or not path.is_file()
 
 
 def with_relief(areas: dict) -> list:

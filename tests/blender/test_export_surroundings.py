@@ -97,6 +97,18 @@ def test_what_is_clear_or_is_not_understood_is_named(exported):
     assert any("'Wig'" in w and "its colour is taken from the photo" in w for w in warnings) and len(warnings) == 3
 
 
+def test_a_texture_that_is_gone_is_named(exported, tmp_path):
+    own, shader = materials.shaded("Own", "ShaderNodeBsdfPrincipled")
+    picture = own.node_tree.nodes.new("ShaderNodeTexImage")
+    picture.image = bpy.data.images.new("planks", 4, 4)
+    picture.image.source, picture.image.filepath = "FILE", str(tmp_path / "planks.png")
+    own.node_tree.links.new(picture.outputs["Color"], shader.inputs["Base Color"])
+    floor(own)
+    surfaces, (warning,) = exported()
+    assert surfaces == {"Floor.ply": None}
+    assert warning.startswith("occluder 'Floor': the file of image 'planks' is not there; its colour is taken from the")
+
+
 def test_what_is_a_lamp_hides_no_light_and_what_glows_a_little_does(exported):
     """The light of a lamp comes from where it stands: the World has to have it there."""
     colours = {"Base_Color": (0.5, 0.5, 0.5, 1), "Emission_Color": (1, 0.5, 0.5, 1)}
