@@ -19,7 +19,9 @@ from .advice import (
     MISFIT,
     NONE_OF_THESE,
     OUT_OF_LINE,
+    OVEREXPOSED,
     RELIEF,
+    SATURATED,
     advice,
     worst,
 )
@@ -44,11 +46,14 @@ OF_JOBS = {  # what jobs call things, and what the panel does
 }
 SAVED_BY = re.compile(r"of what Blender saved by evidence (?:Blender's view transform )?(.+?) \(probability ([\d.]+)\)")
 SURE = 0.9  # of the view by which a render was saved: of what is more probable, nothing is asked
-# Of two doubts, the second says nothing more: its colour is asked for, its material, or the camera is off still.
+FILE_NAME = re.compile(r"[^:;]+\.\w{2,4}: ")  # begins a sentence about a file
+# Of two doubts, the second says nothing more: its colour is asked for, its material, the camera is off still, or how
+# much of an object it is.
 SAID_ALREADY = (
     *((NONE_OF_THESE, other) for other in (MISFIT, COLOUR_UNKNOWN, LOOK_ALIKE)),
     (LOOK_ALIKE, MISFIT),
     (OUT_OF_LINE, MADE_UP_FOR),
+    (OVEREXPOSED, SATURATED),
 )
 UNKNOWN = (NONE_OF_THESE, COLOUR_UNKNOWN, RELIEF)  # of an object: what else does not fit may come of that
 BEHIND = "what the mirror hides"
@@ -262,5 +267,6 @@ def plain(sentence: str) -> str:
 
 
 def capitalised(words) -> list:
-    """Sentences; one that begins with a material's name keeps that name as it is."""
-    return [word[:1].upper() + word[1:] if word.split()[0].isalpha() else word for word in words if word.strip()]
+    """Sentences; one that begins with the name of a material or a file keeps that name as it is."""
+    kept = [word for word in words if word.strip()]
+    return [w[:1].upper() + w[1:] if w.split()[0].isalpha() and not FILE_NAME.match(w) else w for w in kept]

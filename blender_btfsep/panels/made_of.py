@@ -7,7 +7,7 @@ from ..basics import labels
 from ..engine import preferences
 from ..run import runs
 from ..scene import own_surface
-from ..window import icons, library
+from ..window import icons, library, mending
 from . import sidebar
 
 SHOWN = 3  # candidates in the panel
@@ -31,8 +31,10 @@ def source(context, layout, entry, *, whole: bool = True) -> None:
     elif entry.source == "LIBRARY":
         _library(context, layout, entry, whole)
     elif whole and not entry.recognised and own_surface.tells_a_colour(entry.object):
-        words = "Its material in Blender has a colour: As in Blender takes that, and is sooner done"
+        words = "Its material in Blender has a colour: that is surer than what is recognised, and sooner done"
         labels.wrapped(context, layout, words, icon="INFO")
+        button = layout.operator("btfsep.mend", text=mending.WORDS["BLENDER"], icon="MATERIAL")
+        button.how, button.object = "BLENDER", entry.object.name
     elif entry.candidates:
         _candidates(context, layout, entry)
 

@@ -17,6 +17,7 @@ from blender_btfsep.light import (
 from blender_btfsep.run import answer
 from btfsep_engine import sh
 from btfsep_engine.pipeline import delighting
+from btfsep_engine.pipeline.refine import layers
 from tests.blender.found import SAID, lighting, planck, sunny
 
 FRONT = np.array([[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0], [0, 0, 0, 1]])  # from -Y, level, +X to the right
@@ -220,6 +221,26 @@ def test_a_roughness_that_the_photo_does_not_show_is_said_with_the_one_that_it_s
         "mend": "SELECT",
         "object": "Jug\nLid",
     }
+
+
+def test_what_lies_on_an_object_is_said_in_the_words_of_its_material():
+    def shown(*found):
+        told = "; ".join(layers.SAID.format(name, what) for name, what in found)
+        (doubt,) = card.card_of({}, lighting(), FRONT, warnings=[told])["warnings"]
+        return doubt["short"].partition(", of which")[0], doubt["mend"], doubt["object"]
+
+    assert shown(("Hat", layers.FUZZ)) == ("The photo shows Hat as cloth (sheen)", "SELECT", "Hat")
+    assert shown(("Jug", layers.COAT)) == ("The photo shows Jug varnished (coat)", "SELECT", "Jug")
+    assert shown(("Hat", layers.FUZZ), ("Jug", layers.COAT))[0].endswith("Jug as cloth (sheen) or varnished (coat)")
+
+
+def test_how_much_is_overexposed_is_said_once_and_of_the_object():
+    photo = "my photo.png: 64675 of 153600 pixels are saturated"
+    thing = "7 % of the pixels of object 'Jug' are saturated or transparent; the saturated ones count as at least so"
+    found = card.card_of({}, lighting(), FRONT, warnings=[photo, thing])
+    assert [d["short"] for d in found["warnings"]] == ["7 % of Jug is overexposed or transparent in the photo"]
+    assert photo in found["details"]  # a file has its own name
+    assert card.card_of({}, lighting(), FRONT, warnings=[photo])["warnings"][0]["short"].startswith("Overexposed")
 
 
 def light_found_in(monkeypatch, *names):

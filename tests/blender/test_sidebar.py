@@ -121,6 +121,33 @@ def test_where_blender_knows_a_colour_one_click_takes_it(photographed, colour, s
     assert bpy.ops.btfsep.mend(how="BLENDER", object=entry.object.name) == {"FINISHED"} and entry.source == "BLENDER"
 
 
+def test_a_colour_that_blender_knows_is_a_click_away_before_anything_is_estimated(photographed, capfd):
+    (entry,) = photographed.btfsep.objects
+    entry.object.data.materials.append(own := bpy.data.materials.new("Own"))
+    own.use_nodes = True
+    own.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.5, 0.04, 0.03, 1)
+
+    def buttons():
+        panel = SimpleNamespace(layout=Everything())
+        photo_panels.BTFSEP_PT_objects.draw(panel, seen(260, scene=photographed))
+        return [words for words in operators(panel.layout) if words in mending.WORDS.values()]
+
+    assert buttons() == ["As in Blender"]
+    assert bpy.ops.btfsep.mend(how="BLENDER", object=entry.object.name) == {"FINISHED"} and entry.source == "BLENDER"
+    assert buttons() == [] and "again" not in "".join(capfd.readouterr())  # nothing was estimated yet
+
+
+@pytest.mark.parametrize(("width", "words"), [(208, False), (400, True)])
+def test_in_a_narrow_sidebar_no_word_of_the_photos_panel_is_cut_off(photographed, width, words):
+    class Kept(Everything):
+        def prop(self, owner, name, **how):
+            self.shown.append((name, how.get("expand", False)))
+
+    panel = SimpleNamespace(layout=Kept())
+    photo_panels.BTFSEP_PT_photo.draw(panel, seen(width, scene=photographed))
+    assert ("overlay", words) in panel.layout.shown and ("overlay", not words) not in panel.layout.shown
+
+
 def test_a_texture_with_light_in_it_has_a_button_and_a_field(photographed):
     layout = Everything()
     doubt = {"short": "The texture has light in it", "mend": "KEEP", "object": "Cube"}
