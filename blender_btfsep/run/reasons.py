@@ -32,8 +32,8 @@ def of_picture(scene, settings) -> str:
 def _of_photo(image, camera, frame: int) -> str:
     if image is None:
         return "Choose the photo first"
-    if image.source == "MOVIE":
-        return f"'{image.name}' is a movie: {photo.MOVIE}"
+    if image.source in ("MOVIE", "TILED"):
+        return no_single_picture(image)
     if image.type == "RENDER_RESULT":  # in a window it has a size, and still no pixels
         return f"The photo '{image.name}' {photo.RENDERED}"
     path = photo.file_at(image, camera, frame)
@@ -41,6 +41,13 @@ def _of_photo(image, camera, frame: int) -> str:
     if not kept and (path is None or not path.is_file()):
         return f"The photo's file {path.name if path else ''} is not there: choose the photo again"
     return ""
+
+
+def no_single_picture(image) -> str:
+    """Why an image, which is a movie or made of tiles, is no photo; empty of others."""
+    if image.source == "MOVIE":
+        return f"'{image.name}' is a movie: {photo.MOVIE}"
+    return f"'{image.name}' is made of tiles (UDIM): {photo.SINGLE}" if image.source == "TILED" else ""
 
 
 def of_camera(camera) -> str:
