@@ -38,7 +38,7 @@ class Advice:
 
 KNOWN = (
     Advice(OUT_OF_LINE, "Photo and geometry do not line up", "ALIGN", "RED"),
-    Advice(MADE_UP_FOR, "The camera is off; the engine made up for it", "ALIGN"),
+    Advice(MADE_UP_FOR, "Objects or camera are out of place; the engine made up for it", "ALIGN"),
     Advice(MATERIAL, ""),
     Advice(
         NONE_OF_THESE,

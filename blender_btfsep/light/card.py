@@ -120,8 +120,11 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
 
 
 def _rank(advised) -> int:
-    """Which of two doubts comes of the other: what an object is made of, then what stands around it, then the rest."""
-    return 0 if advised.phrase in UNKNOWN else 1 if advised.mend == "SELECT" else 2
+    """Which of two doubts comes of the other: what is out of place, then what an object is made of, then what stands
+    around it, then the rest."""
+    if advised.phrase in (OUT_OF_LINE, MADE_UP_FOR):
+        return 0
+    return 1 if advised.phrase in UNKNOWN else 2 if advised.mend == "SELECT" else 3
 
 
 def doubt_of(advised) -> dict:
