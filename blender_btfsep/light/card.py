@@ -28,7 +28,7 @@ from .advice import (
 from .light_words import EVEN, ONE_SIDED, angles, brighter_side, colour_words, direction_words, irradiance, size_words
 
 GOOD, FAIR = 0.15, 0.35  # the expected error up to which the light is green, and amber
-TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not stated"}
+TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Its error is not stated"}
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3

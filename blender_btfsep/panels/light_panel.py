@@ -67,6 +67,8 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         if "FREEZE" not in {doubt["mend"] for doubt in doubts.of_card(context.scene)}:
             doubts.suns(context, layout)
         if light is not None:
+            if not kept_light.is_the_world(context.scene, light):
+                labels.wrapped(context, layout, "This light is not the World now", icon="INFO")
             layout.operator("btfsep.apply", icon="WORLD")
         if ours:
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")

@@ -94,7 +94,7 @@ def test_a_light_that_is_kept_is_known_again_whatever_its_sun_is(photographed):
 def test_a_sunny_light_in_an_artists_words():
     lines = card.card_of({}, sunny(), FRONT)["lines"]
     assert len(lines) <= 6
-    assert lines[0] == ["Trust", "Not stated"]
+    assert lines[0] == ["Trust", "Its error is not stated"]
     assert lines[1] == ["Key light", "front left (45° round), 45° up"]
     near = sunny()
     near["suns"]["lamps"][0]["near"] = {"centre": [0.0, 0.0, 0.0], "distance": 80.0}

@@ -284,5 +284,19 @@ def test_what_is_found_stands_below_the_buttons_and_trust_above_all_of_it(photog
     after = drawn(photographed)
     button = before.place("operator", "btfsep.estimate")
     assert after.shown[: button + 1] == before.shown[: button + 1]  # it stays below the mouse
-    trust, picture = after.place("label", "Not stated"), after.place("template_icon")
+    trust, picture = after.place("label", "Its error is not stated"), after.place("template_icon")
     assert button < trust < picture < after.place("label", "Key light") < after.place("operator", "Freeze Sun")
+
+
+def test_a_light_that_is_not_the_world_is_said_to_be_none(photographed, sunny):
+    photographed.world = mine = bpy.data.worlds.new("Mine")
+    answer.apply_light(photographed, lighting_file.read(sunny[0]))
+
+    def said():
+        return drawn(photographed, 400).place("label", "This light is not the World now") is not None
+
+    assert not said()
+    bpy.ops.btfsep.restore_world()
+    assert photographed.world == mine and said()
+    bpy.ops.btfsep.apply()
+    assert not said()
