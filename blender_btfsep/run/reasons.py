@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Why a run cannot be begun, in sentences for tooltips: told by looks alone, before a click. Nothing here is slow."""
 
+from pathlib import Path
+
 from mathutils import Vector
 
 from ..photo import camera as pinhole
@@ -113,6 +115,8 @@ def _is_outside(frame, kind: str, corners) -> bool:
 def _of_entry(name: str, entry, view_layer, settings) -> str:
     thing = entry.object
     if thing is not None and settings.depth is None:
+        if thing.library is not None and thing.is_missing:
+            return f"'{name}' is linked from {Path(thing.library.filepath).name}, which is not there or has it no more"
         if not meshes.has_surface(thing):
             return f"'{name}' has no surface: take it off the list"
         if not thing.users_collection:

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands around the objects, as a job has it: of what it is made, and what is no occluder at all."""
 
+import bpy
 import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ..basics import pixels
 from ..basics.colour import to_rec709
+from ..basics.scratch import scratch
 from ..photo import photo
 from .bake import source_of
 
@@ -168,12 +170,16 @@ def _images_before(socket, seen: set) -> list:
 
 
 def _is_missing(image) -> bool:
-    if image.source not in OF_FILES or image.packed_files or image.is_dirty:
-        return False
-    path = photo.file_of(image)
-    if path is not None and image.source == "TILED":
-        path = path.with_name(path.name.replace("<UDIM>", str(image.tiles[0].number)))
-    return path is None or not path.is_file()
+    files = () if image.packed_files or image.is_dirty or image.source not in OF_FILES else files_of(image)
+    return any(file is None or not file.is_file() for file in files)
+
+
+def files_of(image) -> list:
+    """The file of an image, of one of tiles (UDIM) those of all; None where none is named."""
+    file = photo.file_of(image)
+    if file is None or image.source != "TILED":
+        return [file]
+    return [file.with_name(file.name.replace("<UDIM>", str(tile.number))) for tile in image.tiles]
 
 
 def with_relief(areas: dict) -> list:
@@ -272,7 +278,10 @@ def _colour(socket):
 
 
 def mean_of_image(image):
-    """(3,) linear mean of an image's colours; None where it cannot be read."""
+    """(3,) linear mean of an image's colours, of all its tiles; None where it cannot be read."""
+    if image.source == "TILED" and not image.packed_files:  # Blender gives the pixels of the first tile alone
+        means = [_mean_of_file(file, image.colorspace_settings.name) for file in files_of(image) if file.is_file()]
+        return np.mean(means, 0) if means and all(mean is not None for mean in means) else None
     coded = image.colorspace_settings.name == "sRGB" and not image.is_float
     if not all(image.size) or not (coded or image.is_float or image.colorspace_settings.is_data):
         return None
@@ -281,6 +290,13 @@ def mean_of_image(image):
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     mean = colours.mean(0, dtype=np.float64)
     return to_rec709(mean) if image.is_float and not image.colorspace_settings.is_data else mean
+
+
+def _mean_of_file(file, colorspace: str):
+    with scratch() as own:
+        image = own(bpy.data.images.load(str(file), check_existing=False))
+        image.colorspace_settings.name = colorspace
+        return mean_of_image(image)
 
 
 def encloses(positions, *places) -> bool:

@@ -109,6 +109,29 @@ def test_a_texture_that_is_gone_is_named(exported, tmp_path):
     assert warning.startswith("occluder 'Floor': the file of image 'planks' is not there; its colour is taken from the")
 
 
+def test_of_an_image_of_tiles_all_count(exported, tmp_path):
+    for number, value in ((1001, 0.0), (1002, 1.0)):
+        tile = bpy.data.images.new("tile", 4, 4)
+        tile.pixels.foreach_set([value, 0.0, 0.0, 1.0] * 16)
+        tile.filepath_raw, tile.file_format = str(tmp_path / f"wall.{number}.png"), "PNG"
+        tile.save()
+        bpy.data.images.remove(tile)
+    own, shader = materials.shaded("Own", "ShaderNodeBsdfPrincipled")
+    picture = own.node_tree.nodes.new("ShaderNodeTexImage")
+    picture.image = bpy.data.images.load(str(tmp_path / "wall.1001.png"))
+    picture.image.source, picture.image.filepath = "TILED", str(tmp_path / "wall.<UDIM>.png")
+    if len(picture.image.tiles) < 2:
+        picture.image.tiles.new(1002)
+    own.node_tree.links.new(picture.outputs["Color"], shader.inputs["Base Color"])
+    floor(own)
+    surfaces, warnings = exported()
+    assert surfaces["Floor.ply"]["base_color"] == pytest.approx([0.5, 0, 0]) and not warnings
+    assert len(bpy.data.images) == 1
+    (tmp_path / "wall.1001.png").unlink()
+    (tmp_path / "wall.1002.png").unlink()
+    assert any("the file of image 'wall" in w for w in exported()[1])
+
+
 def test_what_is_a_lamp_hides_no_light_and_what_glows_a_little_does(exported):
     """The light of a lamp comes from where it stands: the World has to have it there."""
     colours = {"Base_Color": (0.5, 0.5, 0.5, 1), "Emission_Color": (1, 0.5, 0.5, 1)}
