@@ -146,27 +146,31 @@ def _unread(what: str) -> str:
     return f"the colour of {what} is neither a number nor an image"
 
 
-def missing_images(material) -> list:
+def missing_images(material, *, relief: bool = False) -> list:
     """The images that a material (or None) takes from files that are not there, which Blender renders pink.
 
-    Not those of normals and bumps, which nothing here follows. For a panel, too: no image is read.
+    ``relief`` : also those of normals, bumps and displacement. For a panel, too: no image is read.
     """
     output = material.node_tree.get_output_node("CYCLES") if material and material.use_nodes else None
-    found = _images_before(output.inputs["Surface"], set()) if output else ()
-    return [image for image in found if _is_missing(image)]
+    ends = [output.inputs[name] for name in ("Surface", *(["Displacement"] * relief))] if output else []
+    idle, seen = set() if relief else RELIEF, set()
+    return [image for end in ends for image in _images_before(end, idle, seen) if _is_missing(image)]
 
 
-def _images_before(socket, seen: set) -> list:
-    """The images of all nodes before an input; ``seen`` : (tree, name) of nodes that were looked at."""
+def _images_before(socket, idle: set, seen: set) -> list:
+    """The images of all nodes before an input, but for what feeds nodes of types that are ``idle``.
+
+    ``seen`` : (tree, name) of nodes that were looked at.
+    """
     source = source_of(socket)
     node = source and source.node
-    if node is None or node.type in RELIEF or (node.id_data, node.name) in seen:
+    if node is None or node.type in idle or (node.id_data, node.name) in seen:
         return []
     seen.add((node.id_data, node.name))
     found = [node.image] if node.type == "TEX_IMAGE" and node.image else []
     inner = node.node_tree.nodes if node.type == "GROUP" and node.node_tree else ()
     ends = [each for each in inner if each.type == "GROUP_OUTPUT" and each.is_active_output]
-    return found + [image for each in (node, *ends) for i in each.inputs for image in _images_before(i, seen)]
+    return found + [image for each in (node, *ends) for i in each.inputs for image in _images_before(i, idle, seen)]
 
 
 def _is_missing(image) -> bool:
