@@ -141,8 +141,17 @@ KNOWN = (
     Advice("a depth shows one side", "The depth shows one side of it only"),
 )
 
-OURS = (Advice(RELIEF, "Bumps of {0}'s material are not followed: the light goes by the mesh alone"),)
-"""What the add-on says itself (`scene.own_surface`)."""
+OURS = (
+    Advice(RELIEF, "Bumps of {0}'s material are not followed: the light goes by the mesh alone"),
+    Advice(
+        "its light is found as the World's",
+        "{0} shines, and the World has its light, too: switch its emission off, or hide it from renders",
+        "SELECT",
+    ),
+    Advice("like a sky or a room", "{0} stands around all: hide it from renders, or it keeps the World's light out"),
+    Advice("is left out, as light goes through", "{0} is see-through, and keeps no light away here"),
+)
+"""What the add-on says itself (`scene.own_surface`, `scene.surroundings`, `scene.export`)."""
 
 
 def advice(sentence: str) -> Advice:
@@ -159,7 +168,7 @@ def advice(sentence: str) -> Advice:
                 called = called[:1].upper() + called[1:] if known.short.startswith("{0}") else called
             told = (asked(sentence) for asked in (_how_much, _how_rough, _share, _layer))
             return Advice(known.phrase, known.short.format(called, *told), mend, known.level, named)
-    first = re.match(r".{30,}?(?=[;:] | \(|$)|.*", sentence)[0].strip()
+    first = re.match(r".{30,}?(?=[;:] | \(|$)|.*", sentence.removeprefix("occluder "))[0].strip()
     return Advice("", first[:1].upper() + first[1:])
 
 

@@ -305,7 +305,7 @@ def test_materials_that_are_not_certain_are_said_shortly_and_once():
 
 def test_warnings_that_are_not_known_are_said_by_their_beginning():
     told = "occluder 'Table': material 'Lamp' shines, which is left out; something more (and more)"
-    assert advice.advice(told).short == "Occluder 'Table': material 'Lamp' shines, which is left out"
+    assert advice.advice(told).short == "'Table': material 'Lamp' shines, which is left out"
     assert advice.advice("a short one").short == "A short one"
     assert not advice.advice("a mesh of 62976 faces is mapped by projecting patches onto planes").short
 

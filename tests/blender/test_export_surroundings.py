@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from blender_btfsep.light import card
 from blender_btfsep.scene import export, surroundings
 from scripts.cycles import materials
+from tests.blender.found import lighting
 from tests.blender.test_export import add_cube, make_photo
 
 
@@ -143,6 +145,24 @@ def test_what_is_a_lamp_hides_no_light_and_what_glows_a_little_does(exported):
     for name, made_of in (("Screen", "Bright"), ("Tube", "Tube")):
         assert any(w.startswith(f"occluder '{name}' is left out, as material '{made_of}' shines") for w in warnings)
     assert "occluder 'Sign': material 'Faint' shines, which is left out" in warnings and len(warnings) == 3
+
+
+def test_what_is_left_out_is_said_on_the_card_with_what_to_do(exported):
+    floor(material("Tube", "ShaderNodeEmission"), name="Softbox", location=(0, 3, 0))
+    floor(material("Pane", "ShaderNodeBsdfGlass"), name="Window", location=(3, 0, 0))
+    floor(material("Hair", "ShaderNodeBsdfHair"), name="Wig", location=(0, 0, 3))
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=20)
+    bpy.context.object.name = "Dome"
+    _, warnings = exported()
+    shown = card.card_of({}, lighting(), warnings=warnings)["warnings"]
+    assert [(doubt["short"].split(":")[0], doubt["mend"]) for doubt in shown] == [
+        ("Softbox shines, and the World has its light, too", "SELECT"),
+        ("Dome stands around all", ""),
+        ("'Wig'", ""),
+        ("Window is see-through, and keeps no light away here", ""),
+    ]
+    assert shown[0]["object"] == "Softbox" and all("ccluder" not in doubt["short"] for doubt in shown)
+    assert all("hide it from renders" in doubt["short"] for doubt in shown[:2])
 
 
 def test_panes_and_bulbs_of_what_stands_around_hide_no_light(exported, tmp_path):
