@@ -20,7 +20,9 @@ def source(context, layout, entry, *, whole: bool = True) -> None:
     ``whole`` : with the choice between the ways to say it, and all that the library's materials can be
     """
     split = sidebar.fields(layout)
-    if whole:
+    if whole and sidebar.is_narrow(context):  # beside their name, its words would be cut off
+        layout.prop(entry, "source", text="")
+    elif whole:
         split.prop(entry, "source")
     if entry.source == "COLOUR":
         split.prop(entry, "colour")

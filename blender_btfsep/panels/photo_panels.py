@@ -119,7 +119,8 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
         split.prop(settings, "occluders")
         thing = context.object
         if settings.occluders == "OTHERS" and request.may_be_evidence(settings, thing):
-            split.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
+            place = layout if sidebar.is_narrow(context) else split
+            place.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects))

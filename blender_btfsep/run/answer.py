@@ -27,7 +27,7 @@ def take_materials(scene, objects: list, ids=None) -> list:
         entry = by_name.get(name)
         if entry is None:
             continue
-        entry.recognised, entry.unknown = material, unknown
+        entry.recognised, entry.unknown = "" if material == GIVEN else material, unknown  # what is given is not
         entry.candidates.clear()
         for candidate in found.get("candidates") or []:
             item = entry.candidates.add()

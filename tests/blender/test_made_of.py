@@ -224,7 +224,9 @@ def test_the_command_line_takes_what_the_panel_says(photographed, cube, tmp_path
 
 def test_what_was_given_is_called_so(photographed, cube):
     found = [{"name": "Cube", "material": "surface/given"}, {"name": "Else", "material": "wood/oak", "unknown": True}]
+    cube.recognised = "leather/brown"
     assert answer.take_materials(photographed, found) == ["Cube: as given", "Else: wood/oak (unsure)"]
+    assert not cube.recognised  # it is to be, where Made Of is set back to that
 
 
 @pytest.fixture

@@ -138,14 +138,21 @@ def test_a_colour_that_blender_knows_is_a_click_away_before_anything_is_estimate
 
 
 @pytest.mark.parametrize(("width", "words"), [(208, False), (400, True)])
-def test_in_a_narrow_sidebar_no_word_of_the_photos_panel_is_cut_off(photographed, width, words):
+def test_in_a_narrow_sidebar_words_have_the_room_that_there_is(photographed, width, words):
+    shown = {}
+
     class Kept(Everything):
         def prop(self, owner, name, **how):
-            self.shown.append((name, how.get("expand", False)))
+            shown[name] = how.get("expand", False), how.get("text")
 
-    panel = SimpleNamespace(layout=Kept())
-    photo_panels.BTFSEP_PT_photo.draw(panel, seen(width, scene=photographed))
-    assert ("overlay", words) in panel.layout.shown and ("overlay", not words) not in panel.layout.shown
+    panel, context = SimpleNamespace(layout=Kept()), seen(width, scene=photographed)
+    for kind in (photo_panels.BTFSEP_PT_photo, photo_panels.BTFSEP_PT_objects, light_panel.BTFSEP_PT_advanced):
+        kind.draw(panel, context)
+    assert shown["overlay"] == ((True, None) if words else (False, ""))
+    assert shown["source"] == (False, None if words else "")
+    assert [shown[name][1] for name in ("exposure_ev", "clamp")] == (
+        ["Photo Exposure", "Clamp Negative"] if words else ["Exposure", "Clamp"]
+    )
 
 
 def test_a_texture_with_light_in_it_has_a_button_and_a_field(photographed):
