@@ -14,17 +14,19 @@ MISFIT = "does not go with the photo"
 LOOK_ALIKE = "of which it is not known how it reflects"
 OUT_OF_LINE, MADE_UP_FOR = "geometry and photo do not line up", "geometry and photo did not line up"
 COLOUR_UNKNOWN = "the object's colour is not known"
+OVEREXPOSED, SATURATED = "are saturated or transparent", "pixels are saturated"
 BY_CURVE = "with the photo read by the tone curve that was found"
 RELIEF = "has a normal or bump map, which is not followed"  # the add-on says it itself
+LAYERS = {"fuzz of cloth": "as cloth (sheen)", "clear coat": "varnished (coat)"}  # the engine's words, Principled's
 FEW = 1e-3  # of the photo's pixels: of fewer that are left out nothing is said but under Details
 
 
 @dataclass(frozen=True)
 class Advice:
     """``phrase`` : part of the engine's sentence; ``short`` : what the panel says ({0}: the object, {1}: how much
-    brighter or darker it is, {2}: how rough, {3}: how much of it); "" hides it under Details; ``mend`` : key of
-    `mending.MENDS`, or "ALIGN", "UPRIGHT", "MASK", "FREEZE" (the suns), which have their own buttons; ``level`` :
-    the trust that is left at best; ``objects`` : what the engine's sentence names
+    brighter or darker it is, {2}: how rough, {3}: how much of it, {4}: what lies on it); "" hides it under Details;
+    ``mend`` : key of `mending.MENDS`, or "ALIGN", "UPRIGHT", "MASK", "FREEZE" (the suns), which have their own
+    buttons; ``level`` : the trust that is left at best; ``objects`` : what the engine's sentence names
     """
 
     phrase: str
@@ -36,7 +38,7 @@ class Advice:
 
 KNOWN = (
     Advice(OUT_OF_LINE, "Photo and geometry do not line up", "ALIGN", "RED"),
-    Advice(MADE_UP_FOR, "The camera is off; the engine made up for it", "ALIGN"),
+    Advice(MADE_UP_FOR, "Objects or camera are out of place; the engine made up for it", "ALIGN"),
     Advice(MATERIAL, ""),
     Advice(
         NONE_OF_THESE,
@@ -98,7 +100,7 @@ KNOWN = (
     Advice("where its surface says", "The photo shows {0} with a roughness of {2}; the light goes by that", "SELECT"),
     Advice(
         "of which its surface says nothing",
-        "The photo shows {0} as cloth, or varnished, which Blender does not know; the light goes by that",
+        "The photo shows {0} {4}, of which its material says nothing; the light goes by that",
         "SELECT",
     ),
     Advice(
@@ -117,9 +119,9 @@ KNOWN = (
         "lamps are clipped in what mirrors", "How bright the mirror's overexposed lamps are is a guess", level="AMBER"
     ),
     Advice("left out of what the objects are made of", "Not all of what {0} is made of is followed", level="AMBER"),
-    Advice("are saturated or transparent", "Much of {0} is overexposed or transparent in the photo"),
+    Advice(OVEREXPOSED, "{3} of {0} is overexposed or transparent in the photo"),
     Advice("pixels are transparent", "Transparent pixels of the photo are left out"),
-    Advice("pixels are saturated", "Overexposed pixels are left out"),
+    Advice(SATURATED, "Overexposed pixels are left out"),
     Advice("is mapped by projecting patches", ""),
     Advice("is negative in some directions", ""),
     Advice("have no area and are left out", ""),
@@ -139,8 +141,17 @@ KNOWN = (
     Advice("a depth shows one side", "The depth shows one side of it only"),
 )
 
-OURS = (Advice(RELIEF, "Bumps of {0}'s material are not followed: the light goes by the mesh alone"),)
-"""What the add-on says itself (`scene.own_surface`)."""
+OURS = (
+    Advice(RELIEF, "Bumps of {0}'s material are not followed: the light goes by the mesh alone"),
+    Advice(
+        "its light is found as the World's",
+        "{0} shines, and the World has its light, too: switch its emission off, or hide it from renders",
+        "SELECT",
+    ),
+    Advice("like a sky or a room", "{0} stands around all: hide it from renders, or it keeps the World's light out"),
+    Advice("is left out, as light goes through", "{0} is see-through, and keeps no light away here"),
+)
+"""What the add-on says itself (`scene.own_surface`, `scene.surroundings`, `scene.export`)."""
 
 
 def advice(sentence: str) -> Advice:
@@ -155,14 +166,9 @@ def advice(sentence: str) -> Advice:
             if not named:  # of what has no name, nothing can be selected
                 called, mend = ("what stands around", "") if mend == "SELECT" else ("the object", mend)
                 called = called[:1].upper() + called[1:] if known.short.startswith("{0}") else called
-            return Advice(
-                known.phrase,
-                known.short.format(called, _how_much(sentence), _how_rough(sentence), _share(pixels)),
-                mend,
-                known.level,
-                named,
-            )
-    first = re.match(r".{30,}?(?=[;:] | \(|$)|.*", sentence)[0].strip()
+            told = (asked(sentence) for asked in (_how_much, _how_rough, _share, _layer))
+            return Advice(known.phrase, known.short.format(called, *told), mend, known.level, named)
+    first = re.match(r".{30,}?(?=[;:] | \(|$)|.*", sentence.removeprefix("occluder "))[0].strip()
     return Advice("", first[:1].upper() + first[1:])
 
 
@@ -177,12 +183,18 @@ def _how_rough(sentence: str) -> str:
     return ", ".join(re.findall(r"a roughness of ([\d.]+)", sentence))
 
 
-def _share(pixels) -> str:
-    """How much of the pixels, of a match of how many of how many: "33 %"; of none, "A part"."""
-    if pixels is None:
+def _share(sentence: str) -> str:
+    """How much of the pixels a sentence tells of: "33 %"; of none, "A part"."""
+    counted, told = re.search(r"\b(\d+) of (\d+) pixels", sentence), re.search(r"\b(\d+) % of the pixels", sentence)
+    if counted is None and told is None:
         return "A part"
-    share = 100 * int(pixels[1]) / max(int(pixels[2]), 1)
+    share = 100 * int(counted[1]) / max(int(counted[2]), 1) if counted else int(told[1])
     return f"{share:.0f} %" if share >= 1 else "A little"
+
+
+def _layer(sentence: str) -> str:
+    """What is said to lie on an object, in Principled's word; of several objects all that is."""
+    return " or ".join(words for layer, words in LAYERS.items() if layer in sentence)
 
 
 def worst(*levels) -> str:

@@ -19,14 +19,16 @@ from .advice import (
     MISFIT,
     NONE_OF_THESE,
     OUT_OF_LINE,
+    OVEREXPOSED,
     RELIEF,
+    SATURATED,
     advice,
     worst,
 )
 from .light_words import EVEN, ONE_SIDED, angles, brighter_side, colour_words, direction_words, irradiance, size_words
 
 GOOD, FAIR = 0.15, 0.35  # the expected error up to which the light is green, and amber
-TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Not stated"}
+TRUST = {"GREEN": "Good", "AMBER": "Fair", "RED": "Doubtful", "NONE": "Its error is not stated"}
 LEAST_LAMP = 0.1  # of the light: a lamp of less is no key light
 BROAD = 15.0  # degrees: the engine's lamps that are no suns
 MOST_NAMES = 3
@@ -44,11 +46,14 @@ OF_JOBS = {  # what jobs call things, and what the panel does
 }
 SAVED_BY = re.compile(r"of what Blender saved by evidence (?:Blender's view transform )?(.+?) \(probability ([\d.]+)\)")
 SURE = 0.9  # of the view by which a render was saved: of what is more probable, nothing is asked
-# Of two doubts, the second says nothing more: its colour is asked for, its material, or the camera is off still.
+FILE_NAME = re.compile(r"[^:;]+\.\w{2,4}: ")  # begins a sentence about a file
+# Of two doubts, the second says nothing more: its colour is asked for, its material, the camera is off still, or how
+# much of an object it is.
 SAID_ALREADY = (
     *((NONE_OF_THESE, other) for other in (MISFIT, COLOUR_UNKNOWN, LOOK_ALIKE)),
     (LOOK_ALIKE, MISFIT),
     (OUT_OF_LINE, MADE_UP_FOR),
+    (OVEREXPOSED, SATURATED),
 )
 UNKNOWN = (NONE_OF_THESE, COLOUR_UNKNOWN, RELIEF)  # of an object: what else does not fit may come of that
 BEHIND = "what the mirror hides"
@@ -115,8 +120,11 @@ def card_of(result: dict, lighting: dict, to_world=None, *, warnings=(), metres_
 
 
 def _rank(advised) -> int:
-    """Which of two doubts comes of the other: what an object is made of, then what stands around it, then the rest."""
-    return 0 if advised.phrase in UNKNOWN else 1 if advised.mend == "SELECT" else 2
+    """Which of two doubts comes of the other: what is out of place, then what an object is made of, then what stands
+    around it, then the rest."""
+    if advised.phrase in (OUT_OF_LINE, MADE_UP_FOR):
+        return 0
+    return 1 if advised.phrase in UNKNOWN else 2 if advised.mend == "SELECT" else 3
 
 
 def doubt_of(advised) -> dict:
@@ -262,5 +270,6 @@ def plain(sentence: str) -> str:
 
 
 def capitalised(words) -> list:
-    """Sentences; one that begins with a material's name keeps that name as it is."""
-    return [word[:1].upper() + word[1:] if word.split()[0].isalpha() else word for word in words if word.strip()]
+    """Sentences; one that begins with the name of a material or a file keeps that name as it is."""
+    kept = [word for word in words if word.strip()]
+    return [w[:1].upper() + w[1:] if w.split()[0].isalpha() and not FILE_NAME.match(w) else w for w in kept]

@@ -72,6 +72,11 @@ def kept(scene):
     return next((light for light in both if light and light.text), None)
 
 
+def is_the_world(scene, light) -> bool:
+    """Whether ``light``, of :func:`kept`, is what the scene's World was made of."""
+    return scene.world is not None and scene.world.btfsep_kept.text == light.text
+
+
 def lighting_of(light) -> dict:
     """The lighting that is kept, as lighting_file.read gives it; of a mirror with "map", the sky as that shows it.
 

@@ -111,7 +111,8 @@ def small(image, file=None):
     """
     global _last
     file = file if image.source == "SEQUENCE" else None
-    key = (image.session_uid, image.filepath_raw, str(file), tuple(image.size), image.colorspace_settings.name)
+    place = image.session_uid, image.filepath_raw, str(file), photo.stamp_of(image)
+    key = (*place, tuple(image.size), image.colorspace_settings.name)
     if image.is_dirty or key != _last[0]:
         _last = (key, _read_small(image, file))
     return _last[1]

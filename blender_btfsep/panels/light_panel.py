@@ -67,6 +67,8 @@ class BTFSEP_PT_light(sidebar.Sidebar, bpy.types.Panel):
         if "FREEZE" not in {doubt["mend"] for doubt in doubts.of_card(context.scene)}:
             doubts.suns(context, layout)
         if light is not None:
+            if not kept_light.is_the_world(context.scene, light):
+                labels.wrapped(context, layout, "This light is not the World now", icon="INFO")
             layout.operator("btfsep.apply", icon="WORLD")
         if ours:
             layout.operator("btfsep.restore_world", icon="LOOP_BACK")
@@ -153,7 +155,8 @@ class BTFSEP_PT_advanced(sidebar.Sidebar, bpy.types.Panel):
         column.prop(settings, "world_mode")
         if settings.world_mode != "NONE":
             column.prop(settings, "sun_lamp")
-        column.prop(settings, "exposure_ev", text="Photo Exposure")
+        narrow = sidebar.is_narrow(context)  # then shorter words
+        column.prop(settings, "exposure_ev", text="Exposure" if narrow else "Photo Exposure")
         row = column.row(align=True)
         row.prop(settings, "depth")
         row.operator("btfsep.open_picture", text="", icon="FILE_FOLDER").target = "depth"
@@ -162,7 +165,7 @@ class BTFSEP_PT_advanced(sidebar.Sidebar, bpy.types.Panel):
         sidebar.engine_rows(column, settings, "advanced")
         column.prop(settings, "mapping")
         if settings.world_mode != "NONE":
-            column.prop(settings, "clamp")
+            column.prop(settings, "clamp", text="Clamp" if narrow else "Clamp Negative")
         if sequence_run.is_sequence(settings.image):
             column.prop(settings, "interpolation")
 

@@ -7,7 +7,7 @@ from ..basics import labels
 from ..engine import preferences
 from ..run import runs
 from ..scene import own_surface
-from ..window import icons, library
+from ..window import icons, library, mending
 from . import sidebar
 
 SHOWN = 3  # candidates in the panel
@@ -20,7 +20,9 @@ def source(context, layout, entry, *, whole: bool = True) -> None:
     ``whole`` : with the choice between the ways to say it, and all that the library's materials can be
     """
     split = sidebar.fields(layout)
-    if whole:
+    if whole and sidebar.is_narrow(context):  # beside their name, its words would be cut off
+        layout.prop(entry, "source", text="")
+    elif whole:
         split.prop(entry, "source")
     if entry.source == "COLOUR":
         split.prop(entry, "colour")
@@ -31,8 +33,10 @@ def source(context, layout, entry, *, whole: bool = True) -> None:
     elif entry.source == "LIBRARY":
         _library(context, layout, entry, whole)
     elif whole and not entry.recognised and own_surface.tells_a_colour(entry.object):
-        words = "Its material in Blender has a colour: As in Blender takes that, and is sooner done"
+        words = "Its material in Blender has a colour: that is surer than what is recognised, and sooner done"
         labels.wrapped(context, layout, words, icon="INFO")
+        button = layout.operator("btfsep.mend", text=mending.WORDS["BLENDER"], icon="MATERIAL")
+        button.how, button.object = "BLENDER", entry.object.name
     elif entry.candidates:
         _candidates(context, layout, entry)
 

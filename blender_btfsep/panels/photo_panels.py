@@ -16,8 +16,9 @@ class BTFSEP_UL_objects(bpy.types.UIList):
         if item.object is None:
             layout.label(text="(deleted)", icon="ERROR")
             return
-        row = layout.split(factor=0.48, align=True)
-        row.prop(item.object, "name", text="", emboss=False, icon="OBJECT_DATA")
+        narrow = sidebar.is_narrow(context)  # then the name has what room there is
+        row = layout.split(factor=0.6 if narrow else 0.48, align=True)
+        row.prop(item.object, "name", text="", emboss=False, icon="NONE" if narrow else "OBJECT_DATA")
         open_ = item.source == "RECOGNISE"
         known = {"COLOUR": "colour", "BLENDER": "as in Blender", "LIBRARY": item.material or "choose"}.get(
             item.source, item.recognised or "to recognise"
@@ -77,7 +78,10 @@ class BTFSEP_PT_photo(sidebar.Sidebar, bpy.types.Panel):
         if request.listed(settings):
             column = layout.column(align=True)
             column.label(text="Over the Photo", icon="OVERLAY")
-            column.row(align=True).prop(runs.run_state(), "overlay", expand=True)
+            if sidebar.is_narrow(context):  # four words in a row would be cut off
+                column.prop(runs.run_state(), "overlay", text="")
+            else:
+                column.row(align=True).prop(runs.run_state(), "overlay", expand=True)
             if runs.run_state().overlay != "OFF" and outlines.too_fine(scene):
                 labels.wrapped(context, layout, "A mesh has too many faces to be drawn over the photo", icon="INFO")
             sidebar.refine_alignment(layout, settings)
@@ -115,7 +119,8 @@ class BTFSEP_PT_objects(sidebar.Sidebar, bpy.types.Panel):
         split.prop(settings, "occluders")
         thing = context.object
         if settings.occluders == "OTHERS" and request.may_be_evidence(settings, thing):
-            split.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
+            place = layout if sidebar.is_narrow(context) else split
+            place.prop(thing, "btfsep_evidence", text=f"'{thing.name}' as Evidence")
 
 
 register, unregister = bpy.utils.register_classes_factory((BTFSEP_UL_objects, BTFSEP_PT_photo, BTFSEP_PT_objects))

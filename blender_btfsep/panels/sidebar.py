@@ -4,6 +4,7 @@
 from ..engine import engine_settings
 
 NARROW = 250  # pixels of the sidebar's width, at scale 1, below which the words of two buttons do not stand in a row
+AUTO = 1.15  # widths of its word that the switch beside a number has
 
 
 class Sidebar:
@@ -38,7 +39,9 @@ def engine_rows(column, settings, part: str) -> None:
             value.prop(settings, s.name)
             if s.auto:
                 value.active = not getattr(settings, f"auto_{s.name}")
-                row.prop(settings, f"auto_{s.name}", text="Auto", toggle=True)
+                auto = row.row(align=True)
+                auto.scale_x = AUTO  # or its word is cut off in a narrow sidebar
+                auto.prop(settings, f"auto_{s.name}", text="Auto", toggle=True)
 
 
 def refine_alignment(layout, settings) -> None:

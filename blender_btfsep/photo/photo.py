@@ -22,9 +22,11 @@ FLOAT = {".exr", ".hdr"}
 CODED = {"sRGB": "auto", "Display P3": "display-p3", "sRGB Encoded P3-D65": "display-p3"}
 """Blender's colour spaces that have sRGB's curve, and their primaries for the engine (auto: what the file says)."""
 MOVIE = "save it as an image sequence, or the frame as an image, and open that"
+SINGLE = "open the photo as a single image"
 RENDERED = "is a render that is in no file: save it (Image > Save As) and open that"
 LINEAR = {"Linear Rec.709", "Linear", "Non-Color", "Raw"}
 _last = None, FileFacts()
+_read: dict = {}  # (session number, path) of an image -> of its file, as `stamp_of`, when it was first looked at
 
 
 class JobPhoto(NamedTuple):
@@ -98,20 +100,44 @@ def size_of(image) -> tuple[int, int]:
         bpy.data.images.remove(one)
 
 
+def stamp_of(image) -> tuple | None:
+    """When the file of ``image`` was written, and its bytes; None where the image is no file's, or that is gone."""
+    if image.source != "FILE" or image.is_dirty or image.packed_file or not image.filepath_raw:
+        return None
+    try:
+        stat = file_of(image).stat()
+    except OSError:
+        return None
+    stamp = stat.st_mtime_ns, stat.st_size
+    _read.setdefault(_key(image), stamp)
+    return stamp
+
+
+def _key(image) -> tuple:
+    return image.session_uid, str(file_of(image))
+
+
+def read_anew(image) -> None:
+    """Has Blender read ``image`` anew where its file was written since it was first looked at.
+
+    Blender keeps the pixels that it read; a job has the file, which may have another size by now.
+    """
+    stamp = stamp_of(image)
+    if stamp is not None and _read[_key(image)] != stamp:
+        _read[_key(image)] = stamp
+        image.reload()
+
+
 def facts_of_image(image) -> FileFacts:
     """What the file of ``image`` says of it; nothing where the image is no file's. For a panel: it is read once."""
     global _last
     if image is None or image.source != "FILE" or image.is_dirty:
         return FileFacts()
     path, packed = file_of(image), image.packed_file
-    try:
-        stat = None if packed or path is None else path.stat()
-    except OSError:
+    stamp = packed.size if packed else stamp_of(image)
+    if stamp is None:
         return FileFacts()
-    if packed is None and stat is None:
-        return FileFacts()
-    stamp = packed.size if packed else (stat.st_mtime_ns, stat.st_size)
-    key = image.session_uid, str(path), bool(packed), stamp
+    key = *_key(image), bool(packed), stamp
     if key != _last[0]:
         _last = key, facts_of(packed.data if packed else path)
     return _last[1]
@@ -158,7 +184,7 @@ def _only_one(image) -> None:
     if image.source == "MOVIE":
         raise InputError(f"the photo {image.name}", "it is a movie", MOVIE)
     if image.source == "TILED":
-        raise InputError(f"the photo {image.name}", "it is made of tiles (UDIM)", "open the photo as a single image")
+        raise InputError(f"the photo {image.name}", "it is made of tiles (UDIM)", SINGLE)
 
 
 def _put_image(image, folder: Path, stem: str = "photo"):

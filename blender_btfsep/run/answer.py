@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the engine answers, put into the scene and said in sentences; for the buttons and the command line alike."""
 
+import re
 from pathlib import Path
 
 from ..light import kept_light, lighting_file, sun_lamp, world
@@ -21,12 +22,12 @@ def take_materials(scene, objects: list, ids=None) -> list:
     sentences = []
     for found in objects or []:
         name, material, unknown = found.get("name"), str(found.get("material") or ""), bool(found.get("unknown"))
-        called = "as given" if material == GIVEN else material
+        called = "as given" if material == GIVEN else re.sub("^surface/", "plain ", material)  # that is no library's
         sentences.append(f"{name}: {called}" + (" (unsure)" if unknown else ""))
         entry = by_name.get(name)
         if entry is None:
             continue
-        entry.recognised, entry.unknown = material, unknown
+        entry.recognised, entry.unknown = "" if material == GIVEN else material, unknown  # what is given is not
         entry.candidates.clear()
         for candidate in found.get("candidates") or []:
             item = entry.candidates.add()

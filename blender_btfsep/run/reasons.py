@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Why a run cannot be begun, in sentences for tooltips: told by looks alone, before a click. Nothing here is slow."""
 
+from pathlib import Path
+
 from mathutils import Vector
 
 from ..photo import camera as pinhole
 from ..photo import photo, upright
-from ..scene import meshes
+from ..scene import meshes, own_surface
 from . import runs
 
 
@@ -32,8 +34,8 @@ def of_picture(scene, settings) -> str:
 def _of_photo(image, camera, frame: int) -> str:
     if image is None:
         return "Choose the photo first"
-    if image.source == "MOVIE":
-        return f"'{image.name}' is a movie: {photo.MOVIE}"
+    if image.source in ("MOVIE", "TILED"):
+        return no_single_picture(image)
     if image.type == "RENDER_RESULT":  # in a window it has a size, and still no pixels
         return f"The photo '{image.name}' {photo.RENDERED}"
     path = photo.file_at(image, camera, frame)
@@ -41,6 +43,13 @@ def _of_photo(image, camera, frame: int) -> str:
     if not kept and (path is None or not path.is_file()):
         return f"The photo's file {path.name if path else ''} is not there: choose the photo again"
     return ""
+
+
+def no_single_picture(image) -> str:
+    """Why an image, which is a movie or made of tiles, is no photo; empty of others."""
+    if image.source == "MOVIE":
+        return f"'{image.name}' is a movie: {photo.MOVIE}"
+    return f"'{image.name}' is made of tiles (UDIM): {photo.SINGLE}" if image.source == "TILED" else ""
 
 
 def of_camera(camera) -> str:
@@ -106,6 +115,8 @@ def _is_outside(frame, kind: str, corners) -> bool:
 def _of_entry(name: str, entry, view_layer, settings) -> str:
     thing = entry.object
     if thing is not None and settings.depth is None:
+        if thing.library is not None and thing.is_missing:
+            return f"'{name}' is linked from {Path(thing.library.filepath).name}, which is not there or has it no more"
         if not meshes.has_surface(thing):
             return f"'{name}' has no surface: take it off the list"
         if not thing.users_collection:
@@ -120,6 +131,11 @@ def _of_entry(name: str, entry, view_layer, settings) -> str:
         known = [material.name for material in runs.run_state().library]
         if known and entry.material not in known:
             return f"The library has no material '{entry.material}', which '{name}' is to be of"
+    if own_surface.chosen(entry) == own_surface.BLENDER:
+        gone = own_surface.missing_image(thing)
+        if gone is not None:
+            cure = "find it (File > External Data), or give the object's Colour"
+            return f"The file of image '{gone.name}', of which '{name}' is made, is not there: {cure}"
     mask = entry.mask
     if mask is not None and all(settings.image.size) and tuple(mask.size) != tuple(settings.image.size):
         return f"The mask of '{name}' has another size than the photo: take it away, and press + in its place"

@@ -9,6 +9,7 @@ import bpy
 
 from ..basics.errors import InputError
 from ..engine import engine_process, engine_settings, preferences
+from ..photo import photo
 from ..scene import export, meshes, own_surface
 from . import export_child, reasons, runs
 
@@ -105,6 +106,7 @@ def write_job(
     settings = scene.btfsep
     if image is None and settings.image is None:
         raise InputError("the photo", "none is chosen", "choose it in the BTFsep panel, or give --image FILE")
+    _read_anew(settings)
     if depth and objects:
         raise InputError("--depth", "objects are named, too", "give the one or the other")
     by_object = {entry.object: entry for entry in listed(settings)}
@@ -137,6 +139,13 @@ def write_job(
     return path.parent
 
 
+def _read_anew(settings) -> None:
+    """Photo and masks as their files are now: another program may have written them since they were opened."""
+    pictures = [settings.image, *(entry.mask for entry in listed(settings))]
+    for image in dict.fromkeys(filter(None, pictures)):
+        photo.read_anew(image)
+
+
 def job_slices(context, **given):
     """As :func:`write_job`, as a generator that gives way while a Blender of its own exports a large scene.
 
@@ -144,6 +153,7 @@ def job_slices(context, **given):
     """
     if given or not export_child.wanted(context, context.scene.btfsep):
         return write_job(context, **given)
+    _read_anew(context.scene.btfsep)
     number, layer, folder = context.scene.session_uid, context.view_layer.name, job_folder(context.scene)
     yield  # the panel says what is going on
     scene = next((each for each in bpy.data.scenes if each.session_uid == number), None)
@@ -180,6 +190,7 @@ def renewed(context, job: dict, folder) -> dict | None:
     None where that is not all, and it has to be written anew. Raises InputError.
     """
     settings = context.scene.btfsep
+    _read_anew(settings)
     objects = [] if settings.depth else [entry.object for entry in listed(settings)]
     given = {"image_path": settings.image, "camera": settings.camera, "objects": objects, "curve": settings.curve}
     return export.renewed(job, context, folder, **given)

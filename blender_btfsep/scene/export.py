@@ -273,6 +273,9 @@ def _mapped(part: dict | None, mapping: str, name: str) -> dict:
     if part is None:
         got, do = "it has no faces, or the view layer excludes it", "include its collection, or choose another"
         raise InputError(f"object '{name}'", got, do)
+    if not part["areas"]:
+        got = "it has no area: its scale is zero, or there are no numbers in its mesh"
+        raise InputError(f"object '{name}'", got, "set that right, or take it off the list")
     if mapping == "UNWRAP":
         return {**part, "uv": unwrap.angle_based(part["positions"], part["vertex"], name)}
     if mapping == "OWN" and part["uv"] is None:

@@ -17,6 +17,7 @@ FINISH = ("roughness", "metallic", "specular")  # in an image of finishes: red, 
 VARYING = ("Roughness", "Metallic", "Specular IOR Level", "Base Color", "Color")  # inputs whose links are baked
 MOST_FINISHES = 16  # that a job may have of one object
 RELIEF = "material '{}' has a normal or bump map, which is not followed: the light goes by the mesh's own shape"
+FIND = "find it (File > External Data > Find Missing Files), or give the object's colour"
 NEW = 0.8  # of each channel of a new material's colour, which says nothing
 ALIKE = 0.01  # numbers of materials that differ by less are one
 
@@ -56,12 +57,19 @@ def material_words(thing) -> str:
 
 def tells_a_colour(thing) -> bool:
     """Whether the Blender material of an object (or None) says a colour: another one than a new material has."""
-    if thing is None:
-        return False
-    slots = thing.material_slots
-    if thing.instance_type == "COLLECTION" and thing.instance_collection:
-        slots = [slot for each in thing.instance_collection.all_objects for slot in each.material_slots]
-    return any(_is_coloured(slot.material) for slot in slots)
+    return any(_is_coloured(slot.material) for slot in _slots(thing))
+
+
+def missing_image(thing):
+    """An image of the object's own material whose file is not there; None where all are."""
+    return next((image for s in _slots(thing) for image in surroundings.missing_images(s.material)), None)
+
+
+def _slots(thing) -> list:
+    """The material slots of an object (or None), of an instance those of what it instances."""
+    held = thing.instance_collection if thing is not None and thing.instance_type == "COLLECTION" else None
+    things = held.all_objects if held is not None else [thing] if thing is not None else []
+    return [slot for each in things for slot in each.material_slots]
 
 
 def _is_coloured(material) -> bool:
@@ -131,6 +139,9 @@ def surface_of(name: str, part: dict | None, surfaces: dict | None, folder, *, m
     if part is None:
         raise InputError("the surface of the depth", "it has no material of its own", "give its colour, or a material")
     told = []
+    gone = next((image for material in part["areas"] for image in surroundings.missing_images(material)), None)
+    if gone is not None:
+        raise InputError(f"object '{name}'", surroundings.GONE.format(gone.name), FIND)
     try:
         surface = surroundings.surface_of(part["areas"], told.append)
     except surroundings.Clear as error:

@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands around the objects, as a job has it: of what it is made, and what is no occluder at all."""
 
+import bpy
 import numpy as np
 from mathutils import Vector
 from mathutils.bvhtree import BVHTree
 
 from ..basics import pixels
 from ..basics.colour import to_rec709
+from ..basics.scratch import scratch
+from ..photo import photo
 from .bake import source_of
 
 DEFAULT = {"base_color": [0.8, 0.8, 0.8], "roughness": 1.0, "metallic": 0.0, "specular": 0.0}  # Cycles', of no material
 LAYERS = {"coat": 0.0, "coat_roughness": 0.03, "sheen": [0.0, 0.0, 0.0], "sheen_roughness": 0.5}  # of Principled
 BLACK = DEFAULT | {"base_color": [0.0, 0.0, 0.0]}
 RELIEF = {"NORMAL_MAP", "BUMP"}
+OF_FILES = {"FILE", "SEQUENCE", "MOVIE", "TILED"}  # sources of images
+GONE = "the file of image '{}' is not there"
 CLEAR = {"BSDF_GLASS", "BSDF_REFRACTION", "BSDF_TRANSPARENT", "BSDF_TRANSLUCENT"}
 SENDS = 1.0  # radiance of what is a lamp: as much as the whitest things send under a sky of brightness one
 SHINING = "material '{}' shines: its light is found as the World's, and a render that shows both has it twice"
@@ -131,9 +136,54 @@ def _numbers(material, warn, otherwise: str = NOT_KNOWN) -> dict | None:
         return None
     base = _colour(colour)
     if base is None:
-        warn(f"the colour of {what} is neither a number nor an image; {otherwise}")
+        gone = missing_images(material)
+        warn(f"{GONE.format(gone[0].name) if gone else _unread(what)}; {otherwise}")
         return None
     return {"base_color": np.clip(base, 0, 1), "roughness": float(np.clip(roughness, 0, 1)), **more}
+
+
+def _unread(what: str) -> str:
+    return f"the colour of {what} is neither a number nor an image"
+
+
+def missing_images(material, *, relief: bool = False) -> list:
+    """The images that a material (or None) takes from files that are not there, which Blender renders pink.
+
+    ``relief`` : also those of normals, bumps and displacement. For a panel, too: no image is read.
+    """
+    output = material.node_tree.get_output_node("CYCLES") if material and material.use_nodes else None
+    ends = [output.inputs[name] for name in ("Surface", *(["Displacement"] * relief))] if output else []
+    idle, seen = set() if relief else RELIEF, set()
+    return [image for end in ends for image in _images_before(end, idle, seen) if _is_missing(image)]
+
+
+def _images_before(socket, idle: set, seen: set) -> list:
+    """The images of all nodes before an input, but for what feeds nodes of types that are ``idle``.
+
+    ``seen`` : (tree, name) of nodes that were looked at.
+    """
+    source = source_of(socket)
+    node = source and source.node
+    if node is None or node.type in idle or (node.id_data, node.name) in seen:
+        return []
+    seen.add((node.id_data, node.name))
+    found = [node.image] if node.type == "TEX_IMAGE" and node.image else []
+    inner = node.node_tree.nodes if node.type == "GROUP" and node.node_tree else ()
+    ends = [each for each in inner if each.type == "GROUP_OUTPUT" and each.is_active_output]
+    return found + [image for each in (node, *ends) for i in each.inputs for image in _images_before(i, idle, seen)]
+
+
+def _is_missing(image) -> bool:
+    files = () if image.packed_files or image.is_dirty or image.source not in OF_FILES else files_of(image)
+    return any(file is None or not file.is_file() for file in files)
+
+
+def files_of(image) -> list:
+    """The file of an image, of one of tiles (UDIM) those of all; None where none is named."""
+    file = photo.file_of(image)
+    if file is None or image.source != "TILED":
+        return [file]
+    return [file.with_name(file.name.replace("<UDIM>", str(tile.number))) for tile in image.tiles]
 
 
 def with_relief(areas: dict) -> list:
@@ -232,7 +282,10 @@ def _colour(socket):
 
 
 def mean_of_image(image):
-    """(3,) linear mean of an image's colours; None where it cannot be read."""
+    """(3,) linear mean of an image's colours, of all its tiles; None where it cannot be read."""
+    if image.source == "TILED" and not image.packed_files:  # Blender gives the pixels of the first tile alone
+        means = [_mean_of_file(file, image.colorspace_settings.name) for file in files_of(image) if file.is_file()]
+        return np.mean(means, 0) if means and all(mean is not None for mean in means) else None
     coded = image.colorspace_settings.name == "sRGB" and not image.is_float
     if not all(image.size) or not (coded or image.is_float or image.colorspace_settings.is_data):
         return None
@@ -241,6 +294,13 @@ def mean_of_image(image):
         colours = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
     mean = colours.mean(0, dtype=np.float64)
     return to_rec709(mean) if image.is_float and not image.colorspace_settings.is_data else mean
+
+
+def _mean_of_file(file, colorspace: str):
+    with scratch() as own:
+        image = own(bpy.data.images.load(str(file), check_existing=False))
+        image.colorspace_settings.name = colorspace
+        return mean_of_image(image)
 
 
 def encloses(positions, *places) -> bool:

@@ -2,6 +2,7 @@
 """The button that brings camera and objects into line with the photo, by the engine's ``align``."""
 
 import json
+import re
 from pathlib import Path
 
 import bpy
@@ -20,6 +21,7 @@ MOVES = (
     ("OBJECTS", "Move the Objects", "The objects go to where they were, seen from the camera", "OBJECT_DATA", 1),
 )
 HELD = 1e-3  # of the camera's distance: what is left of a move where something else places the object
+WHY = re.compile(r"(?:moved: |left as it is: )?(.*?)(?:, by [\d.]+ deviations.*| \(.*)?$")  # of what the engine says
 OLDER = "The light below is of how things stood before: estimate it again"
 
 
@@ -74,7 +76,7 @@ def _above(thing):
 def in_words(result: dict, moved: str) -> str:
     """What an alignment did, in sentences."""
     if not result["aligned"]:
-        return f"Nothing was moved; {result['why']}"
+        return f"Nothing was moved; {_plain(result['why'])}"
     if result.get("depth_shift"):
         right, down = result["depth_shift"]
         how = f"{right:+.1f} pixels to the right, {down:+.1f} down"
@@ -84,8 +86,13 @@ def in_words(result: dict, moved: str) -> str:
     return f"{moved} moved: {how}\n{_sentence(result['why'])}"
 
 
+def _plain(why: str) -> str:
+    """The engine's reason without its numbers: the outlines over the photo show what they tell."""
+    return WHY.match(why)[1]
+
+
 def _sentence(why: str) -> str:
-    return why[:1].upper() + why[1:]
+    return _plain(why)[:1].upper() + _plain(why)[1:]
 
 
 class BTFSEP_OT_refine_alignment(operators.NeedsScene, runs.EngineOperator, bpy.types.Operator):

@@ -41,7 +41,7 @@ class BTFSEP_OT_import_lighting(buttons.AtOnce, bpy.types.Operator, ImportHelper
     """Make a light in a file the World of the scene: BTFsep's own, an environment map, or cmgen's harmonics"""
 
     bl_idname = "btfsep.import_lighting"
-    bl_label = "Import BTFsep Lighting"
+    bl_label = "Import Lighting"  # as long as the file browser's button shows
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = ".json"
@@ -78,7 +78,7 @@ class BTFSEP_OT_export_lighting(buttons.Greyed, buttons.AtOnce, bpy.types.Operat
     """Write the light as World and Sun lamps have it now, with all that was changed of it"""
 
     bl_idname = "btfsep.export_lighting"
-    bl_label = "Export BTFsep Lighting"
+    bl_label = "Export Lighting"
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = ""

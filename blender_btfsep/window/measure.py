@@ -13,7 +13,7 @@ from bpy.props import BoolProperty, FloatProperty, StringProperty
 from ..basics.errors import InputError
 from ..engine import engine_settings, preferences
 from ..run import buttons, runs
-from ..scene import bake
+from ..scene import bake, surroundings
 from . import library, properties
 
 RESOLUTION = 512  # pixels along an edge of the baked maps
@@ -66,6 +66,10 @@ def write_maps(scene, thing, material, folder, *, size_mm: float, height_mm: flo
     """
     if not 0 <= height_mm <= size_mm:
         raise InputError("the height", f"{height_mm:g} mm", "give 0 (as the material says) to the size of the patch")
+    gone = surroundings.missing_images(material, relief=True)
+    if gone:
+        cure = "find it (File > External Data > Find Missing Files)"
+        raise InputError(f"material '{material.name}'", surroundings.GONE.format(gone[0].name), cure)
     millimetres = 1000 * scene.unit_settings.scale_length
     names = [layer.name for layer in thing.data.uv_layers] if thing.type == "MESH" else []
     grown = abs(thing.matrix_world.determinant()) ** (1 / 3)

@@ -75,8 +75,9 @@ class BTFSEP_OT_mend(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
             return select(context, self.object.splitlines())
         said = self._mend(context)
         light = kept_light.kept(context.scene)
-        if light is not None:
-            light.mended = json.dumps([*done(light), [self.how, self.object]])
+        if light is None:
+            return said.removesuffix(f"; {AGAIN}")
+        light.mended = json.dumps([*done(light), [self.how, self.object]])
         return said
 
     def _mend(self, context) -> str:

@@ -126,8 +126,9 @@ class BTFSEP_OT_use_photo(buttons.Greyed, buttons.AtOnce, bpy.types.Operator):
     def reason(context) -> str:
         scene, settings = context.scene, context.scene.btfsep
         camera = settings.camera or scene.camera
-        lacking = reasons.of_camera(camera)
-        return lacking or ("" if settings.image or background(camera) else "Open the photo first")
+        image = settings.image or background(camera)
+        no_photo = reasons.no_single_picture(image) if image else "Open the photo first"
+        return reasons.of_camera(camera) or no_photo
 
     def do(self, context):
         return use(context)
@@ -163,10 +164,11 @@ def use(context) -> str:
     """Puts the photo behind the camera and gives the render its resolution; what was done, in a sentence."""
     scene, settings = context.scene, context.scene.btfsep
     camera = settings.camera or scene.camera
-    settings.image = image = settings.image or background(camera)
+    image = settings.image or background(camera)
     size = photo.size_of(image)
     if not all(size):
         raise InputError(f"the photo '{image.name}'", *f"it {photo.lacks_pixels(image)}".split(": "))
+    settings.image = image
     words = fit_render(scene, size)
     words += put_behind(scene, camera, image, size)
     file = photo.file_at(image, camera, scene.frame_current)

@@ -17,6 +17,7 @@ from blender_btfsep.light import (
 from blender_btfsep.run import answer
 from btfsep_engine import sh
 from btfsep_engine.pipeline import delighting
+from btfsep_engine.pipeline.refine import layers
 from tests.blender.found import SAID, lighting, planck, sunny
 
 FRONT = np.array([[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0], [0, 0, 0, 1]])  # from -Y, level, +X to the right
@@ -93,7 +94,7 @@ def test_a_light_that_is_kept_is_known_again_whatever_its_sun_is(photographed):
 def test_a_sunny_light_in_an_artists_words():
     lines = card.card_of({}, sunny(), FRONT)["lines"]
     assert len(lines) <= 6
-    assert lines[0] == ["Trust", "Not stated"]
+    assert lines[0] == ["Trust", "Its error is not stated"]
     assert lines[1] == ["Key light", "front left (45° round), 45° up"]
     near = sunny()
     near["suns"]["lamps"][0]["near"] = {"centre": [0.0, 0.0, 0.0], "distance": 80.0}
@@ -222,6 +223,26 @@ def test_a_roughness_that_the_photo_does_not_show_is_said_with_the_one_that_it_s
     }
 
 
+def test_what_lies_on_an_object_is_said_in_the_words_of_its_material():
+    def shown(*found):
+        told = "; ".join(layers.SAID.format(name, what) for name, what in found)
+        (doubt,) = card.card_of({}, lighting(), FRONT, warnings=[told])["warnings"]
+        return doubt["short"].partition(", of which")[0], doubt["mend"], doubt["object"]
+
+    assert shown(("Hat", layers.FUZZ)) == ("The photo shows Hat as cloth (sheen)", "SELECT", "Hat")
+    assert shown(("Jug", layers.COAT)) == ("The photo shows Jug varnished (coat)", "SELECT", "Jug")
+    assert shown(("Hat", layers.FUZZ), ("Jug", layers.COAT))[0].endswith("Jug as cloth (sheen) or varnished (coat)")
+
+
+def test_how_much_is_overexposed_is_said_once_and_of_the_object():
+    photo = "my photo.png: 64675 of 153600 pixels are saturated"
+    thing = "7 % of the pixels of object 'Jug' are saturated or transparent; the saturated ones count as at least so"
+    found = card.card_of({}, lighting(), FRONT, warnings=[photo, thing])
+    assert [d["short"] for d in found["warnings"]] == ["7 % of Jug is overexposed or transparent in the photo"]
+    assert photo in found["details"]  # a file has its own name
+    assert card.card_of({}, lighting(), FRONT, warnings=[photo])["warnings"][0]["short"].startswith("Overexposed")
+
+
 def light_found_in(monkeypatch, *names):
     """What the engine says where it has found light in the textures of these objects."""
     found = SimpleNamespace(light=SimpleNamespace(contrast=0.34))
@@ -284,7 +305,7 @@ def test_materials_that_are_not_certain_are_said_shortly_and_once():
 
 def test_warnings_that_are_not_known_are_said_by_their_beginning():
     told = "occluder 'Table': material 'Lamp' shines, which is left out; something more (and more)"
-    assert advice.advice(told).short == "Occluder 'Table': material 'Lamp' shines, which is left out"
+    assert advice.advice(told).short == "'Table': material 'Lamp' shines, which is left out"
     assert advice.advice("a short one").short == "A short one"
     assert not advice.advice("a mesh of 62976 faces is mapped by projecting patches onto planes").short
 

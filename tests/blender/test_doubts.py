@@ -104,9 +104,11 @@ def test_what_an_object_is_made_of_is_asked_before_what_may_come_of_that():
         "the material does not go with the photo",
         f"object 'Cup': {own_surface.RELIEF.format('Clay')}",
         "object 'Head' looks like none of the library's materials: a plain surface stands for it",
+        "geometry and photo did not line up: for this estimate the camera is moved by 9.1 pixels",
     ]
     shown = [doubt["short"] for doubt in card.card_of({}, lighting(), warnings=said)["warnings"]]
     assert shown == [
+        "Objects or camera are out of place; the engine made up for it",
         "Bumps of Cup's material are not followed: the light goes by the mesh alone",
         "Head looks like no material of the library; give its colour",
         "Table is 23 % brighter in the photo than in this light: the material is wrong, or the light",

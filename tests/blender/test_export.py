@@ -394,4 +394,7 @@ def test_wrong_scenes_are_refused_in_words(scene, tmp_path, add_camera):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError, match="File exists; choose a folder that can be written, or do not keep jobs"):
         export.export_job(scene, tmp_path / "file", image_path=photo, objects=[cube])
+    cube.scale = (0, 0, 0)
+    with pytest.raises(InputError, match="it has no area: its scale is zero"):
+        export.export_job(scene, job, image_path=photo, objects=[cube], surfaces={cube.name: "BLENDER"})
     assert not (job / "job.json").exists()

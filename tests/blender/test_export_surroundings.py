@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from blender_btfsep.light import card
 from blender_btfsep.scene import export, surroundings
 from scripts.cycles import materials
+from tests.blender.found import lighting
 from tests.blender.test_export import add_cube, make_photo
 
 
@@ -97,6 +99,41 @@ def test_what_is_clear_or_is_not_understood_is_named(exported):
     assert any("'Wig'" in w and "its colour is taken from the photo" in w for w in warnings) and len(warnings) == 3
 
 
+def test_a_texture_that_is_gone_is_named(exported, tmp_path):
+    own, shader = materials.shaded("Own", "ShaderNodeBsdfPrincipled")
+    picture = own.node_tree.nodes.new("ShaderNodeTexImage")
+    picture.image = bpy.data.images.new("planks", 4, 4)
+    picture.image.source, picture.image.filepath = "FILE", str(tmp_path / "planks.png")
+    own.node_tree.links.new(picture.outputs["Color"], shader.inputs["Base Color"])
+    floor(own)
+    surfaces, (warning,) = exported()
+    assert surfaces == {"Floor.ply": None}
+    assert warning.startswith("occluder 'Floor': the file of image 'planks' is not there; its colour is taken from the")
+
+
+def test_of_an_image_of_tiles_all_count(exported, tmp_path):
+    for number, value in ((1001, 0.0), (1002, 1.0)):
+        tile = bpy.data.images.new("tile", 4, 4)
+        tile.pixels.foreach_set([value, 0.0, 0.0, 1.0] * 16)
+        tile.filepath_raw, tile.file_format = str(tmp_path / f"wall.{number}.png"), "PNG"
+        tile.save()
+        bpy.data.images.remove(tile)
+    own, shader = materials.shaded("Own", "ShaderNodeBsdfPrincipled")
+    picture = own.node_tree.nodes.new("ShaderNodeTexImage")
+    picture.image = bpy.data.images.load(str(tmp_path / "wall.1001.png"))
+    picture.image.source, picture.image.filepath = "TILED", str(tmp_path / "wall.<UDIM>.png")
+    if len(picture.image.tiles) < 2:
+        picture.image.tiles.new(1002)
+    own.node_tree.links.new(picture.outputs["Color"], shader.inputs["Base Color"])
+    floor(own)
+    surfaces, warnings = exported()
+    assert surfaces["Floor.ply"]["base_color"] == pytest.approx([0.5, 0, 0]) and not warnings
+    assert len(bpy.data.images) == 1
+    (tmp_path / "wall.1001.png").unlink()
+    (tmp_path / "wall.1002.png").unlink()
+    assert any("the file of image 'wall" in w for w in exported()[1])
+
+
 def test_what_is_a_lamp_hides_no_light_and_what_glows_a_little_does(exported):
     """The light of a lamp comes from where it stands: the World has to have it there."""
     colours = {"Base_Color": (0.5, 0.5, 0.5, 1), "Emission_Color": (1, 0.5, 0.5, 1)}
@@ -108,6 +145,24 @@ def test_what_is_a_lamp_hides_no_light_and_what_glows_a_little_does(exported):
     for name, made_of in (("Screen", "Bright"), ("Tube", "Tube")):
         assert any(w.startswith(f"occluder '{name}' is left out, as material '{made_of}' shines") for w in warnings)
     assert "occluder 'Sign': material 'Faint' shines, which is left out" in warnings and len(warnings) == 3
+
+
+def test_what_is_left_out_is_said_on_the_card_with_what_to_do(exported):
+    floor(material("Tube", "ShaderNodeEmission"), name="Softbox", location=(0, 3, 0))
+    floor(material("Pane", "ShaderNodeBsdfGlass"), name="Window", location=(3, 0, 0))
+    floor(material("Hair", "ShaderNodeBsdfHair"), name="Wig", location=(0, 0, 3))
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=20)
+    bpy.context.object.name = "Dome"
+    _, warnings = exported()
+    shown = card.card_of({}, lighting(), warnings=warnings)["warnings"]
+    assert [(doubt["short"].split(":")[0], doubt["mend"]) for doubt in shown] == [
+        ("Softbox shines, and the World has its light, too", "SELECT"),
+        ("Dome stands around all", ""),
+        ("'Wig'", ""),
+        ("Window is see-through, and keeps no light away here", ""),
+    ]
+    assert shown[0]["object"] == "Softbox" and all("ccluder" not in doubt["short"] for doubt in shown)
+    assert all("hide it from renders" in doubt["short"] for doubt in shown[:2])
 
 
 def test_panes_and_bulbs_of_what_stands_around_hide_no_light(exported, tmp_path):

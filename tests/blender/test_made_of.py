@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from blender_btfsep import command
+from blender_btfsep.basics.errors import InputError
 from blender_btfsep.run import answer, request, runs
 from blender_btfsep.scene import own_surface
 from blender_btfsep.window import icons, library
@@ -181,6 +182,40 @@ def test_what_cannot_be_read_from_blender_is_refused_in_words(photographed, cube
         bpy.ops.btfsep.estimate()
 
 
+@pytest.mark.parametrize("by_nodes", [False, True])
+def test_a_texture_whose_file_is_gone_is_said_before_the_click(photographed, cube, tmp_path, by_nodes):
+    cube.source, own, file = "BLENDER", material(), tmp_path / "rust.png"
+    cube.object.data.materials.append(own)
+    image = bpy.data.images.new("rust", 8, 8)
+    image.filepath_raw, image.file_format = str(file), "PNG"
+    image.save()
+    bpy.data.images.remove(image)
+    tree = own.node_tree
+    picture, group = tree.nodes.new("ShaderNodeTexImage"), bpy.data.node_groups.new("Paint", "ShaderNodeTree")
+    picture.image = image = bpy.data.images.load(str(file))
+    colour = picture.outputs["Color"]
+    if by_nodes:  # then it is baked, and what is not there is pink
+        group.interface.new_socket("Colour", in_out="OUTPUT", socket_type="NodeSocketColor")
+        inner, end = group.nodes.new("ShaderNodeTexImage"), group.nodes.new("NodeGroupOutput")
+        inner.image = image
+        group.links.new(inner.outputs["Color"], end.inputs[0])
+        painted = tree.nodes.new("ShaderNodeGroup")
+        painted.node_tree = group
+        colour = painted.outputs[0]
+        tree.nodes.remove(picture)
+    tree.links.new(colour, tree.nodes["Principled BSDF"].inputs["Base Color"])
+    other = tree.nodes.new("ShaderNodeTexImage")  # nothing hangs on it
+    other.image = bpy.data.images.new("elsewhere", 8, 8)
+    other.image.source, other.image.filepath = "FILE", str(tmp_path / "elsewhere.png")
+    assert request.missing(bpy.context) == "" and job_of(photographed, tmp_path)["surface"]
+    file.unlink()
+    assert request.missing(bpy.context).startswith("The file of image 'rust.png', of which 'Cube' is made, is not")
+    with pytest.raises(InputError, match=r"'Cube'; the file of image 'rust\.png' is not there; find it"):
+        job_of(photographed, tmp_path)
+    image.source = "GENERATED"  # as good as a packed one
+    assert request.missing(bpy.context) == "" and job_of(photographed, tmp_path)["surface"]
+
+
 def test_the_command_line_takes_what_the_panel_says(photographed, cube, tmp_path):
     cube.source, cube.colour = "COLOUR", (0.1, 0.5, 0.4)
     assert command.main(["export", "--job", str(tmp_path / "job")]) == 0
@@ -189,7 +224,9 @@ def test_the_command_line_takes_what_the_panel_says(photographed, cube, tmp_path
 
 def test_what_was_given_is_called_so(photographed, cube):
     found = [{"name": "Cube", "material": "surface/given"}, {"name": "Else", "material": "wood/oak", "unknown": True}]
+    cube.recognised = "leather/brown"
     assert answer.take_materials(photographed, found) == ["Cube: as given", "Else: wood/oak (unsure)"]
+    assert not cube.recognised  # it is to be, where Made Of is set back to that
 
 
 @pytest.fixture

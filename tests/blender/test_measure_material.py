@@ -258,6 +258,17 @@ def test_a_bad_material_gets_a_sentence(thing, how):
     assert words in str(caught.value) and "material 'Checked Noise!'" in str(caught.value)
 
 
+@pytest.mark.parametrize("place", ["Base Color", "Displacement"])
+def test_a_map_whose_file_is_gone_is_not_measured_pink(thing, scene, tmp_path, place):
+    nodes, picture = Nodes(thing.active_material), bpy.data.images.new("rust", 8, 8)
+    picture.source, picture.filepath = "FILE", str(tmp_path / "rust.png")
+    (map_ := nodes.add("TexImage")).image = picture
+    nodes.put(map_.outputs["Color"], (nodes.output if place == "Displacement" else nodes.shader).inputs[place])
+    with pytest.raises(InputError, match="the file of image 'rust' is not there; find it"):
+        measure.write_maps(scene, thing, thing.active_material, tmp_path / "maps", size_mm=SIZE_MM, resolution=N)
+    assert not (tmp_path / "maps").exists()
+
+
 def test_what_is_not_measured_is_said(thing):
     nodes = Nodes(thing.active_material)
     nodes.put(1.0, nodes.shader.inputs["Coat Weight"])

@@ -81,6 +81,18 @@ def small_mask(scene, tmp_path):
     scene.btfsep.objects[0].mask = bpy.data.images.new("mask", 24, 16)
 
 
+def of_a_file_that_is_gone(scene, tmp_path):
+    file = tmp_path / "set.blend"
+    bpy.data.libraries.write(str(file), {scene.btfsep.objects[0].object})
+    with bpy.data.libraries.load(str(file), link=True) as (_, wanted):
+        wanted.objects = ["Cube"]
+    (linked,) = wanted.objects
+    scene.collection.objects.link(linked)
+    scene.btfsep.objects[0].object = linked
+    bpy.data.libraries.write(str(file), {scene.camera.data})  # it has no cube any more
+    linked.library.reload()
+
+
 def empty_list(scene, tmp_path):
     scene.btfsep.objects.clear()
 
@@ -102,6 +114,7 @@ def empty_list(scene, tmp_path):
         (no_material, "Choose the material of 'Cube'"),
         (no_uv, "'Cube' has no UV map"),
         (small_mask, "The mask of 'Cube' has another size"),
+        (of_a_file_that_is_gone, "'Cube' is linked from set.blend, which is not there"),
         (empty_list, "Add the objects"),
     ],
 )

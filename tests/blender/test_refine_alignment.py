@@ -18,7 +18,7 @@ from tests.blender.lit import LIGHTING
 
 MOVED = {
     "aligned": True,
-    "why": "moved: outlines and shading go better (…)",
+    "why": "moved: outlines and shading go better, by 7.1 deviations (outline without an edge 65 % before, …)",
     "moved_px": 3.14,
     "degrees": 1.25,
     "focal_percent": 2.0,
@@ -52,7 +52,8 @@ def test_the_camera_moves_and_the_objects_stay(photographed, fake_engine):
     assert tuple(camera.scale) == pytest.approx((2.0, 2.0, 2.0))
     assert cube.matrix_world == stood
     said = bpy.context.window_manager.btfsep.summary
-    assert said.startswith("The camera was moved: 3.1 pixels in the photo, a turn of 1.2°, focal length +2.0%\nMoved:")
+    moved = "The camera was moved: 3.1 pixels in the photo, a turn of 1.2°, focal length +2.0%"
+    assert said == f"{moved}\nOutlines and shading go better"
     assert alignment.OLDER not in said
 
 
@@ -98,8 +99,8 @@ def test_an_orthographic_camera_gets_another_scale(photographed, fake_engine):
 
 def test_without_a_gain_nothing_moves(photographed, fake_engine):
     before = camera_of(photographed)
-    why = "left as it is: it lies within 0.3 pixels of where it goes best"
-    fake_engine(aligned=other(before), result=MOVED | {"aligned": False, "why": why})
+    why = "it lies within 0.3 pixels of where it goes best"
+    fake_engine(aligned=other(before), result=MOVED | {"aligned": False, "why": f"left as it is: {why}"})
     assert bpy.ops.btfsep.refine_alignment() == {"FINISHED"}
     np.testing.assert_array_equal(camera_of(photographed)["to_world"], before["to_world"])
     assert bpy.context.window_manager.btfsep.summary == f"Nothing was moved; {why}"
@@ -140,7 +141,8 @@ def test_the_photo_of_a_depth_is_shifted(photographed, fake_engine, tmp_path):
     assert tuple(settings.depth_shift) == (3.5, -1.0)
     np.testing.assert_array_equal(camera_of(photographed)["to_world"], before["to_world"])
     said = bpy.context.window_manager.btfsep.summary
-    assert said.startswith("The photo was shifted against the depth: +2.5 pixels to the right, -1.0 down\nMoved:")
+    shifted = "The photo was shifted against the depth: +2.5 pixels to the right, -1.0 down"
+    assert said == f"{shifted}\nOutlines and shading go better"
     settings.depth, settings.objects.add().object = None, bpy.data.objects["Cube"]
     assert "depth_shift" not in json.loads((request.write_job(bpy.context) / "job.json").read_text())
 

@@ -121,6 +121,40 @@ def test_where_blender_knows_a_colour_one_click_takes_it(photographed, colour, s
     assert bpy.ops.btfsep.mend(how="BLENDER", object=entry.object.name) == {"FINISHED"} and entry.source == "BLENDER"
 
 
+def test_a_colour_that_blender_knows_is_a_click_away_before_anything_is_estimated(photographed, capfd):
+    (entry,) = photographed.btfsep.objects
+    entry.object.data.materials.append(own := bpy.data.materials.new("Own"))
+    own.use_nodes = True
+    own.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.5, 0.04, 0.03, 1)
+
+    def buttons():
+        panel = SimpleNamespace(layout=Everything())
+        photo_panels.BTFSEP_PT_objects.draw(panel, seen(260, scene=photographed))
+        return [words for words in operators(panel.layout) if words in mending.WORDS.values()]
+
+    assert buttons() == ["As in Blender"]
+    assert bpy.ops.btfsep.mend(how="BLENDER", object=entry.object.name) == {"FINISHED"} and entry.source == "BLENDER"
+    assert buttons() == [] and "again" not in "".join(capfd.readouterr())  # nothing was estimated yet
+
+
+@pytest.mark.parametrize(("width", "words"), [(208, False), (400, True)])
+def test_in_a_narrow_sidebar_words_have_the_room_that_there_is(photographed, width, words):
+    shown = {}
+
+    class Kept(Everything):
+        def prop(self, owner, name, **how):
+            shown[name] = how.get("expand", False), how.get("text")
+
+    panel, context = SimpleNamespace(layout=Kept()), seen(width, scene=photographed)
+    for kind in (photo_panels.BTFSEP_PT_photo, photo_panels.BTFSEP_PT_objects, light_panel.BTFSEP_PT_advanced):
+        kind.draw(panel, context)
+    assert shown["overlay"] == ((True, None) if words else (False, ""))
+    assert shown["source"] == (False, None if words else "")
+    assert [shown[name][1] for name in ("exposure_ev", "clamp")] == (
+        ["Photo Exposure", "Clamp Negative"] if words else ["Exposure", "Clamp"]
+    )
+
+
 def test_a_texture_with_light_in_it_has_a_button_and_a_field(photographed):
     layout = Everything()
     doubt = {"short": "The texture has light in it", "mend": "KEEP", "object": "Cube"}
@@ -257,5 +291,19 @@ def test_what_is_found_stands_below_the_buttons_and_trust_above_all_of_it(photog
     after = drawn(photographed)
     button = before.place("operator", "btfsep.estimate")
     assert after.shown[: button + 1] == before.shown[: button + 1]  # it stays below the mouse
-    trust, picture = after.place("label", "Not stated"), after.place("template_icon")
+    trust, picture = after.place("label", "Its error is not stated"), after.place("template_icon")
     assert button < trust < picture < after.place("label", "Key light") < after.place("operator", "Freeze Sun")
+
+
+def test_a_light_that_is_not_the_world_is_said_to_be_none(photographed, sunny):
+    photographed.world = mine = bpy.data.worlds.new("Mine")
+    answer.apply_light(photographed, lighting_file.read(sunny[0]))
+
+    def said():
+        return drawn(photographed, 400).place("label", "This light is not the World now") is not None
+
+    assert not said()
+    bpy.ops.btfsep.restore_world()
+    assert photographed.world == mine and said()
+    bpy.ops.btfsep.apply()
+    assert not said()
