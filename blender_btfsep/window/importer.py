@@ -46,7 +46,7 @@ class BTFSEP_OT_import_lighting(buttons.AtOnce, bpy.types.Operator, ImportHelper
 
     filename_ext = ".json"
     filter_glob: StringProperty(default="*.json;*.btfsep;*.exr;*.hdr;*.txt", options={"HIDDEN"})
-    mode: EnumProperty(name="World", items=WORLD_MODES[:2])
+    mode: EnumProperty(name="World", items=(("AUTO", "As in the File", "A map stays a map"), *WORLD_MODES[:2]))
     order: IntProperty(
         name="Order",
         description="Of the harmonics of a map that becomes nodes",
@@ -69,7 +69,9 @@ class BTFSEP_OT_import_lighting(buttons.AtOnce, bpy.types.Operator, ImportHelper
 
     def do(self, context):
         lighting = light_files.read(bpy.path.abspath(self.filepath), self.order)
-        said = apply_light(context.scene, lighting, mode=self.mode, clamp=self.clamp, lamp=self.lamp)
+        as_in_file = "TEXTURE" if "map" in lighting else "NODES"
+        mode = as_in_file if self.mode == "AUTO" else self.mode
+        said = apply_light(context.scene, lighting, mode=mode, clamp=self.clamp, lamp=self.lamp)
         runs.forget()  # what went wrong before is of another light
         return said
 

@@ -74,18 +74,24 @@ def test_a_map_has_the_sky_and_the_lamp(scene, tmp_path, suffix):
     assert np.allclose(((found - truth) * received[..., None]).sum((0, 1)), lamp["irradiance"], rtol=0.02)
 
 
-@pytest.mark.parametrize("mode", ["NODES", "TEXTURE"])
+@pytest.mark.parametrize("mode", ["NODES", "as in the file"])
 def test_a_map_is_imported(addon, scene, render, tmp_path, mode):
     look_around(scene)
     c = positive_coefficients(4, seed=2)
     write_map(tmp_path / "sky.exr", sh.to_map(c, 128, 256))
-    bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / "sky.exr"), mode=mode, order=4)
+    bpy.ops.btfsep.import_lighting(filepath=str(tmp_path / "sky.exr"), **({"mode": mode} if mode == "NODES" else {}))
+    assert (coefficient_of(scene, 0) is None) == (mode != "NODES")
     truth = sh.to_map(c, 64, 128)
     assert np.abs(render(scene) - truth).max() < 0.02 * truth.max()
     if mode == "NODES":
         group = sh_nodes.node_of(scene.world.node_tree)
         found = np.array([group.inputs[harmonics_name(k)].default_value[:] for k in range(25)])
         assert np.allclose(found, sh.project_map(sh.to_map(c, 128, 256), 4), atol=1e-4 * np.abs(c).max())
+
+
+def coefficient_of(scene, k):
+    """The input of a coefficient in the World; None where it is a map."""
+    return sh_nodes.node_of(scene.world.node_tree).inputs.get(harmonics_name(k))
 
 
 def harmonics_name(k):
