@@ -11,6 +11,7 @@ import json
 import shutil
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
@@ -47,14 +48,19 @@ def stage(number: int, name: str, *, hush=True):
     print(f"      {time.perf_counter() - start:.1f} s", flush=True)
 
 
-def main() -> int:
-    options = parse()
-    out = options.out.resolve()
-    out.mkdir(parents=True, exist_ok=True)
-    started = time.perf_counter()
-    resolution, samples = (256, 48) if options.quick else (512, 64)
-    blender_btfsep.register()
+@dataclass(frozen=True)
+class Taken:
+    """What was photographed: the scene, its camera, the photo (h, w, 3), and how much of each pixel is the object."""
 
+    scene: bpy.types.Scene
+    camera: bpy.types.Object
+    photo: np.ndarray
+    mask: np.ndarray
+
+
+def photographed(options, out: Path) -> Taken:
+    """Builds the scene and takes its photo, with which the add-on then has to do."""
+    resolution, samples = (256, 48) if options.quick else (512, 64)
     with stage(1, f"building a scene: {options.object} in {options.material} under '{options.light}'"):
         scene, camera, base, _ = studio.make_scene(
             options.object, options.material, options.light, resolution=resolution
@@ -67,39 +73,60 @@ def main() -> int:
     scene.btfsep.image = bpy.data.images.load(str(out / "photo.exr"), check_existing=False)
     scene.btfsep.objects.add().object = base
     scene.btfsep.occluders = "NONE"  # the photographed object is the known one: it casts no second shadow
+    return Taken(scene, camera, photo, mask)
 
+
+def estimated(options, out: Path) -> int:
+    """Lets the add-on make the light its World; returns the exit status."""
     with stage(3, "BTFsep: job, recognition, estimate, World", hush=False):
-        library = ["--library", str(options.library.resolve())] if options.library else []
-        preset = "draft" if options.quick else "balanced"
-        result_folder = out / "job" / "result"
-        given = ["--job", str(out / "job"), "--out", str(result_folder), "--preset", preset, "--order", str(ORDER)]
+        preset, results = "draft" if options.quick else "balanced", out / "job" / "result"
+        given = ["--job", str(out / "job"), "--out", str(results), "--preset", preset, "--order", str(ORDER)]
         material = ["--material", "reference/white-diffuse"] if options.material == "white" else []
-        status = command.main(["estimate", *given, *library, *material])
-        if status:
-            return status
-    for name in ("lighting.json", "lighting.exr", "result.json"):
-        shutil.copyfile(result_folder / name, out / name)
-    result = json.loads((out / "result.json").read_text())
-    found = result["objects"][0]["material"]
-    estimate = engine.coefficients(out / "lighting.json")
+        status = command.main(["estimate", *given, *library_of(options), *material])
+    if not status:
+        for name in ("lighting.json", "lighting.exr", "result.json"):
+            shutil.copyfile(results / name, out / name)
+    return status
 
+
+def library_of(options) -> list[str]:
+    return ["--library", str(options.library.resolve())] if options.library else []
+
+
+def rendered_again(options, taken: Taken, material: str, out: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The object as the library has the ``material`` and by Cycles, both under the estimated light; saves the scene."""
     with stage(4, "the object as the library has the material"):
         job_options = ["--lighting", out / "lighting.json", "--out", out / "material.exr"]
-        engine.run("relight", out / "job", *job_options, "--material", found, *library)
+        engine.run("relight", out / "job", *job_options, "--material", material, *library_of(options))
         as_recognised = studio.read_image(out / "material.exr")
     with stage(5, "rendering again with Cycles, under the estimated World"):
-        rerendered = studio.render_photo(scene, out / "rerendered.exr", samples)
+        rerendered = studio.render_photo(taken.scene, out / "rerendered.exr", taken.scene.cycles.samples)
     with stage(6, "saving scene.blend"):
-        scene.render.filepath = "//rerendered.exr"
+        taken.scene.render.filepath = "//rerendered.exr"
         for image in bpy.data.images:
             if image.source in {"GENERATED", "FILE"} and not image.packed_file:
                 image.pack()  # the material's maps live in memory only, the light in Blender's own folder
         bpy.ops.wm.save_as_mainfile(filepath=str(out / "scene.blend"), compress=True)
+    return as_recognised, rerendered
+
+
+def main() -> int:
+    options = parse()
+    out = options.out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    started = time.perf_counter()
+    blender_btfsep.register()
+    taken = photographed(options, out)
+    if status := estimated(options, out):
+        return status
+    result, estimate = json.loads((out / "result.json").read_text()), engine.coefficients(out / "lighting.json")
+    found = result["objects"][0]["material"]
+    as_recognised, rerendered = rendered_again(options, taken, found, out)
     with stage(7, "composing report.png"):
         truth = true_lighting(options.light, ORDER)
         off = errors(estimate, truth)
-        solid = mask > 0.99
-        misfit = compare.relative_l2(rerendered[solid].astype(float), photo[solid].astype(float))
+        solid = taken.mask > 0.99
+        misfit = compare.relative_l2(rerendered[solid].astype(float), taken.photo[solid].astype(float))
         free, absolute = misfit["relative_l2_free_scale"], misfit["relative_l2"]
         right = found == options.material
         words = (
@@ -112,13 +139,13 @@ def main() -> int:
         )
         figure.write(
             out / "report.png",
-            photo=photo,
-            mask=mask,
+            photo=taken.photo,
+            mask=taken.mask,
             material=as_recognised,
             rerendered=rerendered,
             truth=truth,
             estimate=estimate,
-            view=-np.array(camera.matrix_world)[:3, 2],
+            view=-np.array(taken.camera.matrix_world)[:3, 2],
             words=words,
         )
     total = time.perf_counter() - started
