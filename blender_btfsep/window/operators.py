@@ -128,7 +128,8 @@ class BTFSEP_OT_clear_cache(buttons.Greyed, runs.EngineOperator, bpy.types.Opera
         return ["cache", "--clear"]
 
     def finish(self, context, result):
-        return f"{result['freed'] / 1e6:.0f} MB are free now"
+        stays = f"; {result['bytes'] / 1e6:.0f} MB stay: in use, or not yours to take away" if result["bytes"] else ""
+        return f"{result['freed'] / 1e6:.0f} MB are free now{stays}"
 
 
 class BTFSEP_OT_read_library(buttons.Greyed, runs.EngineOperator, bpy.types.Operator):

@@ -73,6 +73,8 @@ def cache_command(*, clear, reporter):
     freed = cache.clear() if clear else 0
     held = sum(path.stat().st_size for path in cache.entries())
     result = {"folder": str(cache.cache_folder()), "bytes": held, "freed": freed}
+    if clear and held:
+        reporter.warn(f"{held / 1e6:.1f} MB stay: in use, or not to be taken away by you; see {result['folder']}")
     more = f", {freed / 1e6:.0f} MB are free now" if clear else ""
     return result, f"{held / 1e6:.0f} MB in {result['folder']}{more}"
 

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,6 +42,19 @@ def test_the_cache_is_shown_and_cleared(capsys, tmp_path, monkeypatch):
     assert main(["cache", "--clear", "--json"]) == 0
     (done,) = json_lines(capsys.readouterr().out)
     assert done["result"]["bytes"] == 0 and done["result"]["freed"] > 2e6 and not list(tmp_path.iterdir())
+
+
+def test_what_of_the_cache_cannot_be_taken_away_is_said(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("BTFSEP_CACHE", str(tmp_path))
+    cache.write(tmp_path / "kind" / "a.entry", {"x": np.zeros(250_000)})
+
+    def refused(path, *_, **__):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "unlink", refused)
+    assert main(["cache", "--clear", "--json"]) == 0
+    warned, done = json_lines(capsys.readouterr().out)
+    assert "2.0 MB stay" in warned["message"] and done["result"]["freed"] == 0 and done["result"]["bytes"] > 2e6
 
 
 def test_estimate_gives_back_the_light_of_a_white_sphere(sphere_job_folder, capsys):
