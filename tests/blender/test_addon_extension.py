@@ -50,6 +50,7 @@ def test_the_version_is_the_engines():
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text())
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert manifest["version"] == project["version"] == btfsep_engine.__version__
+    assert f"\nversion: {manifest['version']}\n" in (ROOT / "CITATION.cff").read_text()
     assert "blender" not in manifest["name"].lower() and "network" not in manifest["permissions"]
 
 
