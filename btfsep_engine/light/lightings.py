@@ -20,6 +20,7 @@ from btfsep_engine import sh
 from btfsep_engine.conventions import direction_to_equirect, pixel_directions, pixel_solid_angles
 
 SAMPLES_PER_CELL = 24  # map samples that share out the light around a direction
+WITHIN = 1e-6  # share of each corner, in the triangle around a sample: far above what rounding does
 
 
 class Lightings(Protocol):
@@ -197,14 +198,20 @@ def _around(directions, samples):
     inverse = np.linalg.inv(corners.transpose(0, 2, 1))
     centres = corners.mean(1)
     centres /= np.linalg.norm(centres, axis=-1, keepdims=True)
-    _, near = cKDTree(centres).query(samples, k=min(12, len(triangles)))
-    best = np.full(len(samples), -np.inf)
-    indices, shares = np.zeros((len(samples), 3), np.int64), np.zeros((len(samples), 3))
-    for candidate in near.T:
-        w = np.einsum("sij,sj->si", inverse[candidate], samples)
-        least = w.min(-1)
-        better = least > best
-        best[better], indices[better], shares[better] = least[better], triangles[candidate[better]], w[better]
+    tree = cKDTree(centres)
+    _, nearest = tree.query(samples)
+    shares = np.einsum("sij,sj->si", inverse[nearest], samples)
+    indices = triangles[nearest].astype(np.int64)
+    left = np.flatnonzero(shares.min(-1) < WITHIN)  # a sample well within a triangle is in no other
+    if len(left):
+        some, best = samples[left], np.full(len(left), -np.inf)
+        _, near = tree.query(some, k=min(12, len(triangles)))
+        for candidate in near.T:
+            w = np.einsum("sij,sj->si", inverse[candidate], some)
+            least = w.min(-1)
+            better = least > best
+            best[better] = least[better]
+            indices[left[better]], shares[left[better]] = triangles[candidate[better]], w[better]
     shares = np.maximum(shares, 0)
     return indices, shares / shares.sum(-1, keepdims=True)
 

@@ -174,18 +174,19 @@ class Reference:
         params = mi.traverse(scene)
         for number in range(lightings.count):
             for sign in (1, -1):
-                part = np.maximum(sign * sky[:, :, number], 0)
+                part = np.maximum(sign * sky[number], 0)
                 if not part.any():
                     continue
-                part = np.broadcast_to(part, (*part.shape[:2], 3))
-                # a last column that repeats the first closes the circle
-                params["light.data"] = mi.TensorXf(np.concatenate([part, part[:, :1]], 1).astype(np.float32))
+                closed = np.empty((SKY_ROWS, 2 * SKY_ROWS + 1, 3), np.float32)
+                closed[:, :-1] = part
+                closed[:, -1] = closed[:, 0]  # a last column that repeats the first closes the circle
+                params["light.data"] = mi.TensorXf(closed)
                 params.update()
                 yield number, sign, scene
 
     @staticmethod
     def _skies(lightings) -> np.ndarray:
-        """The lights on the emitter's grid: (SKY_ROWS, 2 SKY_ROWS, M, 3 or 1) float32.
+        """The lights on the emitter's grid: (M, SKY_ROWS, 2 SKY_ROWS, 3 or 1) float32.
 
         Mitsuba's rows reach from pole to pole, its columns are between (i, i + 1) / columns; both are interpolated.
         """
@@ -199,8 +200,9 @@ class Reference:
             )  # Mitsuba's (sin, cos, -cos) of its own axes, in ours
             values = lightings.radiance(directions)
             if out is None:
-                out = np.empty((SKY_ROWS, *values.shape), np.float32)
-            out[row] = values
+                turns, lights, channels = values.shape
+                out = np.empty((lights, SKY_ROWS, turns, channels), np.float32)
+            out[:, row] = np.swapaxes(values, 0, 1)
         return out
 
     def _traced(self, scene, pixels, samples, seed, jitter):

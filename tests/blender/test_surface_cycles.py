@@ -102,8 +102,9 @@ SURFACES = {
 
 
 @pytest.mark.parametrize("name", SURFACES)
-def test_the_engine_and_cycles_show_the_same(name, tmp_path):
+def test_the_engine_and_cycles_show_the_same(name, small_light, tmp_path):
     light, surface = SURFACES[name]
+    light = small_light(light)
     photo, job = photographed(light, surface, tmp_path)
     again = relit(job, light, tmp_path)
     inner = binary_erosion(again.sum(-1) > 0, np.ones((5, 5)))[..., None]

@@ -68,7 +68,7 @@ def test_a_factor_is_numpys_and_what_has_none_is_said(rng):
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="SciPy's BLAS is the system's there")
-def test_scipys_threads_are_limited_too_wherever_it_is_loaded():
+def test_scipys_threads_are_limited_too_wherever_it_is_loaded(all_cores):
     """In a process that had not loaded it; a farm's slot has one core."""
     asked = """if True:
         from btfsep_engine import threads

@@ -106,7 +106,7 @@ def test_a_depth_is_path_traced_with_what_it_hides(sphere_job_folder, capsys):
     folder, truth = sphere_job_folder
     images.write_exr(folder / "z.exr", z_depth(scene_of(folder)))
     edited(folder, depth="z.exr", objects=[])
-    options = ["--transport", "reference", "--samples", "64", "--pixels", "300", "--order", "2", "--no-report"]
+    options = ["--transport", "reference", "--samples", "16", "--pixels", "300", "--order", "2", "--no-report"]
     result = answer(capsys, "estimate", folder, "--material", "reference/white-diffuse", *options)
     assert result["transport"]["by"] == "reference"
     assert off_as_seen(read_lighting(result["lighting"]).coefficients, truth) < 0.1

@@ -63,7 +63,7 @@ def jobs(sphere_job_folder, tmp_path_factory):
     return list(zip([*folders, folders[0]], [white, leather, white, white, leather], strict=True))
 
 
-def test_the_order_of_jobs_changes_no_answer(jobs, tmp_path, capsys, monkeypatch):
+def test_the_order_of_jobs_changes_no_answer(jobs, tmp_path, capsys, monkeypatch, all_cores):
     def estimate(number, out):
         folder, material = jobs[number]
         return ["estimate", str(folder), "--material", material, *OPTIONS, "--out", str(out / str(number))]
