@@ -34,6 +34,10 @@ SAME = np.cos(np.radians(12))
 # plates of smooth, painted and glossy things 0.001 to 0.04.
 TEXTURED = 0.045
 SOME = 400  # points that say whether a photo is textured
+# Of lightness, the finest detail over that of the octave beside it (`recognise.finest`): of textures 0.9 to 1.2, of
+# noise 4 to 4.7, of fine leather and denim under it 1.5 to 4.3
+GRAIN = 2.5
+LOOKED_AT = 512  # pixels, the side of what is looked at of a large photo
 # Part of the basis images that is above order 3, of the root of their squares: of matte materials 0.11 to 0.13, of the
 # library's oak and damask 0.18 and 0.21, of leathers and granite 0.30 to 0.53, of lacquered walnut 0.72
 MATTE, SHARP_FROM = 0.18, 16
@@ -70,6 +74,18 @@ def is_textured(scene, index: int, *, seed: int) -> bool:
     nothing = np.zeros_like(region)
     points = [scene.bare_points(i, region=region if i == index else nothing) for i in range(len(scene.regions))]
     return variation(with_like_pixels(Problem(scene, [], points, [], {}))) >= TEXTURED
+
+
+def is_grainy(scene, index: int) -> bool:
+    """Whether what the photo of an object varies by from pixel to pixel is as fine as noise is, and no texture."""
+    from btfsep_engine.recognise.finest import finest  # few photos are asked
+    from btfsep_engine.recognise.masked import Masked
+
+    middle = np.median(np.nonzero(scene.regions[index]), axis=1).astype(int)
+    window = tuple(slice(max(0, at - LOOKED_AT // 2), at + LOOKED_AT // 2) for at in middle)
+    region, image = scene.regions[index][window], scene.job.photo.radiance[window]
+    seen = Masked(region, region & scene.job.photo.usable[window] & np.isfinite(image).all(-1))
+    return bool(GRAIN < finest(seen.values_of(image), seen).sharp < np.inf)
 
 
 def with_like_pixels(problem: Problem) -> Problem:

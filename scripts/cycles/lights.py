@@ -10,6 +10,8 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.light.maps import read_map
 
+AROUND = "around.exr"  # of a scene: the map of what is seen from the object's middle, where maps do not say all
+
 
 @lru_cache(maxsize=1)
 def studio_lights() -> dict:

@@ -10,8 +10,7 @@ from mathutils import Vector
 
 from scripts.cycles import materials, studio
 
-NAME = "around.exr"
-AROUND, SAMPLES = (256, 128), 256  # pixels of the map of what is around; a pixel
+SIZE, SAMPLES = (256, 128), 256  # pixels of the map of what is around; a pixel
 
 
 def add(middle, quads, colour) -> bpy.types.Object:
@@ -41,7 +40,7 @@ def photograph_around(scene: bpy.types.Scene, middle, hidden, path: Path) -> np.
     kept = render.resolution_x, render.resolution_y
     for thing in hidden:
         thing.visible_camera = False
-    scene.camera, (render.resolution_x, render.resolution_y) = eye, AROUND
+    scene.camera, (render.resolution_x, render.resolution_y) = eye, SIZE
     try:
         return studio.render_photo(scene, path, SAMPLES)
     finally:

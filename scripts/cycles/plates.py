@@ -20,6 +20,7 @@ from blender_btfsep.scene.export import export_job
 from btfsep_engine.imaging import images
 from btfsep_engine.imaging.srgb import linear_to_srgb
 from scripts.cycles import angular, materials, neighbours, objects, scans, studio
+from scripts.cycles.lights import AROUND
 from scripts.cycles.untold import through, unlike
 
 RESOLUTION, SAMPLES, FILL, TABLE = 256, 64, 0.7, 1.2  # pixels; a pixel; of the frame; metres
@@ -106,7 +107,7 @@ def take(plate, folder: Path) -> None:
     studio.denoise(scene)
     linear = studio.render_photo(scene, folder / "linear.exr", SAMPLES)
     if "neighbour" in plate:
-        neighbours.photograph_around(scene, middle, [thing, *table], folder / neighbours.NAME)
+        neighbours.photograph_around(scene, middle, [thing, *table], folder / AROUND)
     if "told" in plate:
         linear = through(linear, plate["camera"], plate["much"], plate["seed"]).astype(np.float32)
         images.write_exr(folder / "linear.exr", linear)

@@ -8,7 +8,7 @@ import numpy as np
 from btfsep_engine import sh
 from btfsep_engine.conventions import across
 from btfsep_engine.light.maps import read_map
-from scripts.cycles.lights import true_lighting
+from scripts.cycles.lights import AROUND, true_lighting
 
 CORNERS = 0.5 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])  # of a softbox, in its edges from its middle
 PATCHES = 24  # of a softbox, a side: of its integral
@@ -47,7 +47,7 @@ def truth(plate, folder: Path | None = None) -> np.ndarray:
     c, s = np.cos(np.radians(plate["turn"])), np.sin(np.radians(plate["turn"]))
     suns = [plate["sun"]] * bool(plate["sun"])
     if "neighbour" in plate:
-        x = sh.project_map(read_map(folder / plate["name"] / "around.exr"), 9)
+        x = sh.project_map(read_map(folder / plate["name"] / AROUND), 9)
         suns = [sun for sun in suns if not hides(plate["neighbour"], sun["direction"])]
     else:
         x = true_lighting(plate["light"], 9, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))

@@ -44,7 +44,7 @@ from btfsep_engine.light.maps import read_map
 from btfsep_engine.pipeline.mirrors import SHARP
 from btfsep_engine.storage.atomic import write_json
 from scripts.cycles.figure import display, exposure, write_rows
-from scripts.cycles.lights import light_path
+from scripts.cycles.lights import AROUND, light_path
 from scripts.studies import parser, photos, tables
 from scripts.studies.estimates import estimated, scene_of, worth
 from scripts.studies.ground import above
@@ -169,10 +169,17 @@ def study(plate, folder: Path, way: str) -> dict:
     return {"way": way} | judged(plate, job, folder, **settings)
 
 
+def true_map(plate, folder: Path) -> np.ndarray:
+    """The light (h, w, 3) without its suns; of a plate with a neighbour as Cycles sees it from the object's middle."""
+    if "neighbour" in plate:
+        return read_map(folder / plate["name"] / AROUND)
+    light = read_map(light_path(plate["light"]))
+    return np.roll(light, -round(plate["turn"] / 360 * light.shape[1]), 1)
+
+
 def shown(plate, folder: Path, ways) -> list:
     """A row of a picture: the photo, and the lights that are found in each way and the true one without its sun."""
-    true = read_map(light_path(plate["light"]))
-    true = np.roll(true, -round(plate["turn"] / 360 * true.shape[1]), 1)
+    true = true_map(plate, folder)
     jobs = [told(plate, folder, way) for way in ways]
     found = [estimated(scene_of(job), **settings).map for job, settings in jobs]
     photo, kinds = jobs[0][0].photo.radiance, plate["kinds"][-3:] if "told" in plate else plate["kinds"][:-2]

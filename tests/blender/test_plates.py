@@ -331,7 +331,7 @@ def test_a_paper_sweep_rises_behind_the_object():
 
 def test_what_stands_beside_an_object_is_in_the_light_around_it(tmp_path, monkeypatch, small_light):
     """A map from the middle is the true light where nothing stands there; a wall has its colour, and hides a sun."""
-    monkeypatch.setattr(neighbours, "AROUND", (64, 32))
+    monkeypatch.setattr(neighbours, "SIZE", (64, 32))
     monkeypatch.setattr(neighbours, "SAMPLES", 64)
     monkeypatch.setattr(studio_plates, "RESOLUTION", 32)
     monkeypatch.setattr(studio_plates, "SAMPLES", 1)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import gaussian_filter
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.fit.tone_curve import SRGB
@@ -43,12 +44,19 @@ LIGHT = np.zeros((9, 3))
 LIGHT[0], LIGHT[1], LIGHT[2], LIGHT[3], LIGHT[6] = 3.0, 0.9, 1.2, -1.1, 0.5
 
 
-def of_mesh(mesh, *, texture: float, seed: int = 0, size: int = 256, focal: float = 666.0, **photo):
-    """A Problem of a white mesh whose photo varies by chance from pixel to pixel; and the photo without that."""
+def of_mesh(mesh, *, texture: float, coarse=0.0, seed: int = 0, size: int = 256, focal: float = 666.0, **photo):
+    """A Problem of a white mesh whose photo varies by chance from pixel to pixel; and the photo without that.
+
+    ``coarse`` : pixels over which it varies, as textures do and noise does not
+    """
     scene = scene_of(job_of([mesh], looking_down(size, focal)))
     all_points = scene.points(0, region=scene.view.mesh == 0, textured=False)
     clean = scene.radiance(all_points, WHITE, SHLighting(LIGHT), directions=256)[:, 0]
-    dark = np.random.default_rng(seed).lognormal(0, texture, len(all_points)) / np.exp(texture**2 / 2)
+    chance = np.random.default_rng(seed).standard_normal(len(all_points))
+    if coarse:
+        chance = gaussian_filter(picture(all_points, np.repeat(chance[:, None], 3, 1), size=size)[..., 0], coarse)
+        chance = chance[tuple(all_points.pixels.T)] / chance[tuple(all_points.pixels.T)].std()
+    dark = np.exp(texture * chance - texture**2 / 2)
     image = picture(all_points, clean * dark[:, None], size=size)
     scene.job = with_photo(scene.job, image, **photo)
     points = scene.points(0, textured=False)

@@ -9,9 +9,9 @@ import pytest
 
 from btfsep_engine.btf.library import open_library
 from btfsep_engine.btf.surfaces import GIVEN, SURFACES, Surface
-from btfsep_engine.pipeline import recognition
+from btfsep_engine.pipeline import like_pixels, recognition
 from btfsep_engine.pipeline.estimation import estimate
-from btfsep_engine.pipeline.like_pixels import is_textured
+from btfsep_engine.pipeline.like_pixels import is_grainy, is_textured
 from btfsep_engine.pipeline.materials import STRANGE, ObjectMaterial
 from btfsep_engine.pipeline.model import Model
 from btfsep_engine.pipeline.recognition import recognise_object, without_metal
@@ -29,7 +29,7 @@ SCORES = ((METAL, 0.5), (LEATHER, 0.2), ("surface/matte", 0.18), (PLASTIC, 0.12)
 @pytest.fixture(scope="module")
 def photographed():
     """{is textured: PreparedScene} of the same objects in the same light."""
-    return {texture > 0.05: of_mesh(egg_and_pebble(), texture=texture)[0].scene for texture in (0.005, 0.15)}
+    return {texture > 0.05: of_mesh(egg_and_pebble(), texture=texture, coarse=0.8)[0].scene for texture in (0.01, 0.3)}
 
 
 def widths(found) -> np.ndarray:
@@ -49,6 +49,34 @@ def test_ranges_are_wider_where_a_surface_without_texture_stands_for_one_that_ha
     factor = np.ptp(same.fit.interval, 0) / widths(found)
     np.testing.assert_allclose(factor, GUESSED if wider else 1, rtol=1e-6)
     np.testing.assert_array_equal(same.fit.coefficients, found.fit.coefficients)
+
+
+def test_of_noise_as_much_is_stated_and_not_that_it_is_a_texture(photographed):
+    grainy = of_mesh(egg_and_pebble(), texture=0.1)[0].scene
+    assert is_textured(grainy, 0, seed=0) and is_grainy(grainy, 0) and not is_grainy(photographed[True], 0)
+    found = estimate(grainy, open_library(None), SETTINGS, material=PLASTIC)
+    said = found.choice[LOOK_ALIKE]
+    assert "is grainy where it shows object" in said and "texture of" not in said and f"{GUESSED:g} times" in said
+    assert said in grainy.reporter.warnings
+    # a material that was recognised and is strange is a doubt of its own
+    strange = made_of(open_library(None).load(LEATHER), is_given=False, likely=(LEATHER,), unknown_score=2 * STRANGE)
+    _, _, words = look_alike(replace(found.model, materials=([strange],)), found.light)
+    assert "a texture of object" in words[LOOK_ALIKE] and "grainy" not in words[LOOK_ALIKE]
+
+
+def test_noise_is_told_by_a_part_of_a_large_photo(photographed, monkeypatch):
+    """By what lies about the object's middle: the rest may be anything."""
+    monkeypatch.setattr(like_pixels, "LOOKED_AT", 64)
+    scene = copy(of_mesh(egg_and_pebble(), texture=0.1)[0].scene)
+    image, smooth = scene.job.photo.radiance.copy(), photographed[False].job.photo.radiance
+    row, column = np.median(np.nonzero(scene.regions[0]), axis=1).astype(int)
+    inside = np.zeros(image.shape[:2], bool)
+    inside[row - 32 : row + 32, column - 32 : column + 32] = True
+    for there in (inside, ~inside):
+        scene.job = replace(
+            scene.job, photo=replace(scene.job.photo, radiance=np.where(there[..., None], image, smooth))
+        )
+        assert is_grainy(scene, 0) is bool(there[row, column])
 
 
 def made_of(material, **changes) -> ObjectMaterial:
