@@ -19,6 +19,7 @@ from btfsep_engine.pipeline.doubts import (
 )
 from btfsep_engine.pipeline.light_account import colour_doubts
 from btfsep_engine.pipeline.refine.curves import curve_doubts
+from btfsep_engine.pipeline.refine.dusty import DUSTY
 from btfsep_engine.pipeline.refine.in_front import OTHER_SHAPE
 from btfsep_engine.pipeline.refine.interreflection import open_share
 from btfsep_engine.pipeline.refine.layers import LAYERED
@@ -76,7 +77,8 @@ def shape_and_colour_doubts(estimate) -> list[str]:
     """What was said on the way of a ground (`standing`), light in textures (`delighting`), shadows (`refine.shaded`),
     shapes (`refine.misshapen`, `refine.in_front`), surroundings (`refine.said_surface`), and of what the objects are
     made of."""
-    keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHER_SHAPE, OTHERWISE, UNLIKE, ROUGH_OTHERWISE, LAYERED, LOOK_ALIKE
+    of_surfaces = UNLIKE, ROUGH_OTHERWISE, LAYERED, DUSTY, LOOK_ALIKE
+    keys = STANDS, DE_LIT, SHADOW, UNEXPLAINED, OTHER_SHAPE, OTHERWISE, *of_surfaces
     return [estimate.choice[key] for key in keys if key in estimate.choice]
 
 

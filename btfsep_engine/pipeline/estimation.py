@@ -20,6 +20,7 @@ from btfsep_engine.pipeline.model import Model, first_model, solve_model
 from btfsep_engine.pipeline.phone import probabilities, strengths, tones_words, with_tones_undone
 from btfsep_engine.pipeline.refine import refined
 from btfsep_engine.pipeline.refine.curves import other_curves
+from btfsep_engine.pipeline.refine.dusty import dusty
 from btfsep_engine.pipeline.refine.each_object import each_object_by_itself
 from btfsep_engine.pipeline.refine.finish import finished
 from btfsep_engine.pipeline.refine.flash import flash, flash_settled
@@ -189,6 +190,7 @@ REFINEMENTS = (
     light_between_near_surfaces,
     sharp_lamps,
     veiled,
+    dusty,
     painted_surfaces,
     uneven_surfaces,
     ground,
@@ -210,6 +212,7 @@ MORE = (
     finished,
     as_rough_as_seen,
     layered,
+    dusty,
     vivid_light,
     nearer_materials,
     shifted,
