@@ -56,6 +56,7 @@ SETS = {
     "angular again": 227,
     "finished": 228,
     "finished again": 229,
+    "dusty": 232,
     "neighbours": 230,
     "neighbours again": 231,
 }  # seeds; what was chosen by which of them, docs/results/plates.md says
@@ -288,6 +289,7 @@ def of_set(name: str, lights=None) -> list[dict]:
         "chrome": things.mirroring,
         "several": things.several,
         "finished": things.finished,
+        "dusty": things.with_dust,
         "cut": cut,
         "flash": flashed,
         "sweep": on_paper,

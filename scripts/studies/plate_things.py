@@ -137,6 +137,11 @@ def painted(plates: list[dict], seed: int) -> list[dict]:
     return out
 
 
+def with_dust(plates: list[dict], seed: int) -> list[dict]:
+    """The plates with dusty things, none of metal; of what is below, jobs have what a user sees by eye."""
+    return finished([plate for plate in plates if not plate["surface"]["metallic"]], seed, ("dusty",))
+
+
 def of_flat_faces(plates: list[dict]) -> list[dict]:
     """The plates with things of few flat faces (`scripts.cycles.angular`)."""
     n, out = len(FLAT), []
@@ -146,9 +151,9 @@ def of_flat_faces(plates: list[dict]) -> list[dict]:
     return out
 
 
-def finished(plates: list[dict], seed: int) -> list[dict]:
+def finished(plates: list[dict], seed: int, kinds=OF_FINISHES) -> list[dict]:
     """The plates with things of a finish that jobs know nothing of, or dusty on top; the rest of it by eye."""
-    random, out, kinds = np.random.default_rng(seed), [], OF_FINISHES
+    random, out = np.random.default_rng(seed), []
     for i, plate in enumerate(plates):
         kind, own, finish = kinds[(i + i // len(kinds)) % len(kinds)], plate["surface"], plate["kinds"][-1]
         if (kind == "brushed") != bool(own["metallic"]) and kind not in ("coat", "dusty"):

@@ -25,7 +25,9 @@ cuts the object; those of *flash* have a flash on the camera, indoors; those of 
 them, under softboxes. Those of *scanned* have a texture with the light in it that it was taken under, which may be left
 there (*not de-lit*), or not have been there (*without light in the texture*). The jobs of *remeshed* have meshes as
 scans are, smoother, noisy and a little off. Things of the sets *angular* are of few flat faces; those of *finished* are
-velvet, coated, brushed, waxen, frosted or dusty, and jobs say what a user sees by eye, and nothing of that.
+velvet, coated, brushed, waxen, frosted or dusty, and jobs say what a user sees by eye, and nothing of that; those of
+*dusty* are all dusty. Beside those of *neighbours* stands a wall, or a thing, of which jobs say nothing; the light is
+that at their middle.
 With ``--maps`` lights are drawn from a folder of maps, not from Blender's. The error of plates with a table is that
 of the light from above it: what comes from below, nothing in such a photo shows; *of all light* has that, too.
 """

@@ -138,6 +138,7 @@ def test_plates_whose_jobs_do_not_say_all(tmp_path, monkeypatch, small_light):
 def test_finishes_that_jobs_do_not_know(tmp_path, monkeypatch, small_light):
     drawn = plate_sets.of_set("finished")
     assert drawn == plate_sets.of_set("finished") != plate_sets.of_set("finished again")
+    assert {(plate["thing"], plate["surface"]["metallic"]) for plate in plate_sets.of_set("dusty")} == {("dusty", 0)}
     assert {p["thing"] for p in drawn} == set(plate_things.OF_FINISHES)
     assert all(p["surface"]["metallic"] for p in drawn if p["thing"] == "brushed")
     assert not any(p["surface"]["metallic"] for p in drawn if p["thing"] in ("velvet", "wax", "frosted"))
