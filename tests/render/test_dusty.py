@@ -61,11 +61,17 @@ def test_of_clean_things_none_is_said(photographed, surface):
 @pytest.mark.parametrize("changes", [{"metallic": 1.0}, {"image": np.full((4, 4, 3), 0.3, np.float32)}])
 def test_what_is_not_of_one_colour_or_explained_is_not_asked(photographed, monkeypatch, changes):
     monkeypatch.setattr(dusty, "_hopeful", lambda *_: pytest.fail("asked"))
-    model = SimpleNamespace(problems=[])
+    normals = np.random.default_rng(0).normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    round_thing, box = (
+        SimpleNamespace(points=[SimpleNamespace(normal=n)]) for n in (normals, np.eye(3)[[0, 1, 2] * 50])
+    )
+    model = SimpleNamespace(problems=[round_thing])
     light = SimpleNamespace(share_left=lambda _: 0.5)
     monkeypatch.setattr(dusty, "surface_of", lambda *_: replace(TEAL, **changes))
     assert dusty._with_dust(model, light, 0) is None
     monkeypatch.setattr(dusty, "surface_of", lambda *_: TEAL)
+    assert dusty._with_dust(SimpleNamespace(problems=[box]), light, 0) is None
     monkeypatch.setattr(dusty, "LEFT", 0.6)
     assert dusty._with_dust(model, light, 0) is None
 

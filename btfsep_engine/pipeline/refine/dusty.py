@@ -8,14 +8,15 @@ the evidence says so: with dust on top a few pixels gain 8 to 140 of its logarit
 is white, as dust is), on 27 things without dust at most 2, on one that is explained badly 7.
 
 Dust covers more the more a place faces up, and what is below it the less: of its share a what is reflected is dust's.
-It is asked for of things of one colour, no metal; only towards what is lighter, since nobody knows of dark dust. What
-dust does to a gloss is left out.
+It is asked for of things of one colour, no metal, that have more than a few flat faces; only towards what is lighter,
+since nobody knows of dark dust. What dust does to a gloss is left out.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from btfsep_engine.fit.diagnose import has_few_faces
 from btfsep_engine.pipeline.refine.given import asked_of, surface_of
 from btfsep_engine.pipeline.refine.reflectance import FEW, fewer, field_alone
 from btfsep_engine.pipeline.together import fit_together
@@ -58,6 +59,8 @@ def _with_dust(model, light, i: int):
     """Model and light with dust on an object; None where it does not explain the photo clearly better."""
     surface, left = surface_of(model, i), light.share_left(model.problems)
     if surface.image is not None or surface.metallic > METAL or left < LEFT:
+        return None
+    if all(has_few_faces(p.points[i].normal) for p in model.problems):  # how light its top is says nothing
         return None
     settings = replace(model.modelled, order=light.order)
     dust = _hopeful(model, light, i, surface.base_color, settings)
