@@ -71,7 +71,7 @@ KNOWN = (
         level="AMBER",
     ),
     Advice(LOOK_ALIKE, "{0} has a texture that nobody measured; choose or measure its material", "MATERIAL", "AMBER"),
-    Advice("as of dust on it", "{0} is lighter on top than its material, as if dusty; the light goes by that"),
+    Advice("as of dust on it", "{0} looks dusty on top, of which its material says nothing; the light goes by that"),
     Advice("is grainy where it shows", "The photo is grainy: one with less noise says more"),
     Advice("highlights that are not those of", "The photo shows more gloss than the material has", "MATERIAL", "AMBER"),
     Advice(MISFIT, "The material does not quite fit the photo", "MATERIAL", "AMBER"),

@@ -46,7 +46,7 @@ def test_dust_is_found_and_the_light_with_it(photographed):
     job = photographed(TEAL, 0.6)
     found, left = (found_of(job, TEAL, departures=departures) for departures in ("auto", "never"))
     said = found.choice[dusty.DUSTY]
-    assert "object 'object 0' is lighter where it faces up" in said and said in found.scene.reporter.warnings
+    assert "object 'object 0' has another colour where it faces up" in said and said in found.scene.reporter.warnings
     assert dusty.DUSTY not in left.choice
     right, wrong = (off_as_seen(each.lighting.coefficients, LIGHT) for each in (found, left))
     assert right < 0.3 * wrong and right < 0.25

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Dust: a surface that is lighter where it faces up than its numbers say.
+"""Dust: a surface that has another colour where it faces up than its numbers say, most often a lighter one.
 
 Who takes a colour from a photo takes that of a side, and says nothing of the dust that lies on top. A dusty thing looks
 as if more light came from above, and of a colour that makes up for the thing's own: of twelve such plates the light
@@ -8,8 +8,8 @@ the evidence says so: with dust on top a few pixels gain 8 to 140 of its logarit
 is white, as dust is), on 27 things without dust at most 2, on one that is explained badly 7.
 
 Dust covers more the more a place faces up, and what is below it the less: of its share a what is reflected is dust's.
-It is asked for of things of one colour, no metal, that have more than a few flat faces; only towards what is lighter,
-since nobody knows of dark dust. What dust does to a gloss is left out.
+It is asked for of things of one colour, no metal, that have more than a few flat faces; no plate
+asked for dark dust. What dust does to a gloss is left out.
 """
 
 from dataclasses import replace
@@ -28,11 +28,10 @@ DARKEST = 0.02  # of a base colour, which what lies on it is over
 METAL = 0.1
 LEFT = 0.04  # of the photo, that the light leaves over: one that is explained better is not asked
 HOPEFUL = 8.0  # of the logarithm of the evidence of a few pixels
-LESS = 1.0  # of what is left over, that is left with dust
 DUSTY = "dust"  # its name among what is chosen
 SAID = (
-    "object '{}' is lighter where it faces up, as of dust on it, of which its surface says nothing (by evidence); the "
-    "light goes by that"
+    "object '{}' has another colour where it faces up, as of dust on it, of which its surface says nothing (by "
+    "evidence); the light goes by that"
 )
 
 
@@ -68,7 +67,7 @@ def _with_dust(model, light, i: int):
         return None
     trial = model.changed(lambda p: on_dust(p, _factor(p, i, surface.base_color, *dust)))
     answer = fit_together(trial.problems, settings, beside=light.fit)
-    return (trial, answer) if answer.share_left(trial.problems) < LESS * left else None
+    return (trial, answer) if answer.share_left(trial.problems) < left else None
 
 
 def _hopeful(model, light, i: int, colour, settings):
