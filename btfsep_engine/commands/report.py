@@ -17,6 +17,7 @@ from btfsep_engine.imaging.lettering import row
 from btfsep_engine.imaging.srgb import linear_to_srgb
 from btfsep_engine.light.files import lighting_map
 from btfsep_engine.light.lightings import EnvironmentMaps, shrink
+from btfsep_engine.pipeline.refine.dusty import lighter
 from btfsep_engine.render.sampling import spread, thinned
 
 IMAGE_PIXELS = 40_000  # most pixels of an object that are rendered for an image; the others are filled from the nearest
@@ -210,8 +211,11 @@ def rough_rendering(estimate, scene, part: Part, lights) -> np.ndarray:
     material = model.problems[0].materials[part.index]
     region, stride = part.thinned(PIXELS)
     points = scene.points(part.index, region=region, textured=material.has_texture)
-    seen = scene.transport(points, directions=DIRECTIONS).radiance(material, lights).reshape(len(points), 6)
+    seen = scene.transport(points, directions=DIRECTIONS).radiance(material, lights).reshape(len(points), 6).copy()
     suns = scene.sun_radiance(points, material, *estimate.light.suns)
+    if part.index in model.dust:
+        on_top = lighter(points.normal, *model.dust[part.index]).astype(np.float32)
+        seen[:, :3], suns = seen[:, :3] * on_top, suns * on_top
     out = part.filled(points, np.concatenate([seen, suns], 1), stride)
     between = scene.indirect(model.problems[0].materials, lights, model.modelled, bounces=model.bounces)
     if between is not None and all(mirror.index != part.index for mirror in scene.mirrors):

@@ -41,6 +41,7 @@ class Model:
     shaded : a SolvedLight of these problems, and what was found beside it of lamps that some pixels do not see
         (`refine.parted.with_shadows_sought`); None: none were sought
     departed : number of an object -> the Material near its own that stands for it (`refine.reflectance`)
+    dust : number of an object -> its colour, that of the dust on it, and the share that it covers (`refine.dusty`)
     """
 
     settings: Settings
@@ -50,6 +51,7 @@ class Model:
     materials: tuple = ()
     untried: str | None = "as asked for"
     departed: dict = field(default_factory=dict)
+    dust: dict = field(default_factory=dict)
     otherwise: tuple = ()
     highlights: bool = False
     shaded: tuple | None = None

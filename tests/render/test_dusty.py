@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from btfsep_engine.btf.surfaces import GIVEN, Surface
+from btfsep_engine.commands import report
 from btfsep_engine.light.lightings import SHLighting
 from btfsep_engine.pipeline.refine import dusty
 from btfsep_engine.render.homogeneous import homogeneous
@@ -51,6 +52,12 @@ def test_dust_is_found_and_the_light_with_it(photographed):
     right, wrong = (off_as_seen(each.lighting.coefficients, LIGHT) for each in (found, left))
     assert right < 0.3 * wrong and right < 0.25
     assert found.photos[0].residuals[0] < 0.8 * left.photos[0].residuals[0]
+    photo = job.photo.radiance
+    clean = replace(found, model=replace(found.model, dust={}))
+    shown, without = (report.pictures(each, found.scene)[0] for each in (found, clean))
+    seen = np.isfinite(shown).all(-1)
+    off, much = (np.linalg.norm((each - photo)[seen]) / np.linalg.norm(photo[seen]) for each in (shown, without))
+    assert off < 0.1 and off < 0.7 * much
 
 
 @pytest.mark.parametrize("surface", [TEAL, replace(TEAL, base_color=(0.5, 0.05, 0.04), roughness=0.4)])

@@ -66,6 +66,7 @@ def _with_dust(model, light, i: int):
     if dust is None:
         return None
     trial = model.changed(lambda p: on_dust(p, _factor(p, i, surface.base_color, *dust)))
+    trial = replace(trial, dust=model.dust | {i: (surface.base_color, *dust)})
     answer = fit_together(trial.problems, settings, beside=light.fit)
     return (trial, answer) if answer.share_left(trial.problems) < left else None
 
